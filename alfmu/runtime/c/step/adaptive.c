@@ -1,4 +1,4 @@
-/* Internal steps of a method that controls its error. */
+/* Internal steps of an integrator with error control. */
 
 #include "adaptive.h"
 
@@ -13,14 +13,15 @@
 #include "message.h"
 #include "scene.h"
 
-/* Last digits of a time that a step takes at least. */
+/* Shortest step, in units of the last digit of the time. */
 #define LEAST_DIGITS 16
 
-/* Jumps by the motion that are crossed by steps as short as may be, before a step that is so many times as long. */
+/* Number of consecutive jumps that steps of the least length may cross before a step that is CROSSINGS times as
+   long. */
 #define CROSSINGS 4
 #define AWAY_FROM_IT 1e3
 
-/* Whether constraints may depend on each other here that usually do not. */
+/* Return whether constraints that are usually independent may depend on each other at this position. */
 static int is_irregular(Instance *i)
 {
     const Scene *s = i->scene;
@@ -32,7 +33,7 @@ static int is_irregular(Instance *i)
     return found != 0.0;
 }
 
-/* The numbers of step control for short steps in place of those for steps of the method, or the other way round. */
+/* Exchange the step-control numbers of short steps and of the integrator's own steps. */
 static void switch_step_kind(double *pace, int kind)
 {
     double *own = pace + PACE_DT, *other = pace + PACE_OTHER_DT;
@@ -43,16 +44,16 @@ static void switch_step_kind(double *pace, int kind)
         own[k] = other[k];
         other[k] = kept;
     }
-    if (own[0] == 0.0) { /* No short step has been tried. */
+    if (own[0] == 0.0) { /* No short step has been tried yet. */
         own[0] = other[0];
         own[1] = LEAST_BEFORE;
     }
     pace[PACE_SHORT] = kind;
-    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    pace[PACE_LAST] = 0.0; /* The data that the integrator keeps between steps are invalid here. */
 }
 
-/* Whether short steps reach the end with clearly fewer evaluations than those of the method; they are made for penalties
-   that are scaled with the masses, of constraints that are all in force. */
+/* Return whether short steps reach the end with clearly fewer evaluations than the integrator's own steps. Short
+   steps are traced for penalties scaled with the masses and for all constraints in force. */
 static int short_steps_serve(const Instance *i, double left)
 {
     const Scene *s = i->scene;
@@ -65,8 +66,8 @@ static int short_steps_serve(const Instance *i, double left)
         <= s->method_cost * ceil(left / (kind ? other : own));
 }
 
-/* A try of a short step, on the branch near a singular position; 0 where it cannot be judged, or there is not accepted: the
-   limits taken there are less exact for short steps. */
+/* Try a short step, on the branch near a singular position. Return 0 if its error cannot be judged, or if it is
+   rejected there: limits at singular positions are less exact for short steps. */
 static int try_short_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -76,7 +77,7 @@ static int try_short_step(Instance *i)
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
-        i->shared += s->short_cost; /* None of them is made. */
+        i->shared += s->short_cost; /* All of these evaluations are reused. */
     else {
         program_run(i, onward ? s->short_onward : s->short_step);
         i->shared += onward;
@@ -98,14 +99,14 @@ static int try_short_step(Instance *i)
     return 0;
 }
 
-/* Whether the error of a step is what round-off leaves of it. */
+/* Return whether the error estimate of a step is at the level of round-off. */
 static int error_is_round_off(const Instance *i)
 {
     return i->m[i->scene->pace + PACE_FLOOR] * i->scene->share > NOISE;
 }
 
-/* A try of an explicit step in place of one of the method, from the same numbers of step control; whether it can be judged.
-   What only round-off excuses cannot. */
+/* Try an explicit step in place of one of the integrator, from the same step-control numbers. Return whether its
+   error can be judged; an error that is acceptable only because of round-off cannot. */
 static int try_explicit_step(Instance *i, const double *kept, int regular)
 {
     const Scene *s = i->scene;
@@ -113,15 +114,16 @@ static int try_explicit_step(Instance *i, const double *kept, int regular)
     double *pace = i->m + s->pace, *tally = i->m + s->tally;
     memcpy(pace, kept, PACE * sizeof *pace);
     program_run(i, regular ? s->regular_step : s->beside);
-    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    pace[PACE_LAST] = 0.0; /* The data that the integrator keeps between steps are invalid here. */
     tally[regular ? TALLY_REGULAR_TRIES : TALLY_BESIDE] += 1.0;
     tally[TALLY_BESIDE_LIMITS] += regular ? 0.0 : after[s->near];
     return after[s->trouble] == 0.0 && !(pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i));
 }
 
-/* A step on the branch in place of one that could not be judged. In place of an implicit one there is another explicit step,
-   whose constraints alone tell whether it is near a singular position: it comes first where they are regular, as where a
-   mechanism moves no mass to speak of, and else where that on the branch cannot be judged or has too large an error. */
+/* Try a step on the branch in place of a step that could not be judged. An implicit step is replaced by another
+   explicit step, because only its constraints tell whether it is near a singular position. If the masses are regular
+   without the constraints, the explicit step comes first; otherwise it follows if the step on the branch cannot be
+   judged or has too large an error. */
 static void try_branch_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -140,8 +142,8 @@ static void try_branch_step(Instance *i)
         try_explicit_step(i, kept, first);
 }
 
-/* A try of the other of explicit and implicit steps; they go on where it keeps the tolerance, and 0 where it does not.
-   Explicit steps that are so much shorter than a stable method makes them are kept short by stability. */
+/* Try the other kind of step (explicit or implicit). Return 1 and keep that kind if it meets the tolerance, else 0.
+   Explicit steps that are much shorter than those of a stable integrator are limited by stability. */
 static int try_other_method(Instance *i, double left)
 {
     const Scene *s = i->scene;
@@ -167,9 +169,9 @@ static int try_other_method(Instance *i, double left)
     return 0;
 }
 
-/* A try of a short step, of the method of the scene where that is not possible. By few multiplier iterations; by more
-   where they were not enough, or the error of an explicit step is too large, as what they leave is part of it; on the
-   branch near a singular position. */
+/* Try a short step, or a step of the integrator if a short one is impossible. The first try takes few multiplier
+   iterations. The second takes more, if few were not enough or the error of an explicit step is too large, because
+   the remainder of the iteration is part of the error. Near a singular position the step follows the branch. */
 static void try_any_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -218,13 +220,13 @@ static void try_any_step(Instance *i)
     try_branch_step(i);
 }
 
-/* The shortest step that a method with error control may make here. */
+/* Return the shortest step that an integrator with error control may take here. */
 static double shortest_step(const Instance *i)
 {
     return fmax(GIVEN_UP, LEAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
 }
 
-/* Steps go on from a jump that was crossed. */
+/* Restart step control after a jump. */
 static void note_crossing(Instance *i, double least)
 {
     double *pace = i->m + i->scene->pace;
@@ -234,8 +236,9 @@ static void note_crossing(Instance *i, double least)
     pace[PACE_REFUSED] = pace[PACE_LAST] = 0.0;
 }
 
-/* Whether a step is as short as it may be and yet has too large an error, as where something jumps by the motion: it is
-   taken, as the error is that jump over no time. Where this happens again and again there is another cause. */
+/* Accept a step of the least length although its error is too large, as at a jump that depends on the motion: the
+   error is the jump itself, over almost no time. Return 0 if this happens repeatedly, because the cause is then
+   another. */
 static int cross_jump(Instance *i)
 {
     const Scene *s = i->scene;
@@ -253,7 +256,7 @@ static int cross_jump(Instance *i)
     return 1;
 }
 
-/* The same where an implicit step does not even converge, however short it is: RK4 makes it. */
+/* Cross a jump by RK4 if even the shortest implicit step does not converge. */
 static int cross_jump_by_rk4(Instance *i)
 {
     const double least = shortest_step(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
@@ -263,12 +266,12 @@ static int cross_jump_by_rk4(Instance *i)
     return 1;
 }
 
-/* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
+/* Take steps of the integrator up to `end`, or `tries` tries. Return 0 if a step could not be judged. */
 int step_adaptive(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
-    double judged = 0.0; /* step of the first try that could not be judged, since one that could */
+    double judged = 0.0; /* length of the first step that could not be judged since the last one that could */
     double until = -INFINITY;
     int stuck = 0;
     pace[PACE_END] = end;
@@ -288,7 +291,7 @@ int step_adaptive(Instance *i, double end, long tries)
             if (shorter < GIVEN_UP && after[s->near] == 0.0 && cross_jump_by_rk4(i))
                 continue;
             if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP || stuck == STUCK) {
-                /* Near a singular position it is not the length of the step that is wrong. */
+                /* Near a singular position a shorter step does not help. */
                 pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
                 return 0;
             }
@@ -298,7 +301,7 @@ int step_adaptive(Instance *i, double end, long tries)
             continue;
         }
         judged = 0.0;
-        /* The tolerance of a step is a share of that of the run. */
+        /* The tolerance of a step is a share of the tolerance of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
             instance_warn(i, WARNED_OF_ROUND_OFF,
                 "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
@@ -308,7 +311,8 @@ int step_adaptive(Instance *i, double end, long tries)
         if (pace[PACE_ACCEPTED] != 0.0 && m[s->after + s->time] - m[s->z + s->time] > AWAY_FROM_IT * shortest_step(i))
             i->crossings = 0;
         if (pace[PACE_ACCEPTED] != 0.0 || cross_jump(i)) {
-            /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
+            /* A rejected step does not lengthen the next one; otherwise short steps and steps of the integrator
+               would alternate for ever. */
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
             pace[PACE_SINCE] += 1.0;

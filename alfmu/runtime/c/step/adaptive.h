@@ -1,4 +1,4 @@
-/* Internal steps of a method that controls its error. */
+/* Internal steps of an integrator with error control. */
 
 #ifndef ALFMU_ADAPTIVE_H
 #define ALFMU_ADAPTIVE_H

@@ -1,4 +1,4 @@
-/* The energy balance of a run, and the warnings that follow from it. */
+/* The energy balance of a run and the warnings that follow from it. */
 
 #include "balance.h"
 
@@ -12,12 +12,12 @@
 #include "scene.h"
 #include "settings.h"
 
-/* Displacement [m, rad] of a communication step, between ends at which the motion is as slow, that is rest: a hundredth of
-   the default tolerance. */
+/* Largest displacement [m, rad] of a communication step that counts as rest if the motion is slow at both ends: a
+   hundredth of the default tolerance. */
 #define RESTING 1e-8
 
-/* Whether the last communication step begins and ends at rest in one place. The work of a large force is then that of the
-   last digits of the velocities, and its energy none. */
+/* Return whether the last communication step began and ended at rest in the same position. The work of a large force
+   is then round-off of the velocities, and there is no energy to compare it with. */
 static int is_at_rest(Instance *i, double kinetic)
 {
     const Scene *s = i->scene;
@@ -26,12 +26,12 @@ static int is_at_rest(Instance *i, double kinetic)
         if (!(fabs(now[c] - begin[c]) <= RESTING && fabs(now[s->n + c]) <= SLOW_MOTION
                 && fabs(begin[s->n + c]) <= SLOW_MOTION))
             return 0;
-    /* Places may move although no coordinate does. */
+    /* With prescribed motion, points may move although no coordinate changes. */
     return !s->timed || kinetic <= energy_at_speed(i, SLOW_MOTION);
 }
 
-/* Where no work is done, a balance that is off by a part of the energy puts rates off by half of that, so that the place
-   comes off by as much of the way. */
+/* Warn of drift where no work is done. A relative error of the energy causes half that error in the rates, and hence
+   in the distance travelled. */
 static void warn_of_drift(Instance *i)
 {
     const Scene *s = i->scene;
@@ -49,7 +49,7 @@ static void warn_of_drift(Instance *i)
             s->name, now[s->time], fabs(c[DRIFT]), settings_method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
 }
 
-/* The balance of energies after a communication step, where anybody reads of it. */
+/* Update the energy balance after a communication step, if a monitor reads it. */
 void instance_balance(Instance *i)
 {
     const Scene *s = i->scene;
@@ -80,7 +80,7 @@ void instance_balance(Instance *i)
                   "control their error");
 }
 
-/* What the last communication step changed of the balance, where somebody reads it. */
+/* Compute the change of the energy balance in the last communication step, if a monitor reads it. */
 void balance_tell_step_error(Instance *i)
 {
     const Scene *s = i->scene;

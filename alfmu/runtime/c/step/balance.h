@@ -1,4 +1,4 @@
-/* The energy balance of a run, and the warnings that follow from it. */
+/* The energy balance of a run and the warnings that follow from it. */
 
 #ifndef ALFMU_BALANCE_H
 #define ALFMU_BALANCE_H
@@ -7,7 +7,7 @@
 
 #include "internal_begin.h"
 
-/* Velocities [m/s, rad/s] of a motion whose energy is too little to judge a balance by. */
+/* Velocity [m/s, rad/s] below which the energy of a motion is too small to judge the balance. */
 #define SLOW_MOTION 1e-5
 
 void instance_balance(Instance *i);

@@ -31,7 +31,7 @@
 #include "topology.h"
 #include "velocities.h"
 
-/* What the Boolean inputs ask for put in force at this instant. */
+/* Apply the requested Boolean inputs at this instant. */
 Outcome begin_take_effect(Instance *i)
 {
     const Scene *s = i->scene;
@@ -51,7 +51,7 @@ Outcome begin_take_effect(Instance *i)
         settings_upload_parameters(i);
     }
     if (s->frictions) {
-        friction_reset(i); /* An impact takes no friction; what sticks is told again after it. */
+        friction_reset(i); /* Friction takes no part in an impact; sticking joints are determined after it. */
         settings_upload_parameters(i);
     }
     outcome = topology_change(i, i->requested);
@@ -81,7 +81,7 @@ static Outcome read_compliances(Instance *i)
                 s->name, s->variables[first + k].name);
 }
 
-/* DONE where constraints agree as well as steps under error control ask for. */
+/* Return DONE if the constraints are as consistent as integrators with error control require. */
 static Outcome check_agreed(Instance *i, const unsigned char *held, const double *q, const double *v)
 {
     const Scene *s = i->scene;
@@ -97,7 +97,7 @@ static Outcome check_agreed(Instance *i, const unsigned char *held, const double
     return outcome;
 }
 
-/* Computed angles begin near their start values. */
+/* Set computed angles near their start values. */
 static void begin_angles(Instance *i)
 {
     const Scene *s = i->scene;
@@ -110,7 +110,7 @@ static void begin_angles(Instance *i)
     }
 }
 
-/* The motion begins at q and v; nothing has been counted. */
+/* Start the motion at q and v, with all counters at zero. */
 static void begin_motion(Instance *i, const double *q, const double *v, double time)
 {
     const Scene *s = i->scene;
@@ -136,7 +136,7 @@ static void begin_motion(Instance *i, const double *q, const double *v, double t
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
     memset(instance_field(i, s->tally), 0, TALLY * sizeof(double));
     i->counts[ENERGY_START] = energy_evaluate(i, z + s->n, &kinetic);
-    /* A motion slower than this is none. */
+    /* The scale of energies is never below the energy of a slow motion. */
     i->counts[ENERGY_SCALE] = fabs(energy_at_speed(i, SLOW_MOTION)) + DBL_MIN;
     i->flags.warned = i->warns = 0;
     i->shared = 0;
@@ -168,7 +168,7 @@ static Outcome begin_run(Instance *i)
     if (outcome != DONE)
         return outcome;
     penalties_default(i, q, i->full);
-    /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
+    /* The quick step of the kernel is calibrated for the default penalty only. */
     i->flags.scaled = alpha == 0.0 && !i->flags.given;
     for (int r = 0; r < s->l; r++) {
         const double mass = i->full[r] / PENALTY_RATIO;
@@ -197,7 +197,7 @@ static Outcome begin_run(Instance *i)
             "scales it with the masses",
             s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
     settings_upload(i);
-    /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
+    /* At rest near a singular position there is no velocity that gives the direction of the limit. */
     if (s->l && settings_continue(i) && linear_largest(v, scene_coordinates(s)) == 0.0 && settings_margin(i) < BRANCH_MARGIN)
         start_set_off(i, held, q, instance_field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
@@ -232,7 +232,7 @@ Outcome instance_initialize(Instance *i)
     return outcome;
 }
 
-/* Where a run begins, and the time past which the host does not step. */
+/* Set the start time and the stop time of a run. */
 Outcome instance_begin(Instance *i, double start, double stop)
 {
     if (!(stop >= start))

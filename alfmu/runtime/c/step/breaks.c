@@ -1,8 +1,9 @@
-/* Times at which forces, laws of motion or rates of states jump or bend by themselves, looked for over each communication
-   step before it is made: steps end there.
+/* Find the times in a communication step at which forces, laws of motion or rates of states jump or have a kink, so
+   that internal steps can end there. The kernel provides a smooth switching function for each.
 
-   Something smooth changes its sign at each of them. Where between two times it is as a cubic through both ends, that tells
-   how often it does; elsewhere both halves are looked at. What depends on something that jumps itself is looked at between the jumps of that, level by level. */
+   If a cubic through both ends of an interval fits the functions, it counts their changes of sign; otherwise both
+   halves are searched. A function that depends on a break of another one is searched between the breaks of that one,
+   level by level. */
 
 #include "breaks.h"
 
@@ -16,25 +17,26 @@
 #include "message.h"
 #include "scene.h"
 
-/* Halves of halves of a step. */
+/* Most bisections of a step. */
 #define DEPTH 48
 
-/* What is off a cubic by less, over sizes, is as this. */
+/* Relative deviation from a cubic below which the cubic is accepted. */
 #define EXPLAINED 1e-4
 
-/* Extremum over the largest value: one that is as near zero is looked at itself. */
+/* Ratio of an extremum to the largest value below which the extremum is searched for a double change of sign. */
 #define TOUCHING 0.01
 
-/* Last digits of a time between which something changes its sign. */
+/* Width of a change of sign, in units of the last digit of the time. */
 #define DIGITS 4
 
-/* Doublings of the last digits of a time over which something may be zero about its change of sign. */
+/* Most doublings of that width, for functions that are zero on both sides of a change of sign. */
 #define FLAT 24
 
-/* Chords, more than a change of sign of finite numbers takes. */
+/* Most secant steps, more than any change of sign of finite numbers needs. */
 #define MOST_PASSES 300
 
-/* Where cubics are looked at: at no part of a way that a wave divides it in. */
+/* Number of points at which cubics are compared, none of them at a simple fraction of the interval, so that waves
+   are not missed. */
 #define POINTS 3
 static const double points[POINTS] = {0.1127016653792583, 0.4393201, 0.8172983346207417};
 
@@ -43,7 +45,7 @@ size_t breaks_room(const Scene *s)
     return s->break_count ? (size_t)(2 * s->inputs + DEPTH) + (size_t)(8 + 2 * DEPTH) * (size_t)s->break_count : 0;
 }
 
-/* What is looked at, and its rates behind it. */
+/* Evaluate the switching functions, followed by their rates. */
 static void values_at(Instance *i, double time, double *found)
 {
     const Scene *s = i->scene;
@@ -63,7 +65,7 @@ static double digit(double time)
     return DIGITS * DBL_EPSILON * fmax(fabs(time), 1e-3);
 }
 
-/* 0 where there is no room. */
+/* Append a break. Return 0 if there is no room. */
 static int add(Instance *i, double left, double right)
 {
     if (i->broken == MOST_BREAKS)
@@ -73,12 +75,12 @@ static int add(Instance *i, double left, double right)
     return 1;
 }
 
-/* Two times between which one of them changes its sign, and what it is there. */
+/* Two times with a change of sign of one function between them, and the function's values there. */
 typedef struct {
     double low, high, at_low, at_high;
 } Bracket;
 
-/* The bracket on one side of a time within it. */
+/* Evaluate one function at a time within the bracket and move the end of the same sign there. */
 static void asked(Instance *i, int which, double time, Bracket *b)
 {
     const size_t arena = arena_mark(i);
@@ -94,8 +96,8 @@ static void asked(Instance *i, int which, double time, Bracket *b)
     arena_release(i, arena);
 }
 
-/* The first time from one on, in a direction, at which it is not zero to the last digit, and as far beyond, where round-off
-   moves it no more. */
+/* Return the first time after `time`, in the direction `way`, at which the function is not zero to the last digit,
+   and as far again, where round-off no longer affects it. */
 static double beyond(Instance *i, int which, double time, double way)
 {
     const size_t arena = arena_mark(i);
@@ -110,17 +112,16 @@ static double beyond(Instance *i, int which, double time, double way)
     return to + (to - time);
 }
 
-/* Where one of them changes its sign between two times at which it has different ones: by chords, each with a look beyond,
-   and by halves in between. */
+/* Narrow the bracket of a change of sign by secant steps, each with an evaluation just beyond it, and by bisections. */
 static int narrowed(Instance *i, int which, double low, double high, double at_low, double at_high)
 {
     Bracket b = {low, high, at_low, at_high};
     for (int pass = 0; b.high - b.low > digit(b.high); pass++) {
         const double near = digit(b.high) / 2, low_before = b.low;
         double t = b.low + (b.high - b.low) * (pass % 3 == 2 ? 0.5 : b.at_low / (b.at_low - b.at_high));
-        t = fmin(fmax(t, b.low + near), b.high - near); /* That of no number is the first. */
+        t = fmin(fmax(t, b.low + near), b.high - near); /* A NaN becomes the lower bound. */
         if (pass == MOST_PASSES)
-            return 1; /* Nothing that is finite changes its sign here. */
+            return 1; /* No finite function changes its sign here. */
         asked(i, which, t, &b);
         t += b.low > low_before ? near : -near;
         if (t > b.low && t < b.high)
@@ -129,7 +130,7 @@ static int narrowed(Instance *i, int which, double low, double high, double at_l
     return add(i, beyond(i, which, b.low, -1.0), beyond(i, which, b.high, 1.0));
 }
 
-/* The cubic through both ends of a way. */
+/* The cubic through both ends of an interval. */
 typedef struct {
     double value, slope, square, cube;
 } Cubic;
@@ -146,7 +147,8 @@ static double cubic_at(Cubic c, double x)
     return c.value + x * (c.slope + x * (c.square + x * c.cube));
 }
 
-/* Where on the way it turns round as near zero as is worth a look, or beyond it; below zero where it does not. */
+/* Return the time of an extremum close to zero, or beyond zero, after a time; return a negative number if there is
+   none. */
 static double turns_at(Cubic c, double after, double end)
 {
     const double root = sqrt(fmax(c.square * c.square - 3 * c.cube * c.slope, 0.0));
@@ -160,7 +162,7 @@ static double turns_at(Cubic c, double after, double end)
     return x;
 }
 
-/* Whether all of a level are as cubics through both ends of a way. */
+/* Return whether cubics through both ends of an interval fit all functions of a level. */
 static int smooth(Instance *i, int level, double a, double b, const double *first, const double *last)
 {
     const Scene *s = i->scene;
@@ -180,7 +182,7 @@ static int smooth(Instance *i, int level, double a, double b, const double *firs
     return all;
 }
 
-/* Changes of sign of a level between two times; 0 where there are too many. */
+/* Find the changes of sign of a level between two times. Return 0 if there are too many. */
 static int looked(Instance *i, int level, double a, double b)
 {
     const Scene *s = i->scene;
@@ -224,13 +226,13 @@ static int looked(Instance *i, int level, double a, double b)
         memcpy(first, end, 2 * count * sizeof *first);
         a = b;
         top--;
-        i->used -= 2 * count; /* That of this end. */
+        i->used -= 2 * count; /* Release the values of this end. */
     }
     arena_release(i, arena);
     return enough;
 }
 
-/* In their order, those that overlap as one. */
+/* Sort the breaks and merge those that overlap. */
 static void ordered(Instance *i)
 {
     double *x = i->breaks;
@@ -253,7 +255,7 @@ static void ordered(Instance *i)
     i->broken = kept;
 }
 
-/* Finds them from one time to another: each as a pair of times just before and just after it. */
+/* Find the breaks between two times, each as a pair of times just before and just after it. */
 Outcome breaks_found(Instance *i, double begin, double end)
 {
     const Scene *s = i->scene;

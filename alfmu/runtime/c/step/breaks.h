@@ -1,4 +1,4 @@
-/* Times at which forces, laws of motion or rates of states jump or bend by themselves. */
+/* Times at which forces, laws of motion or rates of states jump or have a kink. */
 
 #ifndef ALFMU_BREAKS_H
 #define ALFMU_BREAKS_H
@@ -10,7 +10,7 @@
 
 #include "internal_begin.h"
 
-/* Most times in a communication step at which something jumps or bends by itself. */
+/* Most breaks in a communication step. */
 #define MOST_BREAKS 4096
 
 size_t breaks_room(const Scene *s);

@@ -17,8 +17,8 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
-/* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it
-   is no acceleration of this motion; less is counted. */
+/* Return FAILED if the diagnostics of an evaluation (`watch`) show that the multiplier iteration with a given
+   penalty ended too far from convergence for a valid acceleration. Count smaller remainders. */
 Outcome diagnose_convergence(Instance *i, const double *watch, double t)
 {
     const Scene *s = i->scene;
@@ -41,7 +41,7 @@ Outcome diagnose_convergence(Instance *i, const double *watch, double t)
         settings_remedy(i));
 }
 
-/* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
+/* Return DONE if accelerations can be computed at q, v; `pivot` is the smallest pivot factorised there. */
 Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t, double pivot)
 {
     const Scene *s = i->scene;
@@ -65,7 +65,7 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
     return outcome;
 }
 
-/* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
+/* Return FAILED if a step from `start` ends at a state that is not finite, and name its first stage that failed. */
 Outcome diagnose_state(Instance *i, double start, double dt)
 {
     const Scene *s = i->scene;
@@ -86,8 +86,8 @@ Outcome diagnose_state(Instance *i, double start, double dt)
     return instance_say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
 }
 
-/* FAILED where a move that ends at the positions in the workspace is too long to mean anything, or opens a constraint
-   that projections should close. */
+/* Return FAILED if a step to the positions in the workspace is too long, or opens a constraint that projections
+   should close. */
 Outcome diagnose_length(Instance *i, double t)
 {
     const Scene *s = i->scene;
@@ -116,7 +116,7 @@ Outcome diagnose_length(Instance *i, double t)
     return DONE;
 }
 
-/* What a communication step comes to that takes more work than a call may do. */
+/* Report a communication step that exceeds the work limit of one call. */
 Outcome diagnose_too_much(Instance *i)
 {
     return instance_say(i, FAILED,
@@ -125,7 +125,7 @@ Outcome diagnose_too_much(Instance *i)
         i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
 }
 
-/* What is said where the caller of a run ends it within a communication step. */
+/* Report that the caller ended the run within a communication step. */
 Outcome diagnose_interrupted(Instance *i)
 {
     return instance_say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));

@@ -7,7 +7,7 @@
 
 #include "internal_begin.h"
 
-/* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
+/* Cost of a patient step, whose loops stop on convergence, in quick steps. */
 #define PATIENT_STEP 10
 
 Outcome diagnose_convergence(Instance *i, const double *watch, double t);

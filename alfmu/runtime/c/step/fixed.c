@@ -1,4 +1,4 @@
-/* Internal steps of RK4 of a given length, by the tiers quick, careful and branch. */
+/* Internal RK4 steps of fixed length, by the tiers quick, careful and branch. */
 
 #include "fixed.h"
 
@@ -16,10 +16,10 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
-/* Internal steps from one question to the next, whether a run goes on. */
+/* Number of internal steps between two calls of `go_on`. */
 #define LOOK 64
 
-/* Whether the caller of a run has ended it. */
+/* Return whether the caller of a run has ended it. */
 int run_is_ended(Instance *i)
 {
     if (i->go_on && !i->ended && ++i->looks % LOOK == 0)
@@ -27,7 +27,7 @@ int run_is_ended(Instance *i)
     return i->ended;
 }
 
-/* Whether the evaluation that a quick step begins with has been made when outputs were read. */
+/* Return whether the last evaluation of outputs serves as the first stage of a quick step. */
 int step_can_reuse(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -36,14 +36,14 @@ int step_can_reuse(const Instance *i)
         && !memcmp(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
 }
 
-/* Whether a quick step from where that evaluation was made would be found out to begin near a singular position. */
+/* Return whether that evaluation was near a singular position. */
 int step_reuse_is_near(const Instance *i)
 {
     const Scene *s = i->scene;
     return i->m[s->k + SETTINGS_CONTINUES] != 0.0 && i->workspace[s->read_watch + WATCH_NEAR] != 0.0;
 }
 
-/* What a step has led to is the state from now on. */
+/* Commit the step. */
 void step_commit(Instance *i)
 {
     const Scene *s = i->scene;
@@ -61,7 +61,8 @@ void step_commit(Instance *i)
     arena_release(i, arena);
 }
 
-/* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
+/* Take internal steps, each by the first tier that succeeds, until one fails at every tier. Return how many were
+   taken. */
 long step_fixed(Instance *i, long steps, double dt)
 {
     const Scene *s = i->scene;
@@ -80,7 +81,7 @@ long step_fixed(Instance *i, long steps, double dt)
             if (after[s->trouble] == 0.0)
                 break;
             tape_cut(i, begin);
-            /* Near a singular position no step but that on the branch can be good. */
+            /* Near a singular position only the branch tier is valid. */
             if (tier == 2 || (tier == 1 && after[s->near] == 0.0))
                 return done;
             tier = after[s->near] != 0.0 ? 2 : 1;
@@ -96,8 +97,8 @@ long step_fixed(Instance *i, long steps, double dt)
     return done;
 }
 
-/* A communication step by RK4 in one go; 0, and nothing has changed, where that is not possible. `made` is then the
-   internal steps before the one that was not, -1 where none was tried. */
+/* Take a communication step by RK4 in one call. Return 0 and change nothing if this is impossible; `made` is then
+   the number of internal steps before the one that failed, -1 if none was tried. */
 int step_fixed_whole(Instance *i, double start, double h, long *made)
 {
     const Scene *s = i->scene;

@@ -1,4 +1,4 @@
-/* Internal steps of RK4 of a given length, by the tiers quick, careful and branch. */
+/* Internal RK4 steps of fixed length, by the tiers quick, careful and branch. */
 
 #ifndef ALFMU_FIXED_H
 #define ALFMU_FIXED_H

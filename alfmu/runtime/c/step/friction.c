@@ -38,7 +38,7 @@ int friction_count_sticking(const Instance *i)
     return count;
 }
 
-/* Before anything is known, and before an impact: no joint sticks. */
+/* Release all joints, at the start and before an impact. */
 void friction_reset(Instance *i)
 {
     for (int k = 0; k < i->scene->frictions; k++)
@@ -53,14 +53,15 @@ void friction_rates(Instance *i, double *rates)
     function_call(i, s->sliding, x, y);
 }
 
-/* What `gripping` gives: multipliers, limits, second rates; what is left of the laws, the least pivot. */
+/* Run the program `gripping`. Return its results: multipliers, limits, second rates, the remainder of the friction
+   laws, and the least pivot. */
 const double *friction_gripped(Instance *i)
 {
     program_run(i, i->scene->gripping);
     return i->workspace + i->scene->grip;
 }
 
-/* Whether laws of friction have no solution here, or are about to have none. */
+/* Return whether the friction laws have no solution here, or nearly none. */
 int friction_jammed(Instance *i)
 {
     const Scene *s = i->scene;
@@ -71,7 +72,7 @@ int friction_jammed(Instance *i)
     return !(grip[0] <= JAM_SETTLED * JAM_SETTLED) || !(grip[1] > JAM_PIVOT);
 }
 
-/* The name of a joint behind others. */
+/* Append the name of a joint to a list. */
 static void append_name(const Instance *i, int k, char *names, size_t size)
 {
     const Scene *s = i->scene;
@@ -93,7 +94,7 @@ Outcome friction_say_jam(Instance *i)
         s->name, *instance_time(i), names, s->timed ? ", and a law of time asks for one" : "");
 }
 
-/* Constraints of joints that stick put in force, and those of others not. */
+/* Activate the constraints of sticking joints and deactivate those of the others. */
 static void take_hold(Instance *i)
 {
     const Scene *s = i->scene;
@@ -105,7 +106,7 @@ static void take_hold(Instance *i)
     settings_set_penalties(i);
 }
 
-/* Where a joint sticks from now on. */
+/* Make a joint stick at its present displacement. */
 static void stick(Instance *i, int k)
 {
     const Scene *s = i->scene;
@@ -119,8 +120,8 @@ static void stick(Instance *i, int k)
     arena_release(i, arena);
 }
 
-/* The second rate of a joint at rest that holds with a share of its limit; below zero beyond a jam, where no load is enough
-   for the friction that it makes. */
+/* Return the second rate of a joint at rest that holds with a share of its limit; NaN beyond a jam, where no load
+   balances its own friction. */
 static double second_rate(Instance *i, int k, double share)
 {
     const int count = i->scene->frictions;
@@ -133,7 +134,8 @@ static double second_rate(Instance *i, int k, double share)
     return grip[2 * count + k];
 }
 
-/* The share of its limit that holds a joint at rest, others being as they are: 1 or -1 where that is not enough. */
+/* Return the share of its limit that holds a joint at rest while the others keep theirs; 1 or -1 if the whole limit
+   is too little. */
 static double holding_share(Instance *i, int k, double share, double idle)
 {
     double now = second_rate(i, k, share), low, high, at_low, at_high;
@@ -149,7 +151,7 @@ static double holding_share(Instance *i, int k, double share, double idle)
         return way;
     low = way * share, high = 1.0, at_low = way * now;
     for (int pass = 0; pass < SEARCHED && high - low > 4 * DBL_EPSILON; pass++) {
-        /* Beyond a jam nothing is known but the direction. */
+        /* Beyond a jam only the direction is known. */
         const double at = isnan(at_high) || pass % 4 == 3 ? (low + high) / 2 : low + (high - low) * at_low / (at_low - at_high);
         now = way * second_rate(i, k, way * at);
         if (fabs(now) <= idle) {
@@ -168,7 +170,7 @@ static double holding_share(Instance *i, int k, double share, double idle)
     return way * low;
 }
 
-/* The joint at rest that moves most in spite of all of its limit slides from now on; 0 where there is none. */
+/* Let the joint at rest slide that accelerates most in spite of its whole limit. Return 0 if there is none. */
 static int one_slides(Instance *i, unsigned char *rests, double idle)
 {
     const Scene *s = i->scene;
@@ -190,7 +192,7 @@ static int one_slides(Instance *i, unsigned char *rests, double idle)
     return 1;
 }
 
-/* A joint that began to slide, and does not as others slide too, is at rest again; 0 where there is none. */
+/* Return to rest one joint that began to slide but stops once others slide too. Return 0 if there is none. */
 static int one_rests(Instance *i, unsigned char *rests, unsigned char *began, double idle)
 {
     const int count = i->scene->frictions;
@@ -198,13 +200,13 @@ static int one_rests(Instance *i, unsigned char *rests, unsigned char *began, do
     for (int k = 0; k < count; k++)
         if (began[k] && !rests[k] && *friction_slip(i, k) * seconds[k] < -idle) {
             rests[k] = 1;
-            began[k] = 0; /* Once. */
+            began[k] = 0; /* Each joint returns to rest at most once. */
             return 1;
         }
     return 0;
 }
 
-/* Joints that began to slide and do not move, as others hold them then, are at rest with the share that they have. */
+/* Return to rest, with its present share of the limit, each joint that began to slide but does not accelerate. */
 static void come_to_rest(Instance *i, unsigned char *rests, const unsigned char *began, double idle)
 {
     const Scene *s = i->scene;
@@ -219,8 +221,8 @@ static void come_to_rest(Instance *i, unsigned char *rests, const unsigned char 
     settings_upload_parameters(i);
 }
 
-/* Of joints at rest with these shares of their limits as many stick as there are motions to hold, those with most room first;
-   others are held by them. */
+/* Choose the joints that stick: as many joints at rest as there are motions to hold, those with the largest reserve
+   first. They hold the others. */
 static void hold_still(Instance *i, const unsigned char *rests)
 {
     const Scene *s = i->scene;
@@ -260,7 +262,7 @@ static void hold_still(Instance *i, const unsigned char *rests)
     arena_release(i, arena);
 }
 
-/* Joints at their limit that nothing holds, and that begin to move, slide. */
+/* Let joints at their limit slide if nothing holds them and they begin to move. */
 static void let_go(Instance *i)
 {
     const Scene *s = i->scene;
@@ -275,9 +277,9 @@ static void let_go(Instance *i)
     settings_upload_parameters(i);
 }
 
-/* Which joints at rest stick, and where the others go: each in turn takes the share of its limit that holds it, until none
-   moves but by all of its limit. Friction opposes motion, so that this ends: what one takes others need not. The joint that
-   moves most then slides, and the others are asked again. */
+/* Decide which joints at rest stick and in which direction the others slide. Each joint in turn takes the share of
+   its limit that holds it, until only joints at their whole limit move. This ends, because friction opposes motion:
+   a share taken by one joint relieves the others. The joint that moves most then slides, and the search repeats. */
 static Outcome decide(Instance *i, unsigned char *rests)
 {
     const Scene *s = i->scene;
@@ -324,8 +326,8 @@ static Outcome decide(Instance *i, unsigned char *rests)
     return DONE;
 }
 
-/* Joints put at rest or let go as the load wants it; velocities of those that stick from now on vanish. Those with `stopped`
-   have come to rest, others where their rate says so. */
+/* Make joints stick or slide according to the load, and set the velocities of joints that begin to stick to zero.
+   Joints with `stopped` have come to rest; NULL judges all joints by their rates. */
 Outcome friction_event(Instance *i, const unsigned char *stopped)
 {
     const Scene *s = i->scene;
@@ -349,19 +351,21 @@ Outcome friction_event(Instance *i, const unsigned char *stopped)
         outcome = projection_apply(i, q, v);
     if (outcome == DONE && changed) {
         outcome = topology_update_rank(i, q, v);
-        if (outcome == RANK_CHANGES) /* What sticks beside others is redundant at rest, where nothing brakes. */
+        if (outcome == RANK_CHANGES) /* Sticking joints may be redundant at rest, if the scene has no brakes. */
             outcome = DONE;
         i->flags.brakes = brakes;
     }
     if (outcome == DONE)
         settings_upload(i);
-    instance_field(i, s->pace)[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    /* The data that the integrator keeps between steps are invalid here. */
+    instance_field(i, s->pace)[PACE_LAST] = 0.0;
     i->flags.known = 0;
     arena_release(i, arena);
     return outcome;
 }
 
-/* Whether what joints do agrees with how they move and with what they carry; `inputs` have changed, too. */
+/* Decide again which joints stick if the state of a joint disagrees with its rate or its load, as after a change of
+   inputs. */
 Outcome friction_checked(Instance *i)
 {
     const Scene *s = i->scene;
@@ -382,7 +386,7 @@ Outcome friction_checked(Instance *i)
     return wrong ? friction_event(i, NULL) : DONE;
 }
 
-/* Whether constraints in force depend on each other at regular positions, where no joint sticks. */
+/* Return whether the constraints in force depend on each other at regular positions, while no joint sticks. */
 static int redundant(const Instance *i)
 {
     int held = 0;
@@ -391,7 +395,7 @@ static int redundant(const Instance *i)
     return held > (int)*i->rank;
 }
 
-/* The start of a run, and where constraints have come into force or not; no joint sticks. */
+/* Decide which joints stick at the start of a run, or after constraints were switched. No joint sticks before. */
 Outcome friction_begin(Instance *i)
 {
     const Scene *s = i->scene;
@@ -416,5 +420,5 @@ Outcome friction_begin(Instance *i)
             "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
             "either: the least loads are taken; give compliances of constraints (--compliances) to settle it",
             s->name, names);
-    return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A start alone has no programs. */
+    return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A scene for the start alone has no programs. */
 }

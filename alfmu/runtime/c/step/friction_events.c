@@ -17,8 +17,9 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
-/* How far each joint is from its event, below zero beyond it: the rate in the direction in which it slides, the room of the
-   multiplier where it sticks, over its limit, the rate that it lacks to move where others hold it. */
+/* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its
+   direction, the reserve of a sticking joint's multiplier relative to its limit, or the rate that a joint held by
+   others lacks to move. */
 static void distances_to_events(Instance *i, double *found)
 {
     const Scene *s = i->scene;
@@ -36,7 +37,7 @@ static void distances_to_events(Instance *i, double *found)
             found[k] = MOVING * REST - fabs(found[k]);
 }
 
-/* The least of those that meet an event in this step. */
+/* Return the least distance of the joints that meet an event in this step. */
 static double least_distance(const double *rooms, const unsigned char *meets, int count)
 {
     double found = INFINITY;
@@ -46,7 +47,7 @@ static double least_distance(const double *rooms, const unsigned char *meets, in
     return found;
 }
 
-/* Second rates in the direction in which joints slide. */
+/* Compute the second rates of sliding joints in their directions. */
 static void second_rates(Instance *i, double *found)
 {
     const double *grip = friction_gripped(i);
@@ -54,7 +55,7 @@ static void second_rates(Instance *i, double *found)
         found[k] = fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * grip[2 * i->scene->frictions + k] : 0.0;
 }
 
-/* Whether the rate of a joint, by the cubic through both ends of a step of length h, goes through zero and back in it. */
+/* Return whether the cubic through both ends of a step of length h lets the rate of a joint cross zero and return. */
 static int crosses_and_returns(double before, double after, double bend_before, double bend_after, double h)
 {
     const double slope = bend_before * h, end = bend_after * h, change = after - before;
@@ -69,7 +70,7 @@ static int crosses_and_returns(double before, double after, double bend_before, 
     return 0;
 }
 
-/* Whether a jam is here or within an internal step ahead, as where links are nearly aligned. */
+/* Return whether there is a jam here or within an internal step ahead, as where links are nearly aligned. */
 static int find_jam_ahead(Instance *i)
 {
     const Scene *s = i->scene;
@@ -87,7 +88,7 @@ static int find_jam_ahead(Instance *i)
     return found;
 }
 
-/* One step, or as many as it takes to the end where `all` says so; each is made by the method of the scene. */
+/* Take one step, or all steps to the end if `all` is set, by the integrator of the scene. */
 static Outcome make_step(Instance *i, double end, double dt, int all)
 {
     double *time = instance_time(i);
@@ -124,7 +125,7 @@ static void restore_step(Instance *i, const Step_memory *kept)
     memcpy(instance_field(i, i->scene->pace), kept->pace, kept->count * sizeof *kept->pace);
 }
 
-/* The step just made is taken back and made again up to the first event in it, which joints meet. */
+/* Take the last step back and repeat it up to the first event in it; report the joints that meet this event. */
 static Outcome locate_event(Instance *i, const Step_memory *kept, const double *before, const double *after,
     const unsigned char *meets, double dt)
 {
@@ -141,7 +142,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         double t;
         if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), EARLIEST))
             break;
-        if (at_low <= 0.0) /* It has only begun to move: the event may be right here, or later. */
+        if (at_low <= 0.0) /* The joint has only begun to move: the event is here or later. */
             t = low + (high - low) * RIGHT_THERE;
         else if (pass % 8 == 7)
             t = (low + high) / 2;
@@ -156,7 +157,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         distances_to_events(i, now);
         there = least_distance(now, meets, count);
         if (there < 0.0) {
-            if (at_low <= 0.0) { /* It goes the wrong way from the begin on. */
+            if (at_low <= 0.0) { /* The joint moves in the wrong direction from the beginning. */
                 restore_step(i, kept);
                 break;
             }
@@ -175,7 +176,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
     return outcome;
 }
 
-/* Steps with dry friction up to the end of a communication step, internal ones of RK4 of length dt. */
+/* Take steps with dry friction up to the end of a communication step, with internal RK4 steps of length dt. */
 Outcome friction_cover(Instance *i, double start, double h, double dt)
 {
     const Scene *s = i->scene;
@@ -183,7 +184,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
     const double end = start + h;
     double *time = instance_time(i), *before = arena_alloc(i, count), *after = arena_alloc(i, count);
     double *bend_before = arena_alloc(i, count), *bend_after = arena_alloc(i, count), within = INFINITY;
-    const int looks = settings_method(i) != 0; /* Steps of RK4 are as short as the user wants them. */
+    const int looks = settings_method(i) != 0; /* The user sets the length of RK4 steps. */
     unsigned char *meets = (unsigned char *)arena_alloc(i, count);
     Step_memory kept = {arena_alloc(i, scene_state_length(s)), arena_alloc(i, past), arena_alloc(i, scene_peaks_length(s)), scene_state_length(s) * sizeof(double), past};
     int at_once = 0;
@@ -192,7 +193,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         const double from = *time;
         double limit = end;
         int any = 0;
-        /* What a joint that sticks carries is looked at as often as that. */
+        /* The load of sticking joints is checked at least once per internal step length. */
         if (friction_count_sticking(i) && end - from > i->values[s->step_size] * (1 + ONE_STEP))
             limit = from + i->values[s->step_size];
         limit = fmin(limit, from + within);
@@ -216,7 +217,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
             for (size_t k = 0; k < count; k++)
                 if (fabs(*friction_slip(i, (int)k)) == 1.0 && crosses_and_returns(before[k], after[k], bend_before[k], bend_after[k], *time - from))
                     within = (*time - from) / 2;
-            if (within < INFINITY) { /* Made again in halves. */
+            if (within < INFINITY) { /* Repeat the step in halves. */
                 restore_step(i, &kept);
                 continue;
             }

@@ -1,6 +1,6 @@
-/* Derivatives of what is read at an instant, for hosts: of outputs by inputs, and while the run begins by parameters and
-   start values too, along a direction or back from one. What is read, or the start and what is read, is written on a tape
-   and swept; the instance is left as it was. */
+/* Derivatives of readings at an instant, for hosts: of outputs with respect to inputs and, before the run begins, to
+   parameters and start values, in forward or adjoint mode. The evaluation (and the start) is recorded on a tape,
+   which is then swept; the instance does not change. */
 
 #include "instant_derivatives.h"
 
@@ -22,7 +22,8 @@
 #include "tangent.h"
 #include "variables.h"
 
-/* Numbers that a run can be differentiated by: parameters and start values, quantities of first-order equations, inputs. */
+/* Return whether a run can be differentiated with respect to a variable: a parameter, a start value, a first-order
+   state or an input. */
 int variable_has_derivatives(const Scene *s, int reference)
 {
     const int starts = s->own + 2 * s->starts, states = starts + s->compliances;
@@ -32,13 +33,13 @@ int variable_has_derivatives(const Scene *s, int reference)
     return v->kind == PARAMETER && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
 }
 
-/* Whether inputs move places while the run begins. */
+/* Return whether inputs prescribe positions while the run begins. */
 int instance_moves_start(const Instance *i)
 {
     return i->scene->followed_count && !(i->flags.phase & RUN);
 }
 
-/* What is read now, or the start too, on the tape. */
+/* Record the evaluation of the outputs, and the start too if `of_start` is set, on the tape. */
 static Outcome written(Instance *i, Gradient *g, int of_start)
 {
     Outcome outcome = DONE;

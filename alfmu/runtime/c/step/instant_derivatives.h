@@ -10,8 +10,8 @@
 
 #include "internal_begin.h"
 
-/* The same by inputs, and before the run by parameters and start values: along a direction of what is known, or back from
-   one of what is not. */
+/* Differentiate outputs with respect to inputs and, before the run, to parameters and start values: along a
+   direction of the knowns, or back from a direction of the unknowns. */
 int variable_has_derivatives(const Scene *s, int reference);
 
 int instance_moves_start(const Instance *i);

@@ -1,9 +1,9 @@
-/* Laws of time that may jump, or not be finite: looked at over each communication step before it is made.
+/* Find jumps and non-finite values of laws of time in each communication step before it is made.
 
-   Between two times the change of a law is compared with what its rate makes of it, by a rule of Gauss; where they differ,
-   both halves are looked at. Smooth laws agree sooner or later, however steep they are, and kinks of them do; a jump stays.
-   Rates are compared with their own rates in the same way: where they jump, there is an impact. Coordinates in a law go on
-   evenly from where they are. */
+   A Gauss rule compares the change of a law over an interval with the integral of its rate; if they differ, both
+   halves are searched. Smooth laws and kinks agree once the interval is short enough; jumps never do. Rates are
+   compared with their own rates in the same way: a jump of a rate is an impact. Coordinates in a law continue at
+   constant velocity. */
 
 #include "jumps.h"
 
@@ -16,24 +16,24 @@
 #include "message.h"
 #include "scene.h"
 
-/* Halves of halves of a step: down to an instant of any time that a double can have. */
+/* Most bisections of a step, down to the resolution of any time in double precision. */
 #define JUMP_DEPTH 64
 
-/* Length of an instant [s, or of the time itself]: a law that changes within it jumps. */
+/* Length of an instant, in seconds or relative to the time: a law that changes within it jumps. */
 #define INSTANT 1e-12
 
-/* Length of what is looked at before a jump, over an instant, and a third of that behind it: times that a jump falls on have
-   half of it on either side, and no point of the rule is near it. */
+/* Window before a jump, in units of INSTANT; a third of it follows the jump. No point of the Gauss rule is close to
+   a jump at the time itself. */
 #define ABOUT 8
 
-/* Laws, their rates, and the rates of these. */
+/* Laws, their rates, and their second rates. */
 enum { LAW, RATE, ORDERS = 3 };
 
 #define JUMP_POINTS 3
 static const double jump_points[JUMP_POINTS] = {0.1127016653792583, 0.5, 0.8872983346207417};
 static const double jump_weights[JUMP_POINTS] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
 
-/* Where a law breaks: how much it jumps by, or no finite number. */
+/* A break of a law: the size of its jump, or a value that is not finite. */
 typedef struct {
     int law;
     double size, time;
@@ -64,8 +64,8 @@ static int counts(const Instance *i, int law)
     return row < 0 || i->penalty[row] > 0.0;
 }
 
-/* The law whose change between two times differs most from what rates make of it, over the limit, of orders from the first to
-   the last: of laws, of their rates; -1 where none does by more than that. */
+/* Return the law whose change over an interval differs most from the integral of its rate, relative to the limit,
+   for the orders `first` to `last` (laws, rates); -1 if none exceeds it. */
 static int apart(Instance *i, double a, double b, int first, int last, double *size)
 {
     const Scene *s = i->scene;
@@ -95,8 +95,8 @@ static int apart(Instance *i, double a, double b, int first, int last, double *s
     return found;
 }
 
-/* The first break between two times, of laws or of their rates; 0 where there is none, -1 where there is too much to look
-   at. */
+/* Find the first break of laws or rates between two times. Return 0 if there is none, -1 if the search takes too
+   long. */
 static int first_break(Instance *i, double begin, double end, int order, Break *found)
 {
     double ends[JUMP_DEPTH] = {end}, a = begin;
@@ -128,7 +128,7 @@ static Outcome say_broken(Instance *i, Outcome outcome, int law, double time)
     return instance_say(i, outcome, BROKEN, i->scene->name, time, i->scene->leaps[law].what);
 }
 
-/* The same between two times. */
+/* Check the laws between two times. */
 static Outcome checked(Instance *i, double begin, double end)
 {
     const Scene *s = i->scene;
@@ -154,7 +154,8 @@ static Outcome checked(Instance *i, double begin, double end)
     return breaks ? say_broken(i, NO_STEP_ON, found.law, found.time) : DONE;
 }
 
-/* DONE where no law in force breaks from now to an end, or why no step leads there; a rate that jumps is warned of. */
+/* Return DONE if no law in force breaks up to an end, or the reason why no step leads there; warn of rates that
+   jump. */
 Outcome laws_checked(Instance *i, double end)
 {
     double from = *instance_time(i);
@@ -169,8 +170,8 @@ Outcome laws_checked(Instance *i, double end)
     return outcome == DONE ? checked(i, from, end) : outcome;
 }
 
-/* What a start came to; where a law is not finite then, that it is not. Places are those of the start, or the guess where
-   there is none. */
+/* Check that the laws are finite at the start, and report one that is not in place of a failed start. Positions are
+   those of the start, or the guess if the start failed. */
 Outcome laws_begun(Instance *i, Outcome outcome)
 {
     const Scene *s = i->scene;

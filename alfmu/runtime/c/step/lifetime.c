@@ -19,7 +19,7 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Points the parts at their places behind each other, and returns how many numbers they take. */
+/* Set the pointers to the parts, one behind the other. Return the total size. */
 static size_t layout_parts(Instance *i, double *numbers)
 {
     const Scene *s = i->scene;
@@ -72,14 +72,14 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = layout_parts(i, NULL);
-    /* Matrices of the start that singular values are found of are dense, others sparse. */
+    /* Matrices for singular values are dense; the others are sparse. */
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(scene_driven(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     i->room += laws_room(s) + breaks_room(s) + peaks_room(s) + (size_t)s->limit_count * (2 + (size_t)s->n);
-    if (s->frictions) /* What steps up to events remember. */
+    if (s->frictions) /* memory of steps up to events */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + scene_state_length(s) + scene_peaks_length(s);
-    /* The workspace of programs stands behind the memory, which is the last of the numbers. */
+    /* The workspace of programs follows the memory, which is the last part of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
             + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + linear_least_norm_work(s->dense, s->dense)
             + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0),

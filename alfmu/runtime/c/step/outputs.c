@@ -20,10 +20,10 @@
 #include "settings.h"
 #include "variables.h"
 
-/* Share of a direction of inputs by which outputs are changed for a difference, where they do not change evenly. */
+/* Share of an input direction used for differences of outputs that are nonlinear in the inputs. */
 #define SMALL_CHANGE 1e-4
 
-/* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
+/* Inputs above this are tested before they are accepted, because some outputs may overflow. */
 #define TRIED 1e30
 
 static Outcome set_input(Instance *i, int reference, double value)
@@ -45,7 +45,7 @@ static Outcome set_input(Instance *i, int reference, double value)
         s->variables[reference].name, value, s->variables[reference].unit);
 }
 
-/* A choice is set by its number, from 1 on. A value that is refused leaves the one before it in force. */
+/* Set a variable; a choice is set by its number, from 1 on. A rejected value leaves the previous one in force. */
 Outcome instance_set(Instance *i, int reference, double value)
 {
     const Variable *v = i->scene->variables + reference;
@@ -67,13 +67,13 @@ Outcome instance_set(Instance *i, int reference, double value)
     return outcome;
 }
 
-/* The tolerance of a run that the host wants, where the method controls its error. */
+/* Set the tolerance that the host requests, if the integrator controls its error. */
 Outcome instance_tolerate(Instance *i, double tolerance)
 {
     return i->scene->method == 1 ? instance_set(i, i->scene->relative_tolerance, tolerance) : DONE;
 }
 
-/* The first output that is not finite, with its value; NULL where all are. */
+/* Return the first output that is not finite, with its value; NULL if all are finite. */
 static const char *find_not_finite(const Instance *i, double *value)
 {
     const Scene *s = i->scene;
@@ -88,7 +88,7 @@ static const char *find_not_finite(const Instance *i, double *value)
     return NULL;
 }
 
-/* Whether all outputs are finite, as `find_not_finite` finds it: zero times what is not finite is not a number. */
+/* Return whether all outputs are finite: zero times infinity or NaN is NaN. */
 static int are_finite(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -105,7 +105,7 @@ static int are_finite(const Instance *i)
     return sums[0] + sums[1] + sums[2] + sums[3] + events == 0.0;
 }
 
-/* The largest errors that were read; not a number where nobody watches. */
+/* Update the largest errors; they are NaN if no monitor reads them. */
 static void track_errors(Instance *i)
 {
     const Scene *s = i->scene;
@@ -121,7 +121,7 @@ static void track_errors(Instance *i)
               fabs(seen[s->monitor_energy] - c[ENERGY_START] - instance_field(i, s->z)[s->work]));
 }
 
-/* What can be read at this instant, by loops that stop on convergence. */
+/* Evaluate the outputs at this instant by loops that stop on convergence. */
 static Outcome evaluate_patiently(Instance *i)
 {
     const Scene *s = i->scene;
@@ -144,7 +144,7 @@ static Outcome evaluate_patiently(Instance *i)
     return outcome;
 }
 
-/* Whether what can be read here has been read, away from any pole. */
+/* Evaluate the outputs at this instant. Return 1 if all are finite and the position is not near a singular one. */
 int outputs_read_away(Instance *i)
 {
     const Scene *s = i->scene;
@@ -193,13 +193,14 @@ Outcome instance_read(Instance *i)
         settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start", settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
 }
 
-/* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
+/* Compute the change of the readings along a direction of inputs by a difference, which is exact if they are linear
+   in the inputs. */
 static void derivative_by_differences(Instance *i, const double *direction, double *change)
 {
     const Scene *s = i->scene;
     const int instant = settings_instant(s, settings_formulation(i));
     double *u = instance_field(i, s->u), *seen = instance_field(i, s->seen), *before = arena_alloc(i, (size_t)s->inputs);
-    const double share = s->frictions ? SMALL_CHANGE : 1.0; /* Loads of friction do not change evenly. */
+    const double share = s->frictions ? SMALL_CHANGE : 1.0; /* Friction loads are nonlinear in the inputs. */
     memcpy(before, u, (size_t)s->inputs * sizeof *u);
     memset(change, 0, (size_t)s->readings * sizeof *change);
     for (int side = -1; side < 2; side += 2) {
@@ -231,7 +232,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
         w[s->du + (int)knowns[k] - first] += directions[k];
     if ((s->l && settings_formulation(i) > CLASSIC_FORMULATION) || s->frictions)
         derivative_by_differences(i, w + s->du, w + s->dy);
-    else /* Where a limit is read, its derivative is. */
+    else /* At a limit the derivative is a limit, too. */
         program_run(i, instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
                                                                                     : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
@@ -244,7 +245,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     return DONE;
 }
 
-/* What can be read at this instant by few iterations, as the first of a quick step; 0 where more are needed. */
+/* Evaluate the outputs by few iterations, as the first stage of a quick step. Return 0 if more are needed. */
 static int evaluate_by_few_iterations(Instance *i)
 {
     const Scene *s = i->scene;
@@ -258,7 +259,7 @@ static int evaluate_by_few_iterations(Instance *i)
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0 && instance_diagnostic(i, SEEN_NEAR) == 0.0;
 }
 
-/* What can be read at this instant; 0 where the unrolled loops were not enough. */
+/* Evaluate the outputs by unrolled loops. Return 0 if their iterations do not suffice. */
 int outputs_read_quickly(Instance *i)
 {
     const Scene *s = i->scene;

@@ -1,8 +1,9 @@
 /* Largest magnitudes of outputs within a communication step.
 
-   Behind each internal step what is asked for is read at places within it, on the polynomial through the state there, at its
-   begin and, as long as nothing jumps, at the begin of the one before, with their rates; and where the parabola through the
-   largest and its neighbours has its top. Near a singular position, where it may have a pole, it is left out. */
+   After each internal step the outputs are sampled on a polynomial through the states at both ends and, if no break
+   lies between, at the beginning of the previous step, with their rates. The vertex of a parabola through the
+   largest sample and its neighbours is one more sample. Samples near a singular position are ignored, because an
+   output may have a pole there. */
 
 #include "peaks.h"
 
@@ -16,10 +17,10 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Places in a step beside its begin, evenly. */
+/* Number of equidistant samples in a step beside its beginning. */
 #define BETWEEN_STEPS 4
 
-/* States that a polynomial goes through, each with its rates. */
+/* Number of states, each with its rates, that the polynomial interpolates. */
 #define STATES 3
 
 size_t peaks_room(const Scene *s)
@@ -34,7 +35,7 @@ static double *beside(Instance *i)
     return i->peaks + i->scene->peaks;
 }
 
-/* Something jumps here. */
+/* Restart the polynomial at a break. */
 void peaks_broken(Instance *i)
 {
     if (i->scene->peaks)
@@ -49,7 +50,7 @@ void peaks_begin(Instance *i)
         peaks_broken(i);
 }
 
-/* Magnitudes of what was read, and the largest so far. */
+/* Update the largest magnitudes by those of a sample. */
 static void noted(Instance *i, double *magnitudes)
 {
     const Scene *s = i->scene;
@@ -63,7 +64,8 @@ static void noted(Instance *i, double *magnitudes)
     }
 }
 
-/* The polynomial through states at times, and its rate: Newton's form, each of the times twice. */
+/* Interpolate states and rates at several times by Newton's form with each time twice (Hermite), and return the rate
+   of the polynomial, too. */
 static void interpolated(int states, const double *times, const double *const *q, const double *const *v, int c, double t,
     double *value, double *rate)
 {
@@ -84,7 +86,7 @@ static void interpolated(int states, const double *times, const double *const *q
     }
 }
 
-/* Behind a step from a state `begin` (as z). */
+/* Sample the outputs in the step that began at the state `begin` (as z). */
 void peaks_along(Instance *i, const double *begin)
 {
     const Scene *s = i->scene;
@@ -107,7 +109,7 @@ void peaks_along(Instance *i, const double *begin)
     memcpy(u, instance_field(i, s->u), (size_t)s->inputs * sizeof *u);
     for (int each = 0; each <= BETWEEN_STEPS + s->peaks; each++) {
         double x = (double)each / BETWEEN_STEPS, t, *here = each <= BETWEEN_STEPS ? found + each * s->peaks : top;
-        if (each > BETWEEN_STEPS) { /* The top of one of them. */
+        if (each > BETWEEN_STEPS) { /* the vertex of one of the parabolas */
             const double *y = found + (each - BETWEEN_STEPS - 1);
             int most = 0;
             double bend;

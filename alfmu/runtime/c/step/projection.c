@@ -15,7 +15,7 @@
 #include "scene.h"
 #include "settings.h"
 
-/* Whether |Phi|, or |Phi-dot|, of every row is within the tolerance, or within the round-off of the row. */
+/* Return whether |Phi| or |Phi-dot| of every row is within the tolerance, or within the round-off of the row. */
 int projection_is_closed(Instance *i, const double *residue, const double *C, const double *x)
 {
     const Scene *s = i->scene;
@@ -34,7 +34,7 @@ int projection_is_closed(Instance *i, const double *residue, const double *C, co
     return all;
 }
 
-/* q and v brought back to the constraints. */
+/* Project q and v onto the constraints. */
 Outcome projection_apply(Instance *i, double *q, double *v)
 {
     const Scene *s = i->scene;
@@ -74,7 +74,7 @@ Outcome projection_apply(Instance *i, double *q, double *v)
     return outcome;
 }
 
-/* q and v in the workspace brought back to the constraints. */
+/* Project q and v in the workspace onto the constraints. */
 Outcome projection_close(Instance *i, double t)
 {
     const Scene *s = i->scene;
@@ -93,7 +93,7 @@ Outcome projection_close(Instance *i, double t)
     return DONE;
 }
 
-/* The largest |Phi| and |Phi-dot| after a step that does not end with projections. */
+/* Update the largest |Phi| and |Phi-dot| after a step without projections. */
 void projection_watch_gaps(Instance *i)
 {
     const Scene *s = i->scene;

@@ -1,4 +1,4 @@
-/* Steps for where the tiers of the kernel fail: by loops that stop on convergence, in halves, or by RK4 with error
+/* Steps where the tiers of the kernel fail: by loops that stop on convergence, in halves, or by RK4 with error
    control. */
 
 #include "robust.h"
@@ -26,7 +26,8 @@
 #include "settings.h"
 #include "text.h"
 
-/* S2 to S5: one internal step by loops that stop on convergence, and whether it came near a singular position. */
+/* S2 to S5: take one internal step by loops that stop on convergence; set `near` if it came near a singular
+   position. */
 static Outcome step_patient(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
@@ -57,7 +58,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     if (*near) {
         program_run(i, s->move_on_branch);
         for (int k = 0; k < 4; k++)
-            if (w[watch[k]] == INFINITY) /* What `reached` says of it. */
+            if (w[watch[k]] == INFINITY) /* Infinity marks a branch that leaves a constraint open. */
                 return instance_say(i, CONSTRAINT_OPEN,
                     "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
                     s->name, start);
@@ -82,7 +83,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     return DONE;
 }
 
-/* S5: an internal step near a singular position in shorter ones. */
+/* S5: divide an internal step near a singular position into shorter ones. */
 static Outcome step_bisected(Instance *i, double start, double dt)
 {
     const Scene *s = i->scene;
@@ -123,8 +124,9 @@ Outcome step_robust(Instance *i, double start, double dt)
     return outcome;
 }
 
-/* The error of a step of RK4 that led to `whole` in one, and to the state in halves, over the tolerance. Beside a singular
-   position velocities count by their energy: in a direction that C hardly holds they are round-off. */
+/* Return the error, relative to the tolerance, of an RK4 step: `whole` is its result in one step, the state its
+   result in two halves. Near a singular position velocities are weighted by their energy, because those that C
+   hardly constrains are round-off. */
 static double halves_error(Instance *i, const double *begin, const double *whole, int near)
 {
     const Scene *s = i->scene;
@@ -143,10 +145,10 @@ static double halves_error(Instance *i, const double *begin, const double *whole
         energy_evaluate(i, whole + s->n, &other);
         found = fmax(found, fabs(kinetic - other) / (2.0 * relative * kinetic + DBL_MIN));
     }
-    return found / 15.0; /* by extrapolation */
+    return found / 15.0; /* Richardson extrapolation */
 }
 
-/* A step of RK4, whatever the method of the scene: by the kernel, or by loops that stop on convergence. */
+/* Take an RK4 step by the kernel or by loops that stop on convergence, whatever the integrator of the scene. */
 Outcome step_rk4(Instance *i, double start, double dt)
 {
     Outcome outcome;
@@ -160,8 +162,8 @@ Outcome step_rk4(Instance *i, double start, double dt)
     return outcome;
 }
 
-/* A step of RK4 by loops that stop on convergence, so long that its error is within the tolerance, where the method of the
-   scene cannot go on; beside a singular position round-off can leave more, and then within the tolerance of the run. */
+/* Take an RK4 step by loops that stop on convergence where the integrator of the scene fails, with a length that
+   meets the tolerance. Near a singular position round-off may exceed it; the tolerance of the run then applies. */
 static Outcome step_rk4_controlled(Instance *i, double end)
 {
     const Scene *s = i->scene;
@@ -190,14 +192,15 @@ static Outcome step_rk4_controlled(Instance *i, double end)
             break;
         memcpy(z, begin, size);
         tape_cut(i, mark);
-        outcome = outcome == DONE ? NO_STEP_ON : outcome; /* It could be made. */
+        outcome = outcome == DONE ? NO_STEP_ON : outcome; /* The step succeeded, but not within the tolerance. */
     }
     arena_release(i, arena);
     if (outcome == DONE) {
         i->counts[PATIENT_STEPS] += 2.0;
         instance_set_time(i, h < left * (1 - ONE_STEP) ? start + h : end);
         instance_field(i, s->pace)[PACE_DT] = h;
-        instance_field(i, s->pace)[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+        /* The data that the integrator keeps between steps are invalid here. */
+        instance_field(i, s->pace)[PACE_LAST] = 0.0;
         return DONE;
     }
     if (i->ended)
@@ -217,7 +220,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
         s->name, start, settings_or_penalty(i));
 }
 
-/* Steps by the method of the scene up to the end of a communication step, or one of them; those of one length take dt. */
+/* Take one step, or all steps to the end of a communication step, by the integrator of the scene; steps of fixed
+   length take dt. */
 Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
 {
     const Scene *s = i->scene;
@@ -231,7 +235,7 @@ Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
             return diagnose_too_much(i);
         if (end - *time <= instance_least_step(i)) {
             const Outcome outcome = step_rk4(i, *time, end - *time);
-            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+            pace[PACE_LAST] = 0.0; /* The data that the integrator keeps between steps are invalid here. */
             if (outcome == DONE)
                 *time = end;
             return outcome;

@@ -1,5 +1,4 @@
-/* Steps for where the tiers of the kernel fail: by loops that stop on convergence, in halves, or by RK4 with error
-   control. */
+/* Steps where the tiers of the kernel fail. */
 
 #ifndef ALFMU_ROBUST_H
 #define ALFMU_ROBUST_H

@@ -1,4 +1,4 @@
-/* Communication steps: what a host calls, from the checks before to the outputs behind. */
+/* Communication steps, from the checks before a step to the outputs after it. */
 
 #include "run.h"
 
@@ -32,14 +32,14 @@
 #include "state.h"
 #include "variables.h"
 
-/* How many internal steps a communication step takes at least. */
+/* Return the least number of internal steps in a communication step. */
 static double count_internal_steps(const Instance *i, double h)
 {
     return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
-/* Steps from a time to another between which nothing jumps by itself; RK4 made so many of them in one go, and not the next
-   one, below zero where it has not tried. */
+/* Integrate from one time to another with no break between them. RK4 has taken `made` steps in one call and failed
+   at the next; `made` is negative if it has not tried. */
 static Outcome integrate_stretch(Instance *i, double start, double end, long made)
 {
     const Scene *s = i->scene;
@@ -72,7 +72,7 @@ static Outcome integrate_stretch(Instance *i, double start, double end, long mad
     return outcome;
 }
 
-/* The last digits of a time in which something jumps by itself: an impact, where that is the rate of a law. */
+/* Pass over a break, from just before to just after it. A jump of a law's rate is an impact. */
 static Outcome pass_break(Instance *i, double to)
 {
     const Scene *s = i->scene;
@@ -84,7 +84,7 @@ static Outcome pass_break(Instance *i, double to)
     for (int c = 0; c < scene_coordinates(s); c++)
         q[c] += dt * v[c];
     instance_set_time(i, to);
-    i->onward = 0; /* What was read is of before. */
+    i->onward = 0; /* The last outputs were those before the break. */
     peaks_broken(i);
     if (s->timed && s->l && settings_project(i) && !(constraints_widest(i, q, v, 1, &row) <= GROSS)) {
         energy_record(i, v, energies);
@@ -95,8 +95,8 @@ static Outcome pass_break(Instance *i, double to)
     return outcome;
 }
 
-/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
-   zero where it has not tried. */
+/* Take a communication step that the kernel cannot take in one call. RK4 has taken `made` internal steps and failed
+   at the next; `made` is negative if it has not tried. */
 static Outcome step_over_breaks(Instance *i, double start, double h, long made)
 {
     const Scene *s = i->scene;
@@ -106,7 +106,7 @@ static Outcome step_over_breaks(Instance *i, double start, double h, long made)
     Outcome outcome = DONE;
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
-    if (!settings_method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
+    if (!settings_method(i) || i->flags.brakes) /* These steps do not start from the evaluation of the outputs. */
         i->onward = 0;
     instance_set_time(i, start);
     if (s->reach >= 0)
@@ -128,7 +128,8 @@ static Outcome step_over_breaks(Instance *i, double start, double h, long made)
     return outcome;
 }
 
-/* Whether a host's time is the one here: to a millionth of the step, or to what a host with numbers of 32 bits has of it. */
+/* Return whether the host's time equals the time of the state, to a millionth of the step or to the precision of a
+   host with 32-bit times. */
 static int is_current_time(Instance *i, double start, double h)
 {
     const double time = *instance_time(i), apart = fabs(start - time);
@@ -143,7 +144,7 @@ static int is_current_time(Instance *i, double start, double h)
     return 1;
 }
 
-/* DONE, or why a communication step cannot be made from here, or not by one call. */
+/* Return DONE, or the reason why a communication step cannot be taken from here in one call. */
 Outcome instance_can_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
@@ -164,7 +165,7 @@ Outcome instance_can_step(Instance *i, double start, double h)
             "%s, t = %.6g s: a step of %g s leads past the stop time of %g s that the host gave; end the run there, or give "
             "a later stop time or none",
             s->name, time, h, i->stop);
-    /* A step that is lost itself moves nothing that a number could show. */
+    /* A step of at most LEFT_TO_RK4 * GIVEN_UP may be lost in round-off: it has no visible effect. */
     if (!(start + h / steps > (steps > 1.0 ? nextafter(start, INFINITY) : start)) && h > LEFT_TO_RK4 * GIVEN_UP)
         return instance_say(i, REFUSED,
             "%s, t = %.6g s: steps of %g s are lost in the last digit of the time; take longer ones, or begin at 0",
@@ -172,13 +173,14 @@ Outcome instance_can_step(Instance *i, double start, double h)
     return DONE;
 }
 
-/* How many numbers stand from the internal step to past inputs: what steps remember beside the motion. */
+/* Return how many numbers the memory holds from the internal step to past inputs, which steps keep beside the
+   motion. */
 static size_t step_memory_length(const Scene *s)
 {
     return (size_t)(s->past + s->past_size - s->dt);
 }
 
-/* What a step may change is kept, beside the state at its begin, which the step keeps itself. */
+/* Save everything that a step may change, except the state at its beginning, which the step itself saves. */
 static void remember_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -202,14 +204,14 @@ static void take_step_back(Instance *i)
     i->flags.known = 0;
 }
 
-/* A communication step and the outputs at its end, without which it is not made. */
+/* Take a communication step and evaluate the outputs at its end; it fails if they cannot be evaluated. */
 static Outcome make_communication_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
     Outcome outcome = DONE;
     long made = -1;
-    /* Methods beside RK4 may need any number of steps, which the slower way counts; it takes no step back along which
-       derivatives were led, either. */
+    /* Other integrators than RK4 may need any number of steps, which only the slower way counts. It also takes back
+       no step along which derivatives were propagated. */
     if (!i->flags.whole || settings_method(i) || s->frictions || s->entries || i->broken || !step_fixed_whole(i, start, h, &made))
         outcome = step_over_breaks(i, start, h, made);
     if (outcome != DONE)
@@ -228,15 +230,15 @@ static Outcome make_communication_step(Instance *i, double start, double h)
     return outcome == DONE && s->entries ? jacobian_end(i) : outcome;
 }
 
-/* DONE where what happens by itself up to an end lets a step be made, and when that is. */
+/* Find the breaks up to an end. Return DONE if they permit a step. */
 static Outcome look_ahead(Instance *i, double start, double end)
 {
     const Outcome outcome = breaks_found(i, start, end);
     return outcome == DONE ? laws_checked(i, end) : outcome;
 }
 
-/* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
-   that they ask for nothing. */
+/* Apply the requested Boolean inputs and return DONE if a communication step can begin. Otherwise drop these
+   requests and change nothing else. */
 Outcome instance_ready(Instance *i, double start, double h)
 {
     Outcome outcome = DONE;
@@ -267,7 +269,7 @@ Outcome instance_ready(Instance *i, double start, double h)
     return outcome;
 }
 
-/* Signals as they were before a step that is not made. */
+/* Restore the inputs after a failed step. */
 static void restore_inputs(Instance *i)
 {
     const Scene *s = i->scene;
@@ -292,7 +294,7 @@ static Outcome step_once(Instance *i, double start, double h)
         restore_inputs(i);
         return outcome;
     }
-    if (changed && !pending) /* What sticks may change in a step. */
+    if (changed && !pending) /* A step may change which joints stick. */
         instance_remember(i);
     arena_reset(i);
     if (!i->within)
@@ -326,7 +328,7 @@ Outcome instance_step(Instance *i, double start, double h)
     return outcome;
 }
 
-/* Places after now, in internal steps, that derivatives of outputs are differences of, and their weights. */
+/* Number of samples for derivatives of outputs, their distance in internal steps, and their weights. */
 #define PLACES 5
 #define APART 0.03125
 static const double difference[2][PLACES] = {
@@ -334,9 +336,9 @@ static const double difference[2][PLACES] = {
     {35.0 / 12, -26.0 / 3, 19.0 / 2, -14.0 / 3, 11.0 / 12},
 };
 
-/* Time derivatives of outputs as the motion goes on from here, with the inputs as they are and go on by themselves: one-
-   sided differences of order 4 (first derivatives) and 3 (second ones) of a short motion, which is then taken back.
-   Boolean inputs that have not yet taken effect do not count. */
+/* Compute time derivatives of outputs by one-sided differences along a short motion, which is then taken back: of
+   order 4 for first derivatives, of order 3 for second ones. Inputs continue with their present slopes; Boolean
+   inputs not yet applied are ignored. */
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values)
 {

@@ -1,4 +1,4 @@
-/* Communication steps: what a host calls, from the checks before to the outputs behind. */
+/* Communication steps, from the checks before a step to the outputs after it. */
 
 #ifndef ALFMU_RUN_H
 #define ALFMU_RUN_H

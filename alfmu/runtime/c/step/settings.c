@@ -1,4 +1,4 @@
-/* Settings of a run: formulation, method, tolerances and penalties, handed on to the programs of the scene. */
+/* Settings of a run (formulation, integrator, tolerances, penalties), passed to the programs of the scene. */
 
 #include "settings.h"
 
@@ -15,7 +15,7 @@
 #include "scene.h"
 #include "text.h"
 
-/* Reads by loops that stop on convergence, where accelerations are read at all. */
+/* Return the program that evaluates accelerations by loops that stop on convergence. */
 int settings_instant(const Scene *s, int formulation)
 {
 #define OF(name) , s->instant_##name
@@ -29,32 +29,32 @@ int settings_formulation(const Instance *i)
     return i->flags.choice[i->scene->formulation];
 }
 
-/* Whether steps end with projections (10). */
+/* Return whether steps end with projections (10). */
 int settings_project(const Instance *i)
 {
     static const int usual[] = {PROJECTED};
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Whether all programs of the scene are those of what is chosen, not `move` and `instant` alone. */
+/* Return whether all programs of the scene serve the chosen formulation, not only `move` and `instant`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
 }
 
-/* Whether the penalty is not the one that is scaled with the masses. */
+/* Return whether the penalty is given instead of scaled with the masses. */
 int penalty_is_given(const Instance *i)
 {
     return i->values[i->scene->penalty] > 0.0 || i->flags.given;
 }
 
-/* What else may help where something fails. */
+/* Return a further remedy for a failure. */
 const char *settings_or_penalty(const Instance *i)
 {
     return penalty_is_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
 }
 
-/* What to do, too, where loads are shared by compliances that are too far apart for the passes there are. */
+/* Return a further remedy if compliances that share loads differ too much for the available iterations. */
 const char *settings_or_compliances(const Instance *i, char *text, size_t size)
 {
     double least = INFINITY;
@@ -67,7 +67,7 @@ const char *settings_or_compliances(const Instance *i, char *text, size_t size)
     return text;
 }
 
-/* Whether a step has been made, so that its length may be at fault. */
+/* Return whether a step has been taken, so that its length may be the cause of a failure. */
 int settings_moving(const Instance *i)
 {
     const double *tally = i->m + i->scene->tally;
@@ -77,19 +77,19 @@ int settings_moving(const Instance *i)
     return made > 0.0;
 }
 
-/* What to do where something is wrong that shorter steps may mend. */
+/* Return the remedy for errors that shorter steps may reduce. */
 const char *settings_or_shorter(const Instance *i)
 {
     return settings_moving(i) ? "reduce solver.step_size" : "check forces, dimensions and start values";
 }
 
-/* What to do where a loop ends before it converges. */
+/* Return the remedy for a loop that ends before it converges. */
 const char *settings_remedy(const Instance *i)
 {
     return penalty_is_given(i) ? "use solver.penalty 0, which scales it with the masses" : settings_or_shorter(i);
 }
 
-/* What programs need beside the memory. */
+/* Set the arguments of programs that are not part of the memory. */
 void settings_upload_arguments(Instance *i)
 {
     const Scene *s = i->scene;
@@ -104,7 +104,7 @@ void settings_upload_arguments(Instance *i)
         i->workspace[s->within] = i->within;
 }
 
-/* Penalties, units and shares of constraints handed on to the kernel; redundant constraints as they are. */
+/* Pass penalties, units and load shares of the constraints to the kernel; redundant constraints stay as they are. */
 void settings_set_penalties(Instance *i)
 {
     const Scene *s = i->scene;
@@ -127,14 +127,14 @@ void settings_set_penalties(Instance *i)
         shares[r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
 }
 
-/* Whether a motion goes on along its branch near a singular position. */
+/* Return whether a motion follows its branch near a singular position. */
 int settings_continue(const Instance *i)
 {
     return settings_all_serve(i) && i->flags.choice[i->scene->branch] == i->scene->continues;
 }
 
-/* What makes the steps: 0 RK4, 1 the method of the scene with error control, 2 the same in steps of one length. What `auto`
-   stands for takes one formulation alone, and passes singular positions along the branch. */
+/* Return the integrator: 0 RK4, 1 the scene's integrator with error control, 2 the same with fixed steps. The
+   integrator behind `auto` supports one formulation only and follows the branch through singular positions. */
 int settings_method(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -142,13 +142,14 @@ int settings_method(const Instance *i)
     return rk4 ? 0 : s->method;
 }
 
-/* The tolerance of a step for that of a run; in proportion for explicit methods, and less where it is loose. */
+/* Return the tolerance of a step for that of the run: proportional for explicit integrators, and a smaller share if
+   it is loose. */
 static double step_tolerance(double share, double exponent, double run)
 {
     return share * pow(run, exponent) * (exponent == 1.0 ? pow(fmin(1.0, STEADY / run), LOOSER) : 1.0);
 }
 
-/* The kernel told what the settings ask for. */
+/* Pass the settings to the kernel. */
 void settings_upload(Instance *i)
 {
     const Scene *s = i->scene;
@@ -182,7 +183,7 @@ void settings_upload(Instance *i)
         rank_freeze(i);
 }
 
-/* Angles whose turns count as they are now: where they were last, for what comes. Nothing changes with them but turns. */
+/* Take the present angles as the reference from which turns are counted. Nothing but turn counts depends on them. */
 void settings_count_turns(Instance *i)
 {
     const Scene *s = i->scene;
@@ -214,7 +215,7 @@ void settings_in_force(const Instance *i, const double *on, unsigned char *held)
         held[s->friction[k].row] = i->discrete[s->friction[k].slip] == 0.0;
 }
 
-/* Whether the constraints in force are the usual ones. */
+/* Return whether the constraints in force are the usual ones. */
 int settings_usual(Instance *i)
 {
     const Scene *s = i->scene;

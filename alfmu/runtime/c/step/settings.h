@@ -1,4 +1,4 @@
-/* Settings of a run: formulation, method, tolerances and penalties, handed on to the programs of the scene. */
+/* Settings of a run, passed to the programs of the scene. */
 
 #ifndef ALFMU_SETTINGS_H
 #define ALFMU_SETTINGS_H

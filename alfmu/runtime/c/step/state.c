@@ -1,4 +1,4 @@
-/* Saves, checks and restores the state of an instance. */
+/* Save, check and restore the state of an instance. */
 
 #include "state.h"
 
@@ -27,11 +27,11 @@ void instance_go_back(Instance *i)
 {
     memcpy(i->numbers, i->before, i->count * sizeof *i->numbers);
     i->flags = i->flags_before;
-    i->onward = 0; /* Something else may have been read. */
+    i->onward = 0; /* The outputs may have been evaluated elsewhere. */
 }
 
 typedef struct {
-    unsigned magic, format, sum; /* a check sum of the whole state with zero in its place */
+    unsigned magic, format, sum; /* check sum of the whole state with zero in its place */
     size_t count;
     char guid[48];
     Flags flags;
@@ -46,7 +46,7 @@ static Head head(const Instance *i)
     h.count = i->count;
     strncpy(h.guid, i->scene->guid, sizeof h.guid - 1);
     h.flags = i->flags;
-    h.flags.known = 0; /* What is restored is read again. */
+    h.flags.known = 0; /* Outputs are evaluated again after a restore. */
     return h;
 }
 
@@ -55,7 +55,7 @@ size_t state_size(const Instance *i)
     return sizeof(Head) + i->count * sizeof *i->numbers;
 }
 
-/* The check sum of a saved state, as it was when it was saved. */
+/* Return the check sum that a state had when it was saved. */
 static unsigned state_sum(const unsigned char *state, size_t size)
 {
     const unsigned nothing = 0;
@@ -76,7 +76,7 @@ void state_save(const Instance *i, unsigned char *state)
         {memory + s->seen, (size_t)s->seen_size}, {i->slopes, 1}};
     Head h = head(i);
     memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
-    /* What steps and reading leave behind, and nothing depends on. */
+    /* Exclude scratch data of steps and evaluations, on which nothing depends. */
     for (size_t k = 0; k < sizeof scratch / sizeof *scratch; k++)
         memset(state + sizeof h + (size_t)(scratch[k].numbers - i->numbers) * sizeof(double), 0,
             scratch[k].count * sizeof(double));
@@ -85,7 +85,7 @@ void state_save(const Instance *i, unsigned char *state)
     memcpy(state, &h, sizeof h);
 }
 
-/* Whether a saved state is one of this mechanism that has not changed since. */
+/* Return whether a saved state belongs to this mechanism and is unchanged. */
 int state_whole(const Instance *i, const unsigned char *state, size_t size)
 {
     const Head mine = head(i);
@@ -103,7 +103,7 @@ static Outcome report_unsound(Instance *i, const char *what, double value)
         value);
 }
 
-/* DONE, or what in the state just restored was never that of an instance: numbers that index or bound anything first. */
+/* Return DONE, or report a number in the restored state that no instance can have, indices and bounds first. */
 static Outcome check_state(Instance *i)
 {
     const Scene *s = i->scene;
@@ -167,7 +167,7 @@ static Outcome check_state(Instance *i)
     }
     if (!isfinite(*instance_time(i)))
         return report_unsound(i, "the time", *instance_time(i));
-    if (!f->initialized) /* What follows is found when a run begins. */
+    if (!f->initialized) /* The start of a run computes the rest. */
         return DONE;
     for (size_t part = 0; part < sizeof parts / sizeof *parts; part++)
         for (int k = 0; k < parts[part].count; k++)
@@ -181,7 +181,7 @@ static Outcome check_state(Instance *i)
     return DONE;
 }
 
-/* Nothing has changed where a state is refused. */
+/* Restore a saved state. A rejected state changes nothing. */
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
 {
     Head h;

@@ -1,4 +1,4 @@
-/* Saves, checks and restores the state of an instance. */
+/* Saving, checking and restoring the state of an instance. */
 
 #ifndef ALFMU_STATE_H
 #define ALFMU_STATE_H

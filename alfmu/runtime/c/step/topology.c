@@ -18,8 +18,8 @@
 #include "settings.h"
 #include "state.h"
 
-/* What an impact leaves of Phi-dot, in units of its row, where no velocities serve all constraints in force: a thousand times
-   what a step may leave. */
+/* Largest |Phi-dot| after an impact, in units of its row, above which the constraints in force contradict each
+   other: a thousand times the limit after a step. */
 #define CONTRADICTION 1e-3
 
 Outcome topology_update_rank(Instance *i, const double *q, const double *v)
@@ -42,7 +42,7 @@ Outcome topology_update_rank(Instance *i, const double *q, const double *v)
     return outcome;
 }
 
-/* Warns that dry friction took no part in an impact, where it took as much kinetic energy [J] as a balance tells. */
+/* Warn that dry friction took no part in an impact whose energy loss [J] is large enough for the energy balance. */
 static void warn_of_impact(Instance *i, const double *v, double lost)
 {
     const Scene *s = i->scene;
@@ -55,7 +55,7 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
             s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
 }
 
-/* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
+/* Replace the constraints in force. New ones must be closed; an impact makes the velocities consistent with them. */
 Outcome topology_change(Instance *i, const double *on)
 {
     const Scene *s = i->scene;
@@ -89,7 +89,7 @@ Outcome topology_change(Instance *i, const double *on)
         program_run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         tape_copy(i, v, w + s->struck, (size_t)s->n);
-        if (s->timed) /* What comes into force while it moves does work, too. */
+        if (s->timed) /* A prescribed motion that comes into force does work, too. */
             energy_add_jump(i, energies);
         else {
             *work += -w[s->lost];

@@ -1,4 +1,4 @@
-/* Values of variables by reference: checks, sets and gets them. */
+/* Check, set and get values of variables by reference. */
 
 #include "variables.h"
 
@@ -12,7 +12,7 @@
 #include "scene_sizes.h"
 #include "text.h"
 
-/* DONE, or why a value cannot be that of a variable. */
+/* Return DONE, or the reason why a variable cannot take a value. */
 Outcome variable_check(Instance *i, const Variable *v, double value)
 {
     const char *name = i->scene->name;
@@ -35,7 +35,7 @@ Outcome variable_check(Instance *i, const Variable *v, double value)
     return instance_say(i, REFUSED, "%s: %s = %g %s is outside [%s, %s]", name, v->name, value, v->unit, low, high);
 }
 
-/* Whether a parameter can still be changed. */
+/* Return DONE if a parameter can still be changed. */
 Outcome check_changeable(Instance *i, const Variable *v)
 {
     if (i->flags.phase & RUN)
@@ -45,7 +45,7 @@ Outcome check_changeable(Instance *i, const Variable *v)
     return DONE;
 }
 
-/* What the start depends on may have changed: until the run has begun, it is made again when it is asked for. */
+/* Mark the start as outdated after a change of a value: until the run has begun, the next reading repeats it. */
 void variable_changed_start(Instance *i, int changed)
 {
     if (changed && !(i->flags.phase & RUN))
@@ -84,8 +84,8 @@ Outcome variable_set_switch(Instance *i, int reference, double value)
     return DONE;
 }
 
-/* zeta and omega [1/s] of (5), (6) and Baumgarte's form of (9); whether steps end with projections (10), below zero as
-   the formulation has it. No variable of a scene: a binding sets them. */
+/* Set zeta and omega [1/s] of (5), (6) and Baumgarte's form of (9), and whether steps end with projections (10); a
+   negative `projection` leaves this to the formulation. A scene has no variables for them; the binding sets them. */
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection)
 {
     if (i->flags.phase & RUN)
@@ -101,7 +101,7 @@ Outcome instance_stabilise(Instance *i, double zeta, double omega, int projectio
     return DONE;
 }
 
-/* An input's time derivative in the next communication step. */
+/* Set the time derivative of an input in the next communication step. */
 Outcome instance_set_slope(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
@@ -113,7 +113,7 @@ Outcome instance_set_slope(Instance *i, int reference, double value)
     return DONE;
 }
 
-/* Where the value of a variable stands; NULL for a choice. */
+/* Return the address of a variable's value; NULL for a choice. */
 static inline const double *value_address(const Instance *i, int reference)
 {
     const Scene *s = i->scene;

@@ -1,4 +1,4 @@
-/* Values of variables by reference: checks, sets and gets them. */
+/* Checking, setting and getting values of variables by reference. */
 
 #ifndef ALFMU_VARIABLES_H
 #define ALFMU_VARIABLES_H
