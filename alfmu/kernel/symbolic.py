@@ -427,15 +427,15 @@ class Scene:
         carried = ca.diag(P).sparsity().row()
         P = ca.diag(held) @ P @ ca.diag(held) + ca.diag(1 - held)
         C = ca.sparsify(ca.diag(held) @ C)
-        sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
+        sizes = self._sizes(P, C, carried)
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
         # A column of round-off is none beside what H has on its diagonal.
         there = ca.fmin(1, ca.densify(ca.sum1(C**2).T) * self.inverse_scales)
         weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
 
         def done(change: SX, value: SX) -> bool:
-            size = ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes)
-            last[:] = [ca.sumsqr(change), size + _TINY]
+            size = sum(ca.dot(sizes * each, each) for each in (value, physical, slope(0 * x) / sizes))
+            last[:] = [ca.dot(sizes * change, change), size + _TINY]
             return False
 
         eased = P + method.EASE * ca.diag(sizes)
@@ -443,6 +443,18 @@ class Scene:
         # Each of m passes gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
         found = last[0] <= _SHARED ** (2 * (passes - 1) / passes) * last[1]
         return lam + self.scale * ca.if_else(found, d, math.nan)
+
+    def _sizes(self, P: SX, C: SX, carried: Sequence[int]) -> SX:
+        """The size (l,) of each row of P; of rows that no joint carries, the one that their columns of C have in others.
+
+        So multipliers of all rows compare, in whatever unit each is.
+        """
+        e = self.e
+        inverse = ca.vertcat(*(1 / P[i, i] if i in carried else SX(0) for i in range(e.l)))
+        columns = ca.sum1(C**2 * ca.repmat(inverse, 1, e.n))
+        shares = ca.if_else(columns > 0, 1 / columns, 0)
+        found = ca.sum2(C**2 * ca.repmat(shares, e.l, 1))
+        return ca.vertcat(*(P[i, i] if i in carried else ca.if_else(found[i] > 0, found[i], 1) for i in range(e.l)))
 
     def _inverse(self, K: SX) -> method.Solve:
         """What solves with a matrix (l, l)."""
