@@ -53,7 +53,7 @@ class Way:
 
 
 def ways(loops: Loops, y: Vector, motions: int) -> list[Way]:
-    """The branches that begin at a singular place with so many independent velocities."""
+    """Return the branches that begin at a singular place with so many independent velocities."""
     U, _, V = np.linalg.svd(loops.matrix(y))
     rank = len(y) - motions
     left, N = U[:, rank:], V[rank:].T
@@ -73,7 +73,8 @@ def ways(loops: Loops, y: Vector, motions: int) -> list[Way]:
 
 
 def _roots(forms: NDArray[np.float64], count: int) -> list[Vector]:
-    """Unit vectors x (count,) with x' Q x = 0 for all forms Q, each once, by Newton's method from many directions."""
+    """Return unit vectors x (count,) with x' Q x = 0 for all forms Q, each once, by Newton's method from many
+    directions."""
     from scipy.special import ndtri
     from scipy.stats import qmc
 
@@ -98,7 +99,7 @@ def _roots(forms: NDArray[np.float64], count: int) -> list[Vector]:
 
 
 def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
-    """Independent velocities a little way along a direction; 0 where the loops do not close there."""
+    """Return independent velocities a little way along a direction; 0 if the loops do not close there."""
     there = y + BESIDE * way
     for _ in range(12):
         gaps = np.append(loops.gaps(there), way @ (there - y) - BESIDE)
@@ -115,7 +116,7 @@ def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
 
 
 def polished(loops: Loops, y: Vector) -> Vector | None:
-    """The singular place nearest by: Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None where there is none.
+    """Return the singular place nearest by: Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None if there is none.
 
     Where laws of time leave no freedom, the time at which they pass it is found too.
     """

@@ -85,7 +85,7 @@ class Equilibrium:
     reason: str
     """Why the stability is not judged, or by what it is."""
     eigenvalues: NDArray[np.complex128] = field(repr=False)
-    """Of small motions about it [1/s]; none where they cannot be told."""
+    """Of small motions about it [1/s]; none if they cannot be told."""
     residual: float
     """What is left of the balance: the largest generalised force on a coordinate [N, or N.m]."""
     connected: bool
@@ -146,7 +146,7 @@ class Equilibrium:
         return np.sort(np.array([x.imag for x in self.eigenvalues if x.imag > least])) / (2 * math.pi)
 
     def draw(self, size: tuple[int, int] | None = None) -> Drawing:
-        """The picture of the mechanism in this position. Raises InputError where only its equations are known."""
+        """Return the picture of the mechanism in this position. Raises InputError if only its equations are known."""
         from ..view.picture import SIZE, Drawing, geometry, view_of
 
         shapes = geometry(self.situation.source.drawn(), self.situation.parameters)
@@ -155,7 +155,7 @@ class Equilibrium:
         return Drawing(shapes, columns, view_of(shapes, columns), {}, caption, size or SIZE)
 
     def as_data(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """Return all of it, as JSON has it."""
         plain = ("stability", "reason", "residual", "connected", "isolated", "energy", "distance")
         return {
             **{name: getattr(self, name) for name in plain},
@@ -209,20 +209,20 @@ class Equilibria(Sequence[Equilibrium]):
         return ranked[0]
 
     def as_data(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """Return all of it, as JSON has it."""
         known = {"mechanism": self.mechanism, "time": self.time, "starts": self.starts, "notes": list(self.notes)}
         inputs = dict(self.found[0].inputs) if self.found else {}
         return {**known, "inputs": inputs, "equilibria": [each.as_data() for each in self.found]}
 
     @asked
     def save(self, path: str | Path) -> None:
-        """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
+        """Write all of it as `.json`. Raises InputError if the suffix is another one, else WriteError."""
         path = Path(path)
         check_file(path)
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
-        """A table for readers."""
+        """Return a table for readers."""
         title = f"{self.mechanism}: {counted(len(self), 'position')} of rest, loads at t = {self.time:g} s"
         lines = [title]
         if self.found and self.found[0].inputs:
@@ -243,7 +243,7 @@ class Equilibria(Sequence[Equilibrium]):
 
 
 def check_file(path: Path) -> None:
-    """InputError where positions of rest have no kind of file of this name."""
+    """Raise InputError if positions of rest have no kind of file of this name."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path} cannot hold positions of rest; its name must end in .json")
 
@@ -272,7 +272,8 @@ def equilibrium(
     time: float = 0.0,
     starts: int = STARTS,
 ) -> Equilibria:
-    """The positions of rest of a mechanism under its loads and springs, stable or not, the nearest to the start first.
+    """Return the positions of rest of a mechanism under its loads and springs, stable or not, the nearest to the start
+    first.
 
     `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, with the values and inputs that it has.
     `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes
@@ -285,8 +286,8 @@ def equilibrium(
     left out: positions where it balances the loads lie about those that are found. Further states are at rest, too:
     where they do not settle by themselves, as the integral of a controller, they determine the position.
 
-    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed, InputError where a law of time
-    moves something at that instant.
+    Raises AlfmuError if a name or a value is at fault, or the loops cannot be closed, InputError if a law of time moves
+    something at that instant.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         name = getattr(mechanism, "name", mechanism)
@@ -295,7 +296,7 @@ def equilibrium(
 
 
 def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
-    """The same of a situation."""
+    """Return the same of a situation."""
     frictions = ", ".join(x.name for x in where.equations.frictions)
     where, moved = held_still(where.without_friction())
     check_at_rest(where, where.at_rest(where.state.q))
@@ -368,7 +369,7 @@ class _Search:
     # Places to begin from -----------------------------------------------------------------------------------------
 
     def _along(self, starts: int) -> Iterator[Vector]:
-        """The start, and places on ways that lead from there."""
+        """Return the start, and places on ways that lead from there."""
         loops = self.loops
         yield loops.home
         if loops.freedom == 1 and not isinstance(loops, WithStates):
@@ -377,7 +378,8 @@ class _Search:
             yield from self._around(starts // 2)
 
     def _on_the_ways(self) -> Iterator[Vector]:
-        """Places beside which the load along the one motion vanishes, on all branches that lead from the start."""
+        """Return places beside which the load along the one motion vanishes, on all branches that lead from the
+        start."""
         loops, home = self.loops, self.loops.home
         (way,) = loops.motions(home).T
         crossings: list[Vector] = []
@@ -396,7 +398,8 @@ class _Search:
                     ways += _leaving(loops, place)
 
     def _on_the_way(self, begin: Vector, way: Vector) -> Iterator[tuple[Vector, bool]]:
-        """Places beside which the load along the one motion vanishes, and singular places, which the flag tells."""
+        """Return places beside which the load along the one motion vanishes, and singular places, which the flag
+        tells."""
         loops, before, last, falls = self.loops, begin, None, False
         sizes: list[float] = []
         for k, y in enumerate(loops.walk(begin, way, PACE, ROUND)):
@@ -423,7 +426,7 @@ class _Search:
             before, last = y, load
 
     def _between(self, a: Vector, b: Vector) -> Vector:
-        """The place between two at which the load along the way from one to the other changes its sign."""
+        """Return the place between two at which the load along the way from one to the other changes its sign."""
         loops, way = self.loops, b - a
         sign = 0.0
         for _ in range(12):
@@ -453,7 +456,7 @@ class _Search:
             yield end
 
     def _anywhere(self, starts: int) -> Iterator[Vector]:
-        """Places where the loops are closed, wherever that is."""
+        """Return places where the loops are closed, wherever that is."""
         loops, n, moving = self.loops, len(self.loops.home), self.loops.moving
         count = starts if loops.freedom == 1 else starts - starts // 2
         for places in _evenly(moving, count if loops.situation.held.any() else 0):
@@ -475,7 +478,8 @@ class _Search:
         return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
 
     def balanced(self, y: Vector) -> Vector | None:
-        """A position of rest by Newton's method from a place, in steps along the motions; None where there is none."""
+        """Return a position of rest by Newton's method from a place, in steps along the motions; None if there is
+        none."""
         loops, damping, stalled = self.loops, 0.0, 0
         N, r, lam = loops.balance(y)
         self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
@@ -554,7 +558,7 @@ class _Search:
 
 
 def _family(one: Equilibrium, other: Equilibrium) -> bool:
-    """Whether two positions that are not isolated have the same energy and the same small motions."""
+    """Return whether two positions that are not isolated have the same energy and the same small motions."""
     if other.isolated or len(one.eigenvalues) != len(other.eigenvalues):
         return False
     size = max(np.abs(one.eigenvalues).max(initial=0.0), 1e-3)
@@ -564,13 +568,13 @@ def _family(one: Equilibrium, other: Equilibrium) -> bool:
 
 
 def _leaving(loops: Loops, y: Vector) -> list[tuple[Vector, Vector]]:
-    """A singular place with the directions of the motions that begin there."""
+    """Return a singular place with the directions of the motions that begin there."""
     found = ways(loops, y, loops.situation.mobility(y * loops.scale)[0].freedom_here)
     return [(y, sign * each.way) for each in found if not each.singular for sign in (1, -1)]
 
 
 def _evenly(dimensions: int, count: int) -> Iterator[Vector]:
-    """Points (dimensions,) between 0 and 1 that cover all evenly, the same each time."""
+    """Return points (dimensions,) between 0 and 1 that cover all evenly, the same each time."""
     if not count:
         return
     from scipy.stats import qmc

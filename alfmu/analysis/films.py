@@ -26,7 +26,8 @@ FRAMES = 60
 
 
 def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) -> Result:
-    """One vibration in a shape (coordinate -> complex change) about a state: places alone, at rest, loops closed.
+    """Return one vibration in a shape (coordinate -> complex change) about a state: places alone, at rest, loops
+    closed.
 
     The largest change of a coordinate is `amplitude` [rad, lengths over the size of the mechanism]. Raises InputError
     where the loops cannot be closed so far away.

@@ -76,11 +76,11 @@ class SingularPosition:
     motions: int
     """Independent velocities that constraints allow there."""
     branches: tuple[Branch, ...]
-    """Motions that begin there; none where that cannot be judged, see `reason`."""
+    """Motions that begin there; none if that cannot be judged, see `reason`."""
     followed: int | None
-    """Which of them the motion comes along; None where that is not known."""
+    """Which of them the motion comes along; None if that is not known."""
     reason: str
-    """What cannot be judged, and why; empty where all can."""
+    """What cannot be judged, and why; empty if all can."""
 
     def __repr__(self) -> str:
         return f"SingularPosition(t = {self.time:.6g} s, {counted(len(self.branches), 'branch')})"
@@ -137,7 +137,7 @@ class Freedoms:
         return f"Freedoms({self.mechanism!r}, freedom = {self.freedom}, redundant = {self.redundant}{found})"
 
     def as_data(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """Return all of it, as JSON has it."""
 
         def position(each: SingularPosition | None) -> dict[str, Any] | None:
             if each is None:
@@ -158,13 +158,13 @@ class Freedoms:
 
     @asked
     def save(self, path: str | Path) -> None:
-        """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
+        """Write all of it as `.json`. Raises InputError if the suffix is another one, else WriteError."""
         path = Path(path)
         check_file(path)
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
-        """A text for readers."""
+        """Return a text for readers."""
         lines = [f"{self.mechanism}: {counted(self.freedom, 'degree')} of freedom"]
         lines += [f"told by: {', '.join(self.independent) or 'nothing, as constraints leave no freedom'}"]
         lines += [f"redundant constraints: {self.redundant}"]
@@ -189,7 +189,7 @@ class Freedoms:
 
 
 def check_file(path: Path) -> None:
-    """InputError where degrees of freedom have no kind of file of this name."""
+    """Raise InputError if degrees of freedom have no kind of file of this name."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path} cannot hold degrees of freedom; its name must end in .json")
 
@@ -232,13 +232,13 @@ def mobility(
 ) -> Freedoms:
     """Degrees of freedom, redundant and idle constraints by name, and singular positions with their branches.
 
-    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, of which the present position alone is told.
-    The motion is followed from the start to `stop_time` [s], by default that of the mechanism's own experiment, 0 for
-    the start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time and
+    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, of which the present position alone is told. The
+    motion is followed from the start to `stop_time` [s], by default that of the mechanism's own experiment, 0 for the
+    start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time and
     `progress` shows how far it is, as `simulate` takes them. With `time` [s] the start is that which laws of time give
     at this instant, and it alone is told. Motions that are prescribed count as constraints, dry friction does not.
 
-    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed.
+    Raises AlfmuError if a name or a value is at fault, or the loops cannot be closed.
     """
     if isinstance(mechanism, Instance):
         if stop_time:
@@ -265,7 +265,7 @@ def freedoms(
     inputs: Mapping[str, Signal] | None = None,
     progress: Progress = iter,
 ) -> Freedoms:
-    """The same of a situation, and along the motion at instants [s] if there are any."""
+    """Return the same of a situation, and along the motion at instants [s] if there are any."""
     where = where.without_friction()
     e, here = where.equations, where.start
     rubbing = [x.row for x in e.frictions]
@@ -308,7 +308,7 @@ def _left_out(e: Equations) -> list[str]:
 
 
 def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
-    """A regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
+    """Return a regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
     where = loops.situation
     if start is None:
         return loops.home
@@ -322,7 +322,7 @@ def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
 
 
 def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
-    """Constraints in force that depend on each other at a regular place."""
+    """Return constraints in force that depend on each other at a regular place."""
     where = loops.situation
     names = [row.text for row, on in zip(where.equations.rows, where.held, strict=True) if on]
     null = loops.parts(loops.matrix(y))[0][:, loops.rank :]
@@ -449,7 +449,7 @@ class _Way:
 
 
 def _hermite(t: float, t0: float, y0: Vector, v0: Vector, t1: float, y1: Vector, v1: Vector) -> Vector:
-    """A place between two instants, by the cubic with their velocities."""
+    """Return a place between two instants, by the cubic with their velocities."""
     h = t1 - t0
     s = (t - t0) / h
     parts = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)

@@ -35,7 +35,7 @@ class Driving:
 
 
 def driving(where: Situation) -> list[Driving]:
-    """Inputs of the mechanism, and behind them rates and accelerations of signals that are none of them.
+    """Return inputs of the mechanism, and behind them rates and accelerations of signals that are none of them.
 
     Those of signals have the values of the motion, not those that have been set since.
     """
@@ -54,7 +54,7 @@ def driving(where: Situation) -> list[Driving]:
 
 
 def held_still(where: Situation) -> tuple[Situation, list[str]]:
-    """The same with the signals held where they are, and the names of those that moved."""
+    """Return the same with the signals held where they are, and the names of those that moved."""
     e, p, moved = where.equations, where.p.copy(), []
     for followed, begin in zip(e.followed, signal_numbers(e), strict=True):
         rates = p[begin + 2 : begin + 1 + COEFFICIENTS]
@@ -65,7 +65,7 @@ def held_still(where: Situation) -> tuple[Situation, list[str]]:
 
 
 def moved_by_law(where: Situation, state: State) -> str:
-    """What a law of time or a signal moves in this state, for a message; empty where all of them stand still."""
+    """What a law of time or a signal moves in this state, for a message; empty if all of them stand still."""
     e = where.equations
     if not e.timed:
         return ""
@@ -79,7 +79,7 @@ def moved_by_law(where: Situation, state: State) -> str:
 
 
 def check_at_rest(where: Situation, state: State) -> None:
-    """InputError where a law of time moves something in this state: there is no position of rest then."""
+    """Raise InputError if a law of time moves something in this state: there is no position of rest then."""
     if told := moved_by_law(where, state):
         raise InputError(
             f"{where.name}, t = {state.t:.6g} s: {told}, so that nothing is at rest; name a time at which all laws "

@@ -52,7 +52,7 @@ class Mode:
 
     @property
     def frequency(self) -> float:
-        """Of the vibration [Hz]; 0 where there is none."""
+        """Of the vibration [Hz]; 0 if there is none."""
         return abs(self.eigenvalue.imag) / (2 * math.pi)
 
     @property
@@ -137,7 +137,8 @@ class Linearization:
     # For others ---------------------------------------------------------------------------------------------------
 
     def to_scipy(self) -> scipy.signal.StateSpace:
-        """As `scipy.signal.StateSpace`; InputError where there is no input or no output, which SciPy does not take."""
+        """As `scipy.signal.StateSpace`; raise InputError if there is no input or no output, which SciPy does not
+        take."""
         from scipy.signal import StateSpace
 
         if not (self.inputs and self.outputs):
@@ -159,7 +160,7 @@ class Linearization:
         return control.ss(self.A, self.B, self.C, self.D, name=self.mechanism, remove_useless_states=False, **how)
 
     def as_data(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """Return all of it, as JSON has it."""
         matrices = {name: getattr(self, name).tolist() for name in ("A", "B", "C", "D")}
         modes = [
             {
@@ -184,7 +185,7 @@ class Linearization:
     # To look at ---------------------------------------------------------------------------------------------------
 
     def lines(self) -> list[str]:
-        """A table for readers."""
+        """Return a table for readers."""
         state = ", ".join(
             f"{name} = {self.values[name] + 0.0:.6g} {self.units[name]}"
             + f" ({math.degrees(self.values[name]):.4g} deg)" * (self.units[name] == "rad" and self.values[name] != 0)
@@ -208,7 +209,8 @@ class Linearization:
 
     @asked
     def plot(self, path: str | Path | None = None) -> Figure:
-        """A figure of matplotlib: the eigenvalues in the plane; written where a path says so. Needs `alfmu[plot]`."""
+        """Return a figure of matplotlib: the eigenvalues in the plane; written where a path says so. Needs
+        `alfmu[plot]`."""
         return figure([self], path)
 
     @asked
@@ -230,7 +232,7 @@ class Linearization:
 
 
 def _plainly(x: complex) -> str:
-    """A part of a shape: a number where it is in phase, else its size and phase."""
+    """Return a part of a shape: a number where it is in phase, else its size and phase."""
     if abs(x.imag) <= 1e-6 * abs(x):
         return f"{x.real:.3g}"
     return f"{abs(x):.3g} at {math.degrees(math.atan2(x.imag, x.real)):.0f} deg"
@@ -267,13 +269,13 @@ def linearize(
     `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, in its present state. `at` says where: "start",
     "equilibrium" (the position of rest that a run would begin with, `Equilibria.nearest`), an `Equilibrium`, a time [s]
     of the motion that begins at the start, or several times, for which a list is returned. `parameters` sets
-    parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes them. `outputs`
-    are names or patterns of the outputs that C and D have, None for all but monitors.
+    parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes them. `outputs` are
+    names or patterns of the outputs that C and D have, None for all but monitors.
 
     A joint with dry friction is held where it sticks, and has the law of its friction where it slides; at a position of
     rest it is left out, as `equilibrium` does.
 
-    Raises AlfmuError where a name or a value is at fault, and InputError at a singular position, where motions are not
+    Raises AlfmuError if a name or a value is at fault, and InputError at a singular position, where motions are not
     functions of independent coordinates.
     """
     found: list[Linearization] = []
@@ -283,7 +285,8 @@ def linearize(
 
 
 def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: Sequence[int] = ()) -> Linearization:
-    """The linearisation of a situation about its state; in the wanted coordinates where these tell its motions."""
+    """Return the linearisation of a situation about its state; in the wanted coordinates where these tell its
+    motions."""
     e, s = where.equations, where.state
     mobility, _ = where.mobility(s.q)
     if mobility.freedom_here > mobility.freedom:
@@ -343,7 +346,7 @@ def _notes(where: Situation, redundant: int) -> list[str]:
 
 
 def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> list[int]:
-    """Places of the outputs that match; InputError where a pattern matches none."""
+    """Return places of the outputs that match; raise InputError if a pattern matches none."""
     if patterns is None:
         return list(range(len(names)))
     if not isinstance(patterns, str) and not (
@@ -363,7 +366,7 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
 def save(found: Sequence[Linearization], path: str | Path) -> None:
     """Write linearisations as `.json` (one as it is, several in a list) or as `.mat`, several along a third dimension.
 
-    Raises InputError where the suffix is another one, else WriteError.
+    Raises InputError if the suffix is another one, else WriteError.
     """
     path = Path(path)
     check_file(path)
@@ -396,14 +399,14 @@ def save(found: Sequence[Linearization], path: str | Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """InputError where a linearisation has no kind of file of this name."""
+    """Raise InputError if a linearisation has no kind of file of this name."""
     if path.suffix.lower() not in (".json", ".mat"):
         raise InputError(f"{path} cannot hold a linearisation; its name must end in .json or .mat")
 
 
 @asked
 def figure(found: Sequence[Linearization], path: str | Path | None = None) -> Figure:
-    """The eigenvalues of linearisations in the plane, written where a path says so."""
+    """Return the eigenvalues of linearisations in the plane, written where a path says so."""
     from ..view import eigenvalues, plot
 
     if not found:

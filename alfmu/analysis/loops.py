@@ -100,7 +100,8 @@ class Loops:
                 break
 
     def unsettled(self) -> list[str]:
-        """States whose rates no values of the states bring to zero at home, as that of the integral of a controller."""
+        """Return states whose rates no values of the states bring to zero at home, as that of the integral of a
+        controller."""
         e = self.situation.equations
         if not e.states:
             return []
@@ -109,7 +110,7 @@ class Loops:
         return plain._unsettled()
 
     def _unsettled(self) -> list[str]:
-        """The same where these numbers were evaluated."""
+        """Return the same where these numbers were evaluated."""
         names = [x.name for x in self.situation.equations.states]
         if not np.isfinite(self._by_x).all():
             return names
@@ -123,22 +124,23 @@ class Loops:
         return self._weights * self._values[1][self._rows]
 
     def matrix(self, y: Vector) -> NDArray[np.float64]:
-        """The constraint matrix of rows in force, in these coordinates."""
+        """Return the constraint matrix of rows in force, in these coordinates."""
         self._at(y)
         return self.weighted(self._C)
 
     def weighted(self, C: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rows (l, n) in force, in these coordinates."""
+        """Return rows (l, n) in force, in these coordinates."""
         return self._weights[:, None] * C[self._rows] * self.scale
 
     def along_time(self, y: Vector) -> NDArray[np.float64]:
-        """The same matrix with the rates of rows in its column of time, where that is a coordinate."""
+        """Return the same matrix with the rates of rows in its column of time, where that is a coordinate."""
         found, e = self.matrix(y), self.situation.equations
         found[:, e.dependent] = self._weights * self.situation.value("Phi_dot", self.state(y))[self._rows]
         return found
 
     def motions(self, y: Vector, count: int | None = None) -> NDArray[np.float64]:
-        """The motions (n, count) that constraints hold least, orthonormal; `freedom` of them where none is said."""
+        """Return the motions (n, count) that constraints hold least, orthonormal; `freedom` of them where none is
+        said."""
         count = self.freedom if count is None else count
         return self.parts(self.matrix(y))[2][self.moving - count :].T
 
@@ -155,9 +157,9 @@ class Loops:
         return np.asarray(np.linalg.svd(self.matrix(y), compute_uv=False)[: self.rank], float)
 
     def closed(self, y: Vector, near: Vector | None = None) -> Vector | None:
-        """The place nearest by that closes the loops, by corrections (10) of least norm; None where none is found.
+        """Return the place nearest by that closes the loops, by corrections (10) of least norm; None if none is found.
 
-        Only motions that constraints hold are corrected. With `near`, None where that is farther than STEP from it.
+        Only motions that constraints hold are corrected. With `near`, None if that is farther than STEP from it.
         """
         y, before, stuck = y.copy(), np.inf, 0
         for _ in range(CORRECTIONS):
@@ -188,7 +190,8 @@ class Loops:
         return y if np.abs(self.gaps(y)).max(initial=0.0) <= CLOSED else None
 
     def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
-        """Places on the branch of the motion that begins at y in direction `way`, a step apart; ends where it ends."""
+        """Return places on the branch of the motion that begins at y in direction `way`, a step apart; ends where it
+        ends."""
         before = y - step * way / np.linalg.norm(way)
         for _ in range(most):
             ahead = y - before
@@ -216,7 +219,7 @@ class Loops:
         return found
 
     def _alike(self, y: Vector, other: Vector) -> bool:
-        """Whether loops, loads and rates of further states are the same at two places."""
+        """Return whether loops, loads and rates of further states are the same at two places."""
         pairs = [(self.gaps(a), self.matrix(a).ravel(), self.loads(a), self._values[3].copy()) for a in (y, other)]
         limits = [1e-9 * max(1.0, np.abs(x).max(initial=0.0)) for x in pairs[0]]
         return all(np.abs(a - b).max(initial=0.0) <= limit for a, b, limit in zip(*pairs, limits, strict=True))
@@ -231,7 +234,7 @@ class Loops:
         return [np.flatnonzero(np.abs(C[row]) > 0) for row in e.lengths]
 
     def nearer(self, y: Vector, to: Vector) -> Vector:
-        """The same place by whole turns and signs of Euler parameters that are nearest to another one."""
+        """Return the same place by whole turns and signs of Euler parameters that are nearest to another one."""
         y = np.where(self.turns, to + np.remainder(y - to + np.pi, 2 * np.pi) - np.pi, y)
         for group in self.attitudes:
             if np.linalg.norm(y[group] + to[group]) < np.linalg.norm(y[group] - to[group]):
@@ -239,11 +242,12 @@ class Loops:
         return y
 
     def apart(self, y: Vector, other: Vector) -> float:
-        """The largest difference of two places [rad, sizes]."""
+        """Return the largest difference of two places [rad, sizes]."""
         return float(np.abs(self.nearer(y, other) - other).max(initial=0.0))
 
     def same(self, y: Vector, other: Vector, within: float) -> bool:
-        """Whether two places that close the loops are one: by turns of all angles together too, as gears have them."""
+        """Return whether two places that close the loops are one: by turns of all angles together too, as gears have
+        them."""
         if self.apart(y, other) <= within:
             return True
         apart = self.nearer(y, other) - other
@@ -254,7 +258,7 @@ class Loops:
     # Loads --------------------------------------------------------------------------------------------------------
 
     def loads(self, y: Vector) -> Vector:
-        """Generalised forces (n,) at rest, in these coordinates [N.m, or N times the size]."""
+        """Return generalised forces (n,) at rest, in these coordinates [N.m, or N times the size]."""
         self._at(y)
         return self.scale * self._values[2]
 
@@ -306,14 +310,14 @@ class WithStates(Loops):
         self.home = np.append(home, s.u[len(e.inputs) :] / self._sizes)
 
     def _by_states(self, s: State, lam: Vector) -> tuple[NDArray[np.float64], ...]:
-        """Derivatives of loads by further states, and of their rates by coordinates and by themselves."""
+        """Return derivatives of loads by further states, and of their rates by coordinates and by themselves."""
         inputs, still = len(self.situation.equations.inputs), np.zeros(len(s.q))
         Ru = self.situation.change("inputs", s, a=still, lam=lam)[0]
         Gq, _, Gu = self.situation.change("rates", s)
         return Ru[:, inputs:], Gq, Gu[:, inputs:]
 
     def _split(self, y: Vector) -> Vector:
-        """The place alone; further states are evaluated with the values that y has."""
+        """Return the place alone; further states are evaluated with the values that y has."""
         x = y[len(self.units) :] * self._sizes
         if not np.array_equal(x, self._u[len(self._u) - self._states :]):
             self._u[len(self._u) - self._states :] = x
@@ -367,7 +371,7 @@ def _inverses(s: Vector) -> Vector:
 
 
 def plain(x: float, unit: str = "1") -> str:
-    """A coordinate for readers, angles in degrees too: what is left of zero by round-off is zero."""
+    """Return a coordinate for readers, angles in degrees too: what is left of zero by round-off is zero."""
     if abs(x) <= 1e-12:
         return "0"
     return f"{x:.6g}" + f" ({math.degrees(x):.4g} deg)" * (unit == "rad")

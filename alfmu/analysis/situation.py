@@ -75,7 +75,7 @@ class Source:
         return self.equations.name
 
     def drawn(self) -> Mechanism:
-        """The declaration, for a picture; InputError where the equations alone are known."""
+        """Return the declaration, for a picture; raise InputError if the equations alone are known."""
         if self.declared is None:
             raise InputError(f"{self.equations.name}: how it looks is not known of equations alone; give the mechanism")
         return self.declared
@@ -86,7 +86,7 @@ def source(
 ) -> Source:
     """What a name, a file, a declaration, a recipe or equations stand for, with other defaults; or a source with more.
 
-    Raises AlfmuError where a name or a value is at fault.
+    Raises AlfmuError if a name or a value is at fault.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
@@ -174,7 +174,7 @@ class Situation:
         }
 
     def without_friction(self) -> Situation:
-        """The same as if no joint had dry friction."""
+        """Return the same as if no joint had dry friction."""
         if not self.rubs:
             return self
         e, p, held = self.equations, self.p.copy(), self.held.copy()
@@ -183,27 +183,27 @@ class Situation:
         return replace(self, p=p, held=held, rubs=False)
 
     def known(self, s: State, **more: Any) -> dict[str, Any]:
-        """Numbers of a state by the letters of the equations."""
+        """Return numbers of a state by the letters of the equations."""
         return {"q": s.q, "v": s.v, "u": s.u, "p": self.p, "t": s.t, **more}
 
     def value(self, name: str, s: State, **more: Any) -> NDArray[np.float64]:
-        """A function of the equations, dense; a vector where it is one."""
+        """Return a function of the equations, dense; a vector where it is one."""
         known = self.known(s, **more)
         found = np.array(self.equations.functions[name](*(known[letter] for letter in ARGUMENTS[name])))
         return found if name in ("M", "C") else found.ravel()
 
     def change(self, name: str, s: State, **more: Any) -> list[NDArray[np.float64]]:
-        """Derivatives of the equations (`alfmu.equations.changes`), dense."""
+        """Return derivatives of the equations (`alfmu.equations.changes`), dense."""
         function, known = self.source.changes[name], self.known(s, **more)
         results = function(*(known[letter] for letter in function.name_in()))
         return [np.array(each) for each in (results if isinstance(results, tuple) else (results,))]
 
 
 def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situation:
-    """The situation at the start that the defaults give, at a time [s] where there are laws of time, with what the
-    runtime finds there; with `rubs` as dry friction has it, which takes a traced scene.
+    """Return the situation at the start that the defaults give, at a time [s] where there are laws of time, with what
+    the runtime finds there; with `rubs` as dry friction has it, which takes a traced scene.
 
-    Raises AssemblyError where there is no such start.
+    Raises AssemblyError if there is no such start.
     """
     e = source.equations
     begin = time if e.timed else 0.0
@@ -234,7 +234,7 @@ def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situatio
 
 
 def situation_of(instance: Instance) -> Situation:
-    """The situation of a running instance, which is left as it is."""
+    """Return the situation of a running instance, which is left as it is."""
     if not instance.initialized:
         raise InputError(f"{instance.name}: its state is known after initialising; call initialize() first")
     e, memory = instance.equations, instance.memory
@@ -262,7 +262,7 @@ def _by_rk4(equations: Equations) -> Equations:
 
 
 def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
-    """Numbers p with signals as polynomials from the time of q (n,) on, by what accelerations follow from."""
+    """Return numbers p with signals as polynomials from the time of q (n,) on, by what accelerations follow from."""
     p = p.copy()
     for begin in signal_numbers(equations):
         numbers = p[begin + 1 : begin + 1 + COEFFICIENTS]
@@ -280,9 +280,9 @@ def subject(
     time: float = 0.0,
     rubs: bool = False,
 ) -> Situation:
-    """The situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
+    """Return the situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
 
-    Raises AlfmuError where a name or a value is at fault, or the mechanism cannot start.
+    Raises AlfmuError if a name or a value is at fault, or the mechanism cannot start.
     """
     if isinstance(mechanism, Instance):
         if parameters:
@@ -302,7 +302,7 @@ def begun(
     time: float = 0.0,
     rubs: bool = False,
 ) -> Situation:
-    """The situation at a start with inputs as they are at its time [s]; see `subject`."""
+    """Return the situation at a start with inputs as they are at its time [s]; see `subject`."""
     signals = signals_of(mechanism, inputs)
     where = subject(mechanism, parameters, time, rubs and not signals)
     if not signals:
@@ -320,7 +320,7 @@ def begun(
 
 
 def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
-    """The same with other inputs."""
+    """Return the same with other inputs."""
     u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
     for name, value in inputs.items():
         if name not in names:

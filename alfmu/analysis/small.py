@@ -128,7 +128,7 @@ class Small:
 
 
 def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
-    """Eigenvalues, the slowest first and the upper one of a pair first, and their places."""
+    """Return eigenvalues, the slowest first and the upper one of a pair first, and their places."""
     size = np.abs(values)
     clean = np.where(np.abs(values.imag) <= 1e-12 * size, values.real + 0j, values).astype(complex)
     order = np.lexsort((-clean.imag, clean.real, np.round(np.log(np.maximum(size, 1e-12)), 9)))
@@ -136,9 +136,9 @@ def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDA
 
 
 def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) -> Small:
-    """The small motions about the state of a situation, at a regular position of so many degrees of freedom.
+    """Return the small motions about the state of a situation, at a regular position of so many degrees of freedom.
 
-    Raises InputError where it is too near a singular one, or a motion has no mass.
+    Raises InputError if it is too near a singular one, or a motion has no mass.
     """
     e, s, held = where.equations, where.state, where.held
     loops = Loops(where)
@@ -178,14 +178,14 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     W = g_lam[:, held] / units
 
     def shared(lam: Matrix, more: Matrix) -> Matrix:
-        """Multipliers that act like lam, with U' (W lam) = U' more for the rows U that are redundant."""
+        """Return multipliers that act like lam, with U' (W lam) = U' more for the rows U that are redundant."""
         if not left.size:
             return lam
         return lam + left @ np.linalg.lstsq(left.T @ W @ left, left.T @ (more - W @ lam), rcond=None)[0]
 
     def answered(force: Matrix, right: Matrix, more: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-        """Accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make; `more` is
-        what g lacks without them."""
+        """Return accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make;
+        `more` is what g lacks without them."""
         asked = followed(right)
         moved = np.linalg.solve(mass, S.T @ (force - M @ asked)) if freedom else np.zeros((0, *force.shape[1:]))
         a = asked + S @ moved
@@ -269,7 +269,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
 
 
 def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> list[Matrix]:
-    """Derivatives of the multipliers of joints that slide, by q, v, a, lam, u and signals."""
+    """Return derivatives of the multipliers of joints that slide, by q, v, a, lam, u and signals."""
     e = where.equations
     if not slides:
         sizes = (e.n, e.n, e.n, e.l, len(where.state.u), LEVELS * len(e.followed))
@@ -279,7 +279,7 @@ def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> li
 
 
 def _rubbed(where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix, Matrix, Matrix]) -> Vector:
-    """Multipliers of joints that slide, by Newton's method from none; InputError where they jam."""
+    """Return multipliers of joints that slide, by Newton's method from none; raise InputError if they jam."""
     (a, lam), (_, by_a, by_lam) = smooth, by_mu
     e, rows = where.equations, [x.row for x in where.equations.frictions if not where.held[x.row]]
     which, mu = [k for k, x in enumerate(e.frictions) if x.row in rows], np.zeros(len(rows))
@@ -299,7 +299,7 @@ def _rubbed(where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix
 
 
 def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) -> None:
-    """InputError where a signal cannot change by itself."""
+    """Raise InputError if a signal cannot change by itself."""
     for each in given:
         if each.signal >= 0 and not each.level:
             opened = np.abs(missed[:, each.signal * LEVELS]).max(initial=0.0)
@@ -312,7 +312,7 @@ def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) ->
 
 
 def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:
-    """InputError where constraints ask for what no motion follows."""
+    """Raise InputError if constraints ask for what no motion follows."""
     if np.abs(missed).max(initial=0.0) > CONSISTENT * max(1.0, np.abs(wanted).max(initial=0.0)):
         raise InputError(
             f"{where.name}, t = {where.state.t:.6g} s: the position is too near a singular one to be linearised, as "
@@ -321,7 +321,8 @@ def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:
 
 
 def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list[int]:
-    """The coordinates that tell the motions N (n, f) best; those that are wanted, or that a start gives, if they do."""
+    """Return the coordinates that tell the motions N (n, f) best; those that are wanted, or that a start gives, if they
+    do."""
     from scipy.linalg import qr
 
     f = N.shape[1]

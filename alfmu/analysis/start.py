@@ -50,8 +50,8 @@ def prepare(
     kept: Sequence[str] = (),
     jacobian: bool = True,
 ) -> Prepared:
-    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded, and
-    without `jacobian` no derivatives over a step are among the outputs."""
+    """Return an instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never
+    folded, and without `jacobian` no derivatives over a step are among the outputs."""
     given, declared = dict(parameters), None
     facts: dict[str, Any] = {}
     if isinstance(mechanism, Equations):
@@ -81,14 +81,14 @@ def prepare(
 
 
 def rest_of(recipe: Recipe) -> Equilibrium | None:
-    """The position of rest in which the FMU of a recipe starts; None where it starts at its start values."""
+    """Return the position of rest in which the FMU of a recipe starts; None if it starts at its start values."""
     if recipe.start == "declared":
         return None
     return rest(with_defaults(derive(recipe.declared()), recipe.parameters), recipe.start)
 
 
 def simulated(found: Prepared, stop_time: float | None, communication_step: float | None, **how: Any) -> Result:
-    """The run of an instance; times that are None are the mechanism's own, `how` is what `run` takes."""
+    """Return the run of an instance; times that are None are the mechanism's own, `how` is what `run` takes."""
     stop = found.stop_time if stop_time is None else stop_time
     step = found.interval if communication_step is None else communication_step
     result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)

@@ -38,7 +38,7 @@ def states(
 ) -> list[Situation]:
     """Situations of a mechanism at a place, an `Equilibrium`, or at instants [s] of the motion from the start.
 
-    Raises InputError where `at` is none of these, AlfmuError where the mechanism does not get there.
+    Raises InputError if `at` is none of these, AlfmuError if the mechanism does not get there.
     """
     if isinstance(at, Equilibrium):
         return [at.situation]
@@ -59,10 +59,10 @@ def states(
 def rest(
     equations: Equations, start: str | Equilibrium | None, inputs: Mapping[str, Signal] | None = None
 ) -> Equilibrium:
-    """The position of rest in which equations with their defaults start: a given one, or with "equilibrium" the one
-    that `Equilibria.nearest` tells for the inputs at 0 s.
+    """Return the position of rest in which equations with their defaults start: a given one, or with "equilibrium" the
+    one that `Equilibria.nearest` tells for the inputs at 0 s.
 
-    Raises InputError where there is none, or where it is one of another mechanism.
+    Raises InputError if there is none, or where it is one of another mechanism.
     """
     if isinstance(start, Equilibrium):
         own, theirs = ([c.name for c in e.coordinates] for e in (equations, start.situation.equations))
@@ -83,7 +83,7 @@ def rest(
 
 
 def _times(mechanism: Any, at: Any) -> list[float]:
-    """Instants [s]; InputError where they are none."""
+    """Instants [s]; raise InputError if they are none."""
     name = getattr(mechanism, "name", mechanism)
     times = list(at) if isinstance(at, Sequence | np.ndarray) and not isinstance(at, str) else [at]
     for t in times or [None]:

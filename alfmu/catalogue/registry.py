@@ -35,27 +35,28 @@ _ANY = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def mechanisms() -> list[str]:
-    """Names of all registered mechanisms, in alphabetical order."""
+    """Return names of all registered mechanisms, in alphabetical order."""
     return registered(GROUP)
 
 
 def known() -> list[str]:
-    """Names of all mechanisms: those that are registered, then those of the documentation's gallery."""
+    """Return names of all mechanisms: those that are registered, then those of the documentation's gallery."""
     own = mechanisms()
     return [*own, *(name for name in gallery.names() if name not in own)]
 
 
 def registered(*groups: str) -> list[str]:
-    """Names that are registered in groups of entry points, in alphabetical order."""
+    """Return names that are registered in groups of entry points, in alphabetical order."""
     return sorted({e.name for group in groups for e in entry_points(group=group)})
 
 
 def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
-    """The mechanism of a name (`alfmu list`), of a Python file or of a file of another program, with its options.
+    """Return the mechanism of a name (`alfmu list`), of a Python file or of a file of another program, with its
+    options.
 
     A Python file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a
     `Mechanism` object. MJCF (`.xml`), SDF and URDF files are read as `alfmu.imported` does, with the same options.
-    Raises InputError where there is no such name, file, declaration or option, or where something does not map.
+    Raises InputError if there is no such name, file, declaration or option, or where something does not map.
     """
     if isinstance(mechanism, Mechanism):
         if chosen:
@@ -114,7 +115,7 @@ def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
 
 
 def _in_words(takes: dict[str, tuple[Any, ...]], hints: dict[str, Any]) -> dict[str, list[str]]:
-    """The values that options take, or a word for them."""
+    """Return the values that options take, or a word for them."""
     words = {int: "whole number", float: "number", str: "text"}
     return {
         name: list(map(str, values)) or [words.get(hints.get(name, object), "any")] for name, values in takes.items()
@@ -122,12 +123,12 @@ def _in_words(takes: dict[str, tuple[Any, ...]], hints: dict[str, Any]) -> dict[
 
 
 def _hints(mechanism: str | Path, factory: Factory) -> dict[str, Any]:
-    """Types of the options, as annotated."""
+    """Return types of the options, as annotated."""
     return _guarded(mechanism, lambda: typing.get_type_hints(factory))
 
 
 def _whole(what: str, value: Any) -> int:
-    """A whole number; a command line or a file may give it as 10.0 or as text."""
+    """Return a whole number; a command line or a file may give it as 10.0 or as text."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -182,7 +183,7 @@ def _from_file(path: Path) -> Factory:
 
 
 def executed(path: Path) -> dict[str, Any]:
-    """Run a user's Python file; returns its names. Raises InputError where it is not there or fails, with the line."""
+    """Run a user's Python file; returns its names. Raises InputError if it is not there or fails, with the line."""
     if not path.is_file():
         raise InputError(f"there is no file {path}")
     return _guarded(path, lambda: runpy.run_path(str(path), run_name=path.stem))
@@ -211,7 +212,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
 
 
 def _place(frames: traceback.StackSummary, name: str | Path) -> str:
-    """The file of the package that registers a name, nearest to where its code failed; empty where none ran."""
+    """Return the file of the package that registers a name, nearest to where its code failed; empty if none ran."""
     modules = [entry.module for entry in entry_points(group=GROUP) if entry.name == str(name)]
     packages = {module.removeprefix(_OWN).partition(".")[0] for module in modules}
     files = [f.filename for f in frames if packages & {Path(f.filename).stem, *Path(f.filename).parts}]

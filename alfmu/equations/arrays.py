@@ -18,7 +18,7 @@ class Backend(Protocol):
     """A way to run functions."""
 
     def bind(self, name: str, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]) -> Callable[[], Any]:
-        """The function bound to arrays for its arguments and the nonzeros of its results."""
+        """Return the function bound to arrays for its arguments and the nonzeros of its results."""
 
 
 class ArrayFunctions:
@@ -34,7 +34,7 @@ class ArrayFunctions:
     def bound(
         self, function: ca.Function, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]
     ) -> Callable[[], Any]:
-        """A function bound to arrays, to be called without any argument."""
+        """Return a function bound to arrays, to be called without any argument."""
         buffer, run = function.buffer()
         for i, each in enumerate(x):
             buffer.set_arg(i, memoryview(each))

@@ -16,7 +16,7 @@ LEVELS = 3
 
 
 def signal_numbers(equations: Equations) -> list[int]:
-    """Places in p of the numbers of each signal: `since`, and behind it the coefficients of its polynomial."""
+    """Return places in p of the numbers of each signal: `since`, and behind it the coefficients of its polynomial."""
     e, length = equations, 1 + COEFFICIENTS
     end = len(e.parameters) + len(e.held)
     return [end - length * (len(e.followed) - k) for k in range(len(e.followed))]
@@ -24,7 +24,7 @@ def signal_numbers(equations: Equations) -> list[int]:
 
 @once
 def changes(equations: Equations) -> dict[str, ca.Function]:
-    """Functions of derivatives by name, made once for these equations.
+    """Return functions of derivatives by name, made once for these equations.
 
     With R = F - M a - C' lam and X = xi - C a, what (4) and (3) lack: tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n),
     Xq, Xv (l, n); inputs(q, v, a, lam, u, p, t): Ru, Xu. turned(w, q, u, p, t): derivative (l, n) by q of C w, for w
@@ -38,7 +38,7 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
     rates of states and shares by `LEVELS` coefficients of each polynomial, the constant one first. Where there is dry
     friction, rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these
     coefficients. Where time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of what moves by
-    itself and its second rate, each zero where nothing does.
+    itself and its second rate, each zero if nothing does.
     """
     e, x = equations, symbols(equations)
     w = ca.SX.sym("w", e.n)
@@ -88,5 +88,5 @@ def _results(values: list[ca.SX]) -> list[str]:
 
 
 def value(equations: Equations, name: str, known: dict[str, ca.SX]) -> ca.SX:
-    """A function of the equations at symbols, or numbers, that are known by letter."""
+    """Return a function of the equations at symbols, or numbers, that are known by letter."""
     return equations.functions[name](*(known[letter] for letter in ARGUMENTS[name]))

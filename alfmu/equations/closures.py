@@ -25,7 +25,7 @@ __all__ = ["closures_of", "compliances_of", "held_by", "relations_of", "slid", "
 
 
 def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
-    """Directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
+    """Return directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
 
     Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
     """
@@ -62,7 +62,7 @@ def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]
 
 
 def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
-    """Joints that one body's coordinates close must not disturb each other when displaced virtually."""
+    """Check that joints that one body's coordinates close do not disturb each other when displaced virtually."""
     eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in directions} for j, directions in held.items()}
     by_body: dict[Body, list[Joint]] = {}
     for joint in held:
@@ -95,7 +95,7 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
 
 
 def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
-    """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
+    """Return constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
 
     A row reads point of the second body minus point of the first, the other way round where only the first body is torn
     off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
@@ -130,7 +130,8 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
 def slips_of(
     m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C, by `own` rates."""
+    """Return velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C, by `own`
+    rates."""
     rows = []
     for closure, direction in closures:
         slip = closure.slip(kinematics, direction) if isinstance(closure, Relation) else None
@@ -149,7 +150,7 @@ def slid(closing: Closing, plain: Kinematics, moved: Kinematics) -> ca.SX:
 
 
 def relations_of(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[Relation, dict[str, ca.SX]]]:
-    """Each relation with its multipliers by direction."""
+    """Return each relation with its multipliers by direction."""
     return [
         (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
         for each in m.relations()

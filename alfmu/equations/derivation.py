@@ -66,10 +66,10 @@ STEADY = 1e-9
 
 
 def derive(mechanism: Mechanism) -> Equations:
-    """All equations of a mechanism, with names, units and every joint reaction.
+    """Return all equations of a mechanism, with names, units and every joint reaction.
 
-    Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
-    coordinate can close, an expression with a foreign symbol.
+    Raises DeclarationError if the declaration has no equations: a body that nothing places, a joint that no coordinate
+    can close, an expression with a foreign symbol.
     """
     m = mechanism
     _check_declared(m)
@@ -85,7 +85,7 @@ def derive(mechanism: Mechanism) -> Equations:
 
 
 def _check_declared(m: Mechanism) -> None:
-    """DeclarationError where there is nothing that moves, or a body in space that nothing places."""
+    """Raise DeclarationError if there is nothing that moves, or a body in space that nothing places."""
     if not m.coordinates and not m.states and not m.moves:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
     for body in m.spatial_bodies:
@@ -288,7 +288,7 @@ def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Re
 
 
 def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> None:
-    """Reactions of joints, efforts of relations, locks, motions and dry friction."""
+    """Add reactions of joints, efforts of relations, locks, motions and dry friction."""
     q, v, a, lam, plain, closures = at.q, at.v, at.a, closed.lam, closed.plain, closed.closures
     relations = relations_of(m, closures, lam)
     reactions, reaction_outputs = reactions_of(m, plain, closed.held, q, v, a, terms.efforts, lam, relations)
@@ -314,7 +314,7 @@ def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed
 
 
 def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed) -> None:
-    """Multipliers, states, outputs of the user's own, and limit stops."""
+    """Add multipliers, states, declared outputs, and limit stops."""
     read.values += ca.vertsplit(closed.lam)
     for i, row in enumerate(closed.rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work
@@ -410,7 +410,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
 def _equations(
     m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, read: _Readings, said: _Expressions
 ) -> Equations:
-    """The functions with the names and units of all that they are of."""
+    """Return the functions with the names and units of all that they are of."""
     locks, frictions, closures, plain, counted = at.locks, at.frictions, closed.closures, closed.plain, said.counted
     instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
     return Equations(
@@ -456,12 +456,12 @@ def _equations(
 
 
 def _rest() -> Coordinate:
-    """The coordinate of a mechanism that has none, and states alone: of a mass of 1 that no force moves."""
+    """Return the coordinate of a mechanism that has none, and states alone: of a mass of 1 that no force moves."""
     return Coordinate("rest", *(ca.SX.sym(f"rest_{letter}") for letter in "qva"), "m", 0.0)
 
 
 def _state_rates(m: Mechanism) -> ca.SX:
-    """Time derivatives of the states; DeclarationError where one is not declared."""
+    """Return time derivatives of the states; raise DeclarationError if one is not declared."""
     for state in m.states:
         if state.rate is None:
             raise DeclarationError(
@@ -481,7 +481,8 @@ def _motion_power(
     motion: tuple[ca.SX, ca.SX, ca.SX],
     lam: ca.SX,
 ) -> ca.SX:
-    """Power [W] of what moves by itself: the rate of the energies less the power of efforts, on the motion of (4).
+    """Return power [W] of what moves by itself: the rate of the energies less the power of efforts, on the motion of
+    (4).
 
     There v' (M a + d - f) = -v' C' lam = Phi_t' lam, so that what energies lack is in multipliers and in what T and V
     themselves depend on time.
@@ -499,7 +500,7 @@ def _motion_power(
 
 
 def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """The terms of (4) and (3) with time as the last coordinate, which no force moves."""
+    """Return the terms of (4) and (3) with time as the last coordinate, which no force moves."""
     n = M.shape[0]
     size = STEADY * (ca.sum1(w) / w.numel() if w.numel() and not w.is_zero() else 1)
     return (
@@ -523,23 +524,24 @@ def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX])
 
 
 def _between_points(m: Mechanism) -> list[Body]:
-    """Bodies that two points place."""
+    """Return bodies that two points place."""
     return [body for body in m.bodies if body.between is not None]
 
 
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
-    """An expression with angles as they are before a run has counted their turns."""
+    """Return an expression with angles as they are before a run has counted their turns."""
     nears = [body.near for body in _between_points(m)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 
 def _still(matrix: ca.SX, n: int, moves: bool) -> ca.SX:
-    """The derivative of something by n coordinates, with an empty column for time where that is one."""
+    """Return the derivative of something by n coordinates, with an empty column for time where that is one."""
     return ca.horzcat(matrix[:, :n], ca.SX(matrix.shape[0], int(moves)))
 
 
 def _followed(m: Mechanism) -> list[Followed]:
-    """What the runtime makes of inputs that move something; DeclarationError where companions of others do nothing."""
+    """What the runtime makes of inputs that move something; raise DeclarationError if companions of others do
+    nothing."""
     places = {i.name: k for k, i in enumerate(m.inputs)}
     for each in m.inputs:
         if each.derivatives and not any(signal.input is each for signal in m.signals):
@@ -564,7 +566,7 @@ def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
-    """Every coordinate must move a mass or be in a constraint, whatever the parameters are."""
+    """Check that every coordinate moves a mass or is in a constraint, whatever the parameters are."""
     there = {*ca.sparsify(M).sparsity().get_triplet()[1], *C.sparsity().get_triplet()[1]}
     if free := [c for i, c in enumerate(m.coordinates) if i not in there]:
         q = stack([c.q for c in free])
@@ -609,7 +611,8 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) 
 def _body_outputs(
     m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX, a: ca.SX
 ) -> tuple[list[ca.SX], list[Variable]]:
-    """Place, velocity and acceleration of every centre of mass and angle, and of every slider along its guide."""
+    """Return place, velocity and acceleration of every centre of mass and angle, and of every slider along its
+    guide."""
     names: list[tuple[str, str, str, str, str]] = []
     places: list[Scalar] = []
     for body in m.bodies:
@@ -644,7 +647,7 @@ def _body_outputs(
 
 
 def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Place and velocity of every point that is watched."""
+    """Return place and velocity of every point that is watched."""
     values: list[ca.SX] = []
     outputs: list[Variable] = []
     for point in m.watched:
@@ -688,7 +691,7 @@ def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
 
 
 def _tied_start(m: Mechanism, angle: ca.SX) -> int:
-    """The start quantity near which a computed angle begins, -1 where there is none."""
+    """Return the start quantity near which a computed angle begins, -1 if there is none."""
     for symbol, expression in m.ties:
         if (expression - angle).is_zero() or ca.is_equal(_without_turns(m, expression), _without_turns(m, angle), 12):
             return next(k for k, x in enumerate(m.starts) if key_of(x.symbol) == key_of(symbol))

@@ -86,7 +86,7 @@ EVALUATED = {
 
 
 def symbols(equations: Equations) -> dict[str, ca.SX]:
-    """Fresh symbols for the arguments of the functions of `equations`."""
+    """Return fresh symbols for the arguments of the functions of `equations`."""
     sizes = {
         "q": equations.n,
         "v": equations.n,
@@ -102,7 +102,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
 
 
 def evaluable(equations: Equations) -> Equations:
-    """The same equations with the functions that the start and the oracle call.
+    """Return the same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
     energy(q, v, p): kinetic and potential, kinetic alone [J]. closure(q, p, s): derivatives of gaps and ties, gaps,
@@ -144,7 +144,7 @@ def evaluable(equations: Equations) -> Equations:
 
 
 def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
-    """The order in which coordinates are eliminated from H: one that fills L little.
+    """Return the order in which coordinates are eliminated from H: one that fills L little.
 
     Independent coordinates come last where that takes no more work: masses alone contribute to their pivots then, and
     no other pivot is small except at a singular position. Many coordinates are eliminated in the order of their
@@ -168,7 +168,7 @@ def _work(factor: ca.Sparsity) -> int:
 
 
 def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:
-    """A function with its common subexpressions shared.
+    """Return a function with its common subexpressions shared.
 
     They are found on the nonzeros: on a matrix, CasADi's search takes time with the square of its size.
     """
@@ -180,7 +180,7 @@ def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Functio
 
 
 def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
-    """The same equations with more functions, or others, that run with numbers."""
+    """Return the same equations with more functions, or others, that run with numbers."""
     signatures = {name: _signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
     return replace(
         equations,
@@ -200,10 +200,11 @@ def _signature(f: ca.Function, matrices: int = 0) -> Signature:
 
 
 def with_tangents(equations: Equations) -> Equations:
-    """The same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and lam.
+    """Return the same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and
+    lam.
 
-    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and
-    X = xi - C a; where there are states x, also Rx (n, x) of R, and Gq, Gv, Gx of their rates.
+    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and X =
+    xi - C a; where there are states x, also Rx (n, x) of R, and Gq, Gv, Gx of their rates.
     """
     if "tangents" in equations.signatures:
         return equations
@@ -211,12 +212,13 @@ def with_tangents(equations: Equations) -> Equations:
 
 
 def tangents_once(equations: Equations) -> ca.Function:
-    """The same function, to be evaluated a few times: what it computes twice is not looked for, which takes longest."""
+    """Return the same function, to be evaluated a few times: what it computes twice is not looked for, which takes
+    longest."""
     return equations.functions.get("tangents") or ca.Function("tangents", *_tangents(equations))
 
 
 def _tangents(equations: Equations) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Arguments and values."""
+    """Return arguments and values."""
     e, x = equations, symbols(equations)
     q, v, a, lam, u, p, t = (x[k] for k in ("q", "v", "a", "lam", "u", "p", "t"))
     R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam

@@ -97,7 +97,7 @@ def rubbing(
 
 
 def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
-    """The load of a joint, which has this friction."""
+    """Return the load of a joint, which has this friction."""
     if isinstance(x.of, SpatialJoint):
         return _load_in_space(x, x.of, reactions, friction)
     if x.radius is not None:
@@ -109,7 +109,7 @@ def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX
 
 
 def _load_in_space(x: Friction, joint: SpatialJoint, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
-    """The same of a joint in space: parts of its reaction along its axis and two normals."""
+    """Return the same of a joint in space: parts of its reaction along its axis and two normals."""
     triad = joint.triad()
     force, moment = (
         [ca.dot(each, stack([reactions[f"{x.name}.{what}.{axis}"] for axis in "xyz"])) for each in triad]

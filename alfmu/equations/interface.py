@@ -146,7 +146,7 @@ def events(equations: Equations) -> list[Variable]:
 
 
 def every_event(e: Equations) -> list[Variable]:
-    """The same with those that are left out."""
+    """Return the same with those that are left out."""
     found = []
     for row in (e.rows[i] for switch in e.switches for i in switch.rows):
         name = f"{row.name}.impulse" if row.direction == "locked" else f"{row.name}.impulse.{row.direction}"
@@ -181,7 +181,7 @@ class Interface:
     """Outputs behind those: entries of the interface Jacobian."""
 
     def causal(self, causality: str) -> list[Variable]:
-        """The variables of a causality."""
+        """Return the variables of a causality."""
         return [v for each, v in self.causalities if each == causality]
 
     @property
@@ -193,18 +193,19 @@ class Interface:
 
 
 def default_settings(equations: Equations) -> Settings:
-    """The settings of a mechanism where nobody says otherwise."""
+    """Return the settings of a mechanism where nobody says otherwise."""
     return Settings(**{"step_size": equations.step_size, **equations.solver})
 
 
 def integrator(equations: Equations) -> str:
-    """The method of integration that the settings of a mechanism ask for; of `auto` what it was decided to be."""
+    """Return the method of integration that the settings of a mechanism ask for; of `auto` what it was decided to
+    be."""
     method = default_settings(equations).method
     return equations.decision.method if method == "auto" and equations.decision else method
 
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:
-    """The variables of a scene; defaults of the solver are those of `settings`."""
+    """Return the variables of a scene; defaults of the solver are those of `settings`."""
     e, given = equations, settings or default_settings(equations)
     solver = [replace(v, start=_default(given, v.name)) for v in SOLVER_VARIABLES]
     return Interface(
@@ -218,7 +219,7 @@ def variables_of(equations: Equations, settings: Settings | None = None) -> Inte
 
 
 def _jacobian(e: Equations) -> list[Variable]:
-    """The entries of the interface Jacobian."""
+    """Return the entries of the interface Jacobian."""
     units = {v.name: v.unit for v in (*e.outputs, *e.inputs)}
     return [
         Variable(
@@ -233,17 +234,17 @@ def _jacobian(e: Equations) -> list[Variable]:
 
 
 def state_starts(equations: Equations) -> list[Variable]:
-    """The parameters that give states their values at the start."""
+    """Return the parameters that give states their values at the start."""
     return [replace(v, name=f"start.{v.name}", description=f"{v.name} at the start") for v in equations.states]
 
 
 def setting(name: str) -> str:
-    """The field of Settings behind a solver variable."""
+    """Return the field of Settings behind a solver variable."""
     return name.removeprefix("solver.")
 
 
 def _default(settings: Settings, name: str) -> float:
-    """A number of the settings; 0 for penalties of each constraint, which are no variable."""
+    """Return a number of the settings; 0 for penalties of each constraint, which are no variable."""
     value = getattr(settings, setting(name))
     return float(value) if np.ndim(value) == 0 else 0.0
 
@@ -258,7 +259,7 @@ def not_there(equations: Equations, name: str, names: Collection[str]) -> str:
 
 
 def choices(values: Mapping[str, str]) -> list[Variable]:
-    """The solver variables that are text, at the given values."""
+    """Return the solver variables that are text, at the given values."""
     return [
         Variable(
             name,
@@ -303,7 +304,7 @@ class Counters:
 
 
 def checked(name: str, v: Variable, value: object) -> None:
-    """InputError where a value cannot be that of a variable of the mechanism of this name."""
+    """Raise InputError if a value cannot be that of a variable of the mechanism of this name."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
         raise InputError(f"{name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
     if v.type == "Integer" and value != int(value):

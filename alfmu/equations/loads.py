@@ -52,14 +52,14 @@ def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> t
 
 
 def is_guided(m: Mechanism, body: Body) -> bool:
-    """Whether a joint with the ground keeps the angle of a body."""
+    """Return whether a joint with the ground keeps the angle of a body."""
     joints = (j for j in m.joints if j.kind in ("prismatic", "weld"))
     return any({j.first.body, j.second.body} == {m.ground, body} for j in joints)
 
 
 def potential_of(m: Mechanism, kinematics: Kinematics) -> ca.SX:
-    """Potential energy of gravity, springs and the user's own terms, but of the weight of bodies that joints in space
-    place."""
+    """Return potential energy of gravity, springs and the user's own terms, but of the weight of bodies that joints in
+    space place."""
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
@@ -79,7 +79,7 @@ def elongation_of(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, A
 
 
 def limited_by(kinematics: Kinematics, stop: EndStop) -> ca.SX:
-    """The displacement that a stop limits."""
+    """Return the displacement that a stop limits."""
     return stop.of if isinstance(stop.of, ca.SX) else elongation_of(kinematics, stop.of)
 
 
@@ -94,7 +94,7 @@ def paths_of(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
 
 
 def efforts_of(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """The paths of the efforts and the efforts themselves."""
+    """Return the paths of the efforts and the efforts themselves."""
     paths = stack(paths_of(m, kinematics))
     efforts: list[Scalar] = [drive.effort for drive in m.drives]
     for load in m.loads:

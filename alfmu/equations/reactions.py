@@ -87,7 +87,8 @@ def reactions_of(
 
 
 def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
-    """The directions of a joint that have a reaction: also that in which a law in place of a coordinate moves it."""
+    """Return the directions of a joint that have a reaction: also that in which a law in place of a coordinate moves
+    it."""
     law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
     if (
         law
@@ -99,7 +100,7 @@ def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
 
 
 def lengths_of(m: Mechanism, rows: list[Row]) -> list[int]:
-    """Constraints that keep Euler parameters at unit length."""
+    """Return constraints that keep Euler parameters at unit length."""
     names = {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
     return [i for i, row in enumerate(rows) if row.name in names]
 
@@ -135,7 +136,7 @@ _PROBES = 2
 
 
 def _square_of_size(m: Mechanism) -> ca.SX:
-    """Square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 where there is none.
+    """Return square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 if there is none.
 
     It depends on no axes, coordinates or position: bodies are rigid.
     """

@@ -67,12 +67,12 @@ class Moving:
 
 
 def relative_bodies(m: Mechanism) -> list[SpatialBody]:
-    """The bodies that joints place."""
+    """Return the bodies that joints place."""
     return [body for body in m.spatial_bodies if body.placed_by is not None]
 
 
 def check_points(m: Mechanism) -> None:
-    """DeclarationError where coordinates move a point of a joint that places a body: it would do work there."""
+    """Raise DeclarationError if coordinates move a point of a joint that places a body: it would do work there."""
     own = stack([c.q for c in m.coordinates])
     for joint in (each for each in m.spatial_joints if each.coordinates is not None and m.coordinates):
         for marker in (joint.first, joint.second):
@@ -85,7 +85,7 @@ def check_points(m: Mechanism) -> None:
 
 
 class SpatialMotion:
-    """How bodies in space move with the rates v and the accelerations a, zero where they are left out."""
+    """How bodies in space move with the rates v and the accelerations a, zero if they are left out."""
 
     def __init__(self, mechanism: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX | None = None):
         self.mechanism, self.q, self.v, self.a = mechanism, q, v, a
@@ -106,7 +106,7 @@ class SpatialMotion:
     # Outwards ---------------------------------------------------------------------------------------------------
 
     def columns(self, body: SpatialBody) -> list[Column]:
-        """The columns of the coordinates that place a body."""
+        """Return the columns of the coordinates that place a body."""
         if body not in self._columns:
             if body.own is not None:
                 place, attitude = body.own
@@ -130,7 +130,7 @@ class SpatialMotion:
         return found + self._moved(stack(joint.first.point) - stack(first.anchor[0]), first)
 
     def _moved(self, local: ca.SX, body: SpatialBody) -> list[Column]:
-        """Columns of the coordinates (3,) of a point in a body's frame, those that move."""
+        """Return columns of the coordinates (3,) of a point in a body's frame, those that move."""
         return [
             Column(x, ca.SX.zeros(3), body.rotation[:, i])
             for i, x in enumerate(ca.vertsplit(local))
@@ -143,7 +143,7 @@ class SpatialMotion:
         return body.placed_by
 
     def rates(self, coordinate: Scalar) -> tuple[ca.SX, ca.SX]:
-        """First and second rate of an expression in the coordinates."""
+        """Return first and second rate of an expression in the coordinates."""
         c = symbolic(coordinate)
         rate = ca.jtimes(c, self.q, self.v)
         second = ca.jtimes(rate, self.q, self.v)
@@ -184,19 +184,19 @@ class SpatialMotion:
         return Moving(spin, spin_rate, speed + ca.cross(spin, joint.reach) + slip, carried + push)
 
     def velocity(self, marker: SpatialMarker) -> ca.SX:
-        """Velocity (3,) of a point."""
+        """Return velocity (3,) of a point."""
         moving = self.moving(marker.body)
         return moving.speed + ca.cross(moving.spin, marker.arm)
 
     def acceleration(self, marker: SpatialMarker) -> ca.SX:
-        """Acceleration (3,) of a point."""
+        """Return acceleration (3,) of a point."""
         moving = self.moving(marker.body)
         return moving.acceleration + moving.bending @ marker.arm
 
     # Back -------------------------------------------------------------------------------------------------------
 
     def inertia(self, body: SpatialBody) -> ca.SX:
-        """The matrix of inertia (3, 3) about the centre of mass in ground axes."""
+        """Return the matrix of inertia (3, 3) about the centre of mass in ground axes."""
         if body not in self._inertia:
             J = body.inertia_matrix
             turned = body.rotation @ J @ body.rotation.T
@@ -224,7 +224,7 @@ class SpatialMotion:
         return found
 
     def along(self, loads: Mapping[SpatialBody, Wrench]) -> ca.SX:
-        """Generalised forces (n,) of loads on bodies."""
+        """Return generalised forces (n,) of loads on bodies."""
         coordinates, efforts = [], []
         for body, (force, moment) in self.carried(loads).items():
             if body is not self.mechanism.spatial_ground:
@@ -234,7 +234,7 @@ class SpatialMotion:
         return ca.jacobian(stack(coordinates), self.q).T @ stack(efforts) if efforts else ca.SX(self.q.numel(), 1)
 
     def mass_matrix(self, bodies: Sequence[SpatialBody]) -> ca.SX:
-        """The mass matrix (n, n) of bodies, by what each joint carries."""
+        """Return the mass matrix (n, n) of bodies, by what each joint carries."""
         whole: dict[SpatialBody, tuple[ca.SX, ca.SX, ca.SX]] = {}  # mass, first moment, inertia about the anchor
         for body in bodies:
             lever, mass = body.turned(body.center), symbolic(body.mass)
@@ -278,7 +278,7 @@ class SpatialMotion:
 
 
 def _way(joint: SpatialJoint) -> ca.SX:
-    """The way (3,) from the anchor of the first body of a joint to that of the second, in ground axes."""
+    """Return the way (3,) from the anchor of the first body of a joint to that of the second, in ground axes."""
     way = joint.first.arm + joint.slide
     return way + joint.reach if joint.drifts else way
 
@@ -298,7 +298,7 @@ def _square(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def gravity(m: Mechanism, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wrench]:
-    """The weight of bodies."""
+    """Return the weight of bodies."""
     weights = {body: body.mass * stack(m.gravity_vector) for body in bodies}
     return {body: (force, ca.cross(body.turned(body.center), force)) for body, force in weights.items()}
 
@@ -317,8 +317,8 @@ def applied(
     closures: Sequence[Closing],
     lam: ca.SX,
 ) -> dict[SpatialBody, Wrench]:
-    """All that acts on bodies in space but joints with coordinates: weights, loads, efforts, joints that constraints
-    close.
+    """Return all that acts on bodies in space but joints with coordinates: weights, loads, efforts, joints that
+    constraints close.
 
     `efforts` act along joints, or push two points apart. Those along a joint with coordinates are left out, as their
     pair of forces does nothing to any other joint.

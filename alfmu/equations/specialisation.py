@@ -31,14 +31,14 @@ _UNTRACED: dict[str, Any] = {"signatures": {}, "kernel": {}, "library": None}
 def specialised(
     equations: Equations, outputs: Iterable[str] | None = None, freeze: Sequence[str] | None = None
 ) -> Equations:
-    """The same equations with what is not needed left out: outputs but those that match, parameters to freeze.
+    """Return the same equations with what is not needed left out: outputs but those that match, parameters to freeze.
 
     `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
     `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
     outputs that they are of; one such as `A.force.peak` for the largest magnitude of an output, or of a vector of them,
     within each communication step; `monitor.reaction_error` is left out unless it is named. `freeze` are parameters of
     the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in but what
-    has to be asked for. Raises InputError where a pattern matches no output, or a name is no parameter.
+    has to be asked for. Raises InputError if a pattern matches no output, or a name is no parameter.
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
@@ -50,7 +50,8 @@ def starting_at(
     states: Mapping[str, float] | None = None,
     kept: Sequence[float] | NDArray[np.float64] = (),
 ) -> Equations:
-    """The same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved along.
+    """Return the same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved
+    along.
 
     Further states, by name, start at the given values. With other defaults they start beside it, as far as guesses and
     start values lead. What is traced stays. `kept` are the numbers of `Equations.held`, which guesses contain where
@@ -82,12 +83,13 @@ def plain(outputs: Iterable[str]) -> list[str]:
 
 
 def without_steps(outputs: Iterable[str]) -> list[str]:
-    """The same, with the outputs in place of peaks, too."""
+    """Return the same, with the outputs in place of peaks, too."""
     return [f"{x.removesuffix(PEAK)}*" if x.endswith(PEAK) else x for x in plain(outputs)]
 
 
 def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
-    """Entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for none."""
+    """Return entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for
+    none."""
     output, by, wanted = pattern.partition("/")
     if not by:
         return set()
@@ -101,7 +103,7 @@ def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
 
 
 def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
-    """The same equations with those outputs and monitors alone that match a pattern."""
+    """Return the same equations with those outputs and monitors alone that match a pattern."""
     e = equations
     asked = [patterns] if isinstance(patterns, str) else list(patterns)
     entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
@@ -149,7 +151,7 @@ def _magnitudes(e: Equations) -> dict[str, list[str]]:
 
 
 def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
-    """The same equations with parameters folded into them; start values and numbers of the solver stay."""
+    """Return the same equations with parameters folded into them; start values and numbers of the solver stay."""
     e = equations
     own = [p.name for p in e.parameters]
     names = own if list(names) == [ALL] else list(names)
@@ -168,7 +170,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:
-    """The functions that derivation gave, without what was made of them."""
+    """Return the functions that derivation gave, without what was made of them."""
     return {name: e.functions[name] for name in ARGUMENTS if name in e.functions}
 
 

@@ -128,8 +128,8 @@ def fit(
     the run and the root of the mean square of its weighed residuals.
 
     The covariance comes from the residuals that are left, so that it tells errors of measuring, not of the model. A
-    combination of numbers that the data do not tell is warned of. Raises InputError where a name or number is wrong,
-    where units of the data are not those of the mechanism, and where there are fewer measurements than numbers.
+    combination of numbers that the data do not tell is warned of. Raises InputError if a name or number is wrong, where
+    units of the data are not those of the mechanism, and where there are fewer measurements than numbers.
     """
     by = names_in(mechanism, "numbers to vary", vary)
     wanted = None if columns is None else names_in(mechanism, "columns", columns)
@@ -208,7 +208,7 @@ def _runs(
 
 
 def _measured(runs: Runs, table: Result, columns: Sequence[str] | None) -> list[str]:
-    """Columns that count."""
+    """Return columns that count."""
     units = {v.name: v.unit for v in runs.unit.outputs}
     outputs = list(units)
     if (found := columns) is None:
@@ -234,7 +234,7 @@ def _sizes(
     known: NDArray[np.bool_],
     deviations: Mapping[str, float],
 ) -> NDArray[np.float64]:
-    """What residuals of each column are divided by."""
+    """Return the divisor of the residuals of each column."""
     for name, value in deviations.items():
         if name not in measured:
             raise InputError(f"a deviation is given for {name!r}, which is not measured; {there_is(name, measured)}")
@@ -254,7 +254,7 @@ def _sizes(
 
 
 def _scale(runs: Runs, name: str) -> float:
-    """A usual size of a number: its present one, or 1."""
+    """Return a usual size of a number: its present one, or 1."""
     return abs(float(runs.unit.get(name))) or 1.0
 
 

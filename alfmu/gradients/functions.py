@@ -45,7 +45,7 @@ class _Names(Mapping[str, Any]):
 
 
 def _evaluated(expression: Expression, names: _Names) -> ca.SX:
-    """The expression of symbols; InputError where it is none."""
+    """Return the expression of symbols; raise InputError if it is none."""
     if isinstance(expression, str):
         return names[expression]
     try:
@@ -66,7 +66,7 @@ class Function(ABC):
 
     @abstractmethod
     def weighed(self, times: NDArray[np.float64], columns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """The number for columns (k, names) at times (k,) [s], and its derivatives by each entry."""
+        """Return the number for columns (k, names) at times (k,) [s], and its derivatives by each entry."""
 
 
 class _OfExpression(Function):
@@ -94,7 +94,7 @@ class _OfExpression(Function):
     def _at_each(
         self, times: NDArray[np.float64], columns: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Values (k,) and derivatives (k, names) of the expression."""
+        """Return values (k,) and derivatives (k, names) of the expression."""
         values, slopes = self._value.map(len(times))(columns.T, times[None, :])
         return np.array(values).ravel(), np.array(slopes).reshape(len(times), len(self.names))
 
@@ -144,7 +144,7 @@ class Maximum(_OfExpression):
         weights: NDArray[np.float64],
         k: int,
     ) -> tuple[float, NDArray[np.float64]]:
-        """The same where it is largest at the beginning or at the end of the run."""
+        """Return the same where it is largest at the beginning or at the end of the run."""
         weights[k] = slopes[k]
         return float(values[k]), weights
 
@@ -166,7 +166,8 @@ class TimeOfMaximum(Maximum):
 
 
 def _peak() -> ca.Function:
-    """The highest point of the parabola through three points, its time, and their derivatives by the three values."""
+    """Return the highest point of the parabola through three points, its time, and their derivatives by the three
+    values."""
     t, y = ca.SX.sym("t", 3), ca.SX.sym("y", 3)
     before, behind = (y[1] - y[0]) / (t[1] - t[0]), (y[2] - y[1]) / (t[2] - t[1])
     curvature = (behind - before) / (t[2] - t[0])

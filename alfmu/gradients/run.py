@@ -137,7 +137,7 @@ class Runs:
                 )
 
     def columns(self, names: Sequence[str] | None = None) -> list[str]:
-        """All outputs and inputs, or those of some names."""
+        """Return all outputs and inputs, or those of some names."""
         known = [v.name for v in (*self.unit.outputs, *self.unit.input_variables)]
         for name in names or ():
             if name not in known:
@@ -156,7 +156,7 @@ class Runs:
     def tangents(
         self, wanted: Sequence[str], progress: Callable[[int], bool] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Values (k, wanted) and their derivatives (k, wanted, by)."""
+        """Return values (k, wanted) and their derivatives (k, wanted, by)."""
         sweeps = self.sweeps(wanted, len(self.by), progress)
         seeds = np.zeros((len(self.names), len(self.by)))
         of_inputs = np.zeros((*self.table.shape, len(self.by)))
@@ -192,7 +192,7 @@ class Runs:
 
 
 def shown(progress: Progress, times: NDArray[np.float64]) -> Callable[[int], bool]:
-    """A function of the communication points that are done, which moves what `progress` shows."""
+    """Return a function of the communication points that are done, which moves what `progress` shows."""
     points, passed = iter(progress(times[:-1])), 0
 
     def show(done: int) -> bool:
@@ -223,8 +223,8 @@ def derivatives(
     that were made, projections and iterations included; which steps, tiers and ranks were taken is left as it is. The
     time goes with the number of derivatives; for one number of a run by many use `gradient`.
 
-    Raises InputError where a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces
-    that may jump.
+    Raises InputError if a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces that
+    may jump.
     """
     runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
     names = runs.columns(outputs)
@@ -243,7 +243,7 @@ def gradient(
     parameters: Mapping[str, float | str] | None = None,
     progress: Progress = iter,
 ) -> Gradient:
-    """A function of a run and its derivatives by any number of numbers, in the time of a few runs.
+    """Return a function of a run and its derivatives by any number of numbers, in the time of a few runs.
 
     `of` is a function of `alfmu.gradients` (`Final`, `Integral`, `Maximum`, `TimeOfMaximum`, `Columns`); an expression
     alone is its final value. `by` names parameters, start values and inputs; derivatives by each given input at each

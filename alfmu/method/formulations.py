@@ -115,12 +115,12 @@ def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, do
 
 
 def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> Array:
-    """The change of z in one pass of `minimum_norm`."""
+    """Return the change of z in one pass of `minimum_norm`."""
     return solve(C.T @ (lam - alpha @ (C @ z)))
 
 
 def settled(change: Array, before: Array, size: Array, tolerance: float) -> Array:
-    """Whether passes of `minimum_norm` are enough, by squares: the last change, the one before, and lam."""
+    """Return whether passes of `minimum_norm` are enough, by squares: the last change, the one before, and lam."""
     return (change <= tolerance**2 * size) + (change <= SETTLED**2 * size) * (change > GAIN**2 * before) > 0
 
 
@@ -143,7 +143,7 @@ def minimum_norm_of_joints(
 def shared_again(
     P: Array, g: Array, C: Array, alpha: Array, inverse: Callable[[Array], Solve], eased: Array, most: int, done: Done
 ) -> Array:
-    """The change of lam that acts like none and makes what joints carry least: d' P d / 2 + g' d with C' d = 0.
+    """Return the change of lam that acts like none and makes what joints carry least: d' P d / 2 + g' d with C' d = 0.
 
     This is (8) with P (l, l) for the masses, -g for the forces and C' for the constraints, whose penalties are alpha
     (n, n). `eased` (l, l) is P, or a little more where that holds no multipliers; `inverse` gives what solves.
@@ -154,7 +154,7 @@ def shared_again(
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:
-    """The right-hand side of (3) with Baumgarte's damping zeta and frequency omega [1/s], as (6) uses it too."""
+    """Return the right-hand side of (3) with Baumgarte's damping zeta and frequency omega [1/s], as (6) uses it too."""
     return xi - 2 * zeta * omega * Cv - omega**2 * Phi  # (6)
 
 
@@ -176,14 +176,14 @@ def dae(M: Array, F: Array, C: Array, xi: Array, solve: Callable[[list, list], t
 
 
 def project(C: Array, alpha: Array, solve: Solve, residue: Array) -> Array:
-    """One correction (10): of q when the residue is Phi, of v when it is C v."""
+    """Return one correction (10): of q when the residue is Phi, of v when it is C v."""
     return -solve(C.T @ (alpha @ residue))  # (10)
 
 
 def project_residual(
     M: Array, C: Array, alpha: Array, solve: Solve, residue: Array, left: Callable[[Array], Array]
 ) -> Array:
-    """A correction (10) in residual form; `left(d)` is what a correction d leaves of the residue.
+    """Return a correction (10) in residual form; `left(d)` is what a correction d leaves of the residue.
 
     As printed, it moves q along the motion by the round-off of alpha times what it moves it across, over a mass. Here
     the same factors give what it lacks, from what it leaves.

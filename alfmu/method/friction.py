@@ -27,7 +27,7 @@ Number = Any
 
 
 def newton(slopes: Sequence[Sequence[Number]], residues: Sequence[Number]) -> tuple[list[Number], list[Number]]:
-    """The change of phi by elimination without exchange of rows, and the pivots of I - D; D is given by rows."""
+    """Return the change of phi by elimination without exchange of rows, and the pivots of I - D; D is given by rows."""
     count, right = len(residues), list(residues)
     rows = [[(i == j) - slopes[i][j] for j in range(count)] for i in range(count)]
     pivots = []

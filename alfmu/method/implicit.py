@@ -52,7 +52,8 @@ def tangent(
     most: int,
     done: method.Done,
 ) -> Array:
-    """Derivatives of a (n, k) from those of R (n, k) and X (l, k) at fixed a and lam: (8) with k right-hand sides.
+    """Return derivatives of a (n, k) from those of R (n, k) and X (l, k) at fixed a and lam: (8) with k right-hand
+    sides.
 
     `zeros` (n, k) and (l, k) to begin with.
     """
@@ -114,7 +115,7 @@ def at_node(rule: Collocation, i: int, dt: Array, q: Array, v: Array, a: Sequenc
 
 
 def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
-    """Weights by which H, Q, V of each node make up the matrix of a collocation step, for its accelerations."""
+    """Return weights by which H, Q, V of each node make up the matrix of a collocation step, for its accelerations."""
     nodes = range(len(rule.nodes))
     eye = [[float(i == j) for j in nodes] for i in nodes]
     first, second = ([[x * w for w in row] for row in A] for x, A in ((-dt, rule.matrix), (-dt * dt, _squared(rule))))
@@ -122,12 +123,13 @@ def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
 
 
 def filter_weights(s: Array) -> list[list[list[Array]]]:
-    """The same for (I - s J)^-1 (rq, rv) = (rq + s dv, dv): (H - s V - s^2 Q) dv = H rv + s Q rq, see `solved`."""
+    """Return the same for (I - s J)^-1 (rq, rv) = (rq + s dv, dv): (H - s V - s^2 Q) dv = H rv + s Q rq, see
+    `solved`."""
     return [[[1.0]], [[-s * s]], [[-s]]]
 
 
 def _squared(rule: Collocation) -> list[list[float]]:
-    """The matrix of a method, squared."""
+    """Return the matrix of a method, squared."""
     A, nodes = rule.matrix, range(len(rule.nodes))
     return [[sum(A[i][k] * A[k][j] for k in nodes) for j in nodes] for i in nodes]
 
@@ -182,7 +184,7 @@ TRAPEZOIDAL = Newmark(0.0, 0.0, 0.25, 0.5)
 
 
 def damped(radius: float) -> Newmark:
-    """The member with a spectral radius (0 to 1) at infinite frequency, and least damping below it; order 2."""
+    """Return the member with a spectral radius (0 to 1) at infinite frequency, and least damping below it; order 2."""
     m, f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
     gamma = 0.5 + f - m
     return Newmark(m, f, (gamma + 0.5) ** 2 / 4, gamma)
@@ -215,7 +217,7 @@ def changes(rule: Newmark, dt: Array) -> tuple[Array, Array]:
 
 
 def position_weights(rule: Newmark, dt: Array) -> list[list[list[Array]]]:
-    """Weights by which H, Rq, Rv make up the matrix of `position_step`."""
+    """Return weights by which H, Rq, Rv make up the matrix of `position_step`."""
     by_v, by_a = changes(rule, dt)
     return [[[1.0]], [[-1 / by_a]], [[-by_v / by_a]]]
 
@@ -232,7 +234,7 @@ def position_step(
     dt: Array,
     divide: Divide,
 ) -> tuple[Array, Array]:
-    """One Newton iteration on the positions q1 of a step: changes of q1 and of lam [N, N.m].
+    """Return one Newton iteration on the positions q1 of a step: changes of q1 and of lam [N, N.m].
 
     Index-3 augmented Lagrangian (Bayo and Ledesma 1996, Cuadrado et al. 1997) in residual form: R = F - M a - C' lam
     and Phi at the present iterate; all scaled with the square of the step, so that alpha [kg, kg.m2] is that of (8).

@@ -21,7 +21,7 @@ Where = Callable[[Any, Any, Any], Any]
 
 
 def memory_size(inputs: int) -> int:
-    """Numbers of so many inputs at past points: how many points, their times, their inputs, newest first."""
+    """Return numbers of so many inputs at past points: how many points, their times, their inputs, newest first."""
     return 1 + KEPT * (1 + inputs)
 
 
@@ -45,7 +45,7 @@ def reached(
 def extrapolated(
     known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, order: int, where: Where
 ) -> Array:
-    """Inputs at t by the polynomial of an order through the newest points, a lower one while there are fewer."""
+    """Return inputs at t by the polynomial of an order through the newest points, a lower one while there are fewer."""
     total = 0.0
     for i in range(order + 1):
         weight = where(known > i, 1.0, 0.0)
@@ -71,5 +71,5 @@ class Past:
         self.numbers[0], self._times[:], self._inputs[:] = known, times, inputs
 
     def at(self, t: float, order: int) -> NDArray[np.float64]:
-        """Inputs at t."""
+        """Return inputs at t."""
         return extrapolated(self.numbers[0], self._times, self._inputs, t, order, np.where)

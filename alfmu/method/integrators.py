@@ -7,7 +7,7 @@ __all__ = ["rk4"]
 
 
 def rk4(rate: Callable[[Any, Any], Any], t: Any, y: Any, dt: Any) -> Any:
-    """One step of the classic Runge-Kutta method of order 4 from y at t to t + dt (Kutta 1901)."""
+    """Return one step of the classic Runge-Kutta method of order 4 from y at t to t + dt (Kutta 1901)."""
     k1 = rate(t, y)
     k2 = rate(t + dt / 2, y + dt / 2 * k1)
     k3 = rate(t + dt / 2, y + dt / 2 * k2)

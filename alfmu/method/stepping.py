@@ -382,7 +382,7 @@ def explicit(
     first: State | None = None,
     settle: Callable[[State], State] | None = None,
 ) -> tuple[State, list[State], State | None]:
-    """One step from y at t to t + dt: the new state, estimates of its error, and the rate there if known.
+    """Return one step from y at t to t + dt: the new state, estimates of its error, and the rate there if known.
 
     `first` is the rate at y where it is known. `settle` brings the new state to where the motion goes on (projection):
     a method that reuses the last rate takes it there, so that it is that of the state the next step begins with.
@@ -402,7 +402,8 @@ def explicit(
 
 
 def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
-    """Weights of the rates, for a collocation method that at the begin first, of bounds of what a kink in a step does.
+    """Return weights of the rates, for a collocation method that at the begin first, of bounds of what a kink in a step
+    does.
 
     Estimates of high order miss most of it: the embedded methods have weights of 1e-4 in their first stages, a filter
     takes it for what is stiff, and any single estimate vanishes for a kink at some place. The largest of these, which
@@ -429,12 +430,13 @@ def collocation(
     most: int,
     done: Callable[[list[State], list[State]], bool],
 ) -> tuple[State, list[State], int, bool]:
-    """One step from y at t to t + dt by Newton's method on the rates k at the nodes, of which a guess is handed in.
+    """Return one step from y at t to t + dt by Newton's method on the rates k at the nodes, of which a guess is handed
+    in.
 
-    `linearise` gives the rate at a time and state, and what `correct` needs of its tangent J there;
-    `correct(tangents, residues)` solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has a tangent of its
-    own: one for all would not do where the direction of a stiff force turns within the step. Returns the new state, k,
-    the iterations used, and whether `done(changes, k)` was reached within `most`.
+    `linearise` gives the rate at a time and state, and what `correct` needs of its tangent J there; `correct(tangents,
+    residues)` solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has a tangent of its own: one for all
+    would not do where the direction of a stiff force turns within the step. Returns the new state, k, the iterations
+    used, and whether `done(changes, k)` was reached within `most`.
     """
     for i in range(1, most + 1):
         places = [y + dt * combined(weights, k) for weights in method.matrix]
@@ -459,7 +461,8 @@ def collocation_error(
 
 
 def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
-    """A guess of the rates in the next step, `ratio` times as long: the polynomial through those of the last one."""
+    """Return a guess of the rates in the next step, `ratio` times as long: the polynomial through those of the last
+    one."""
     nodes = method.nodes
     guesses = []
     for node in nodes:
@@ -482,7 +485,7 @@ LOOSE = 1e-4
 
 
 def explicit_rule(method: str, run: float, carried: str | None = None) -> Explicit | None:
-    """The explicit method that `solver.method` stands for at the tolerance of a run, None where it is another one.
+    """Return the explicit method that `solver.method` stands for at the tolerance of a run, None if it is another one.
 
     `carried` is the name of the one that is in the kernel: it is taken whatever the tolerance.
     """
@@ -556,7 +559,7 @@ def chosen(condition: bool, a: float, b: float) -> float:
 
 
 def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
-    """A step of about dt, so that `left` is covered without a tiny step at the end."""
+    """Return a step of about dt, so that `left` is covered without a tiny step at the end."""
     return where(dt >= left * (1 - 1e-9), left, where(SPLIT * dt > left, left / 2, dt))
 
 
@@ -599,7 +602,8 @@ SLOW = 0.2
 
 
 def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
-    """Whether passes of Newton's method with the same tangents have converged, and whether another one is worth it.
+    """Return whether passes of Newton's method with the same tangents have converged, and whether another one is worth
+    it.
 
     `change` is that of the last pass over the tolerance, `before` that of the one before, infinite for the first.
     """
@@ -627,7 +631,7 @@ class Control:
         return float(self.numbers[0])
 
     def propose(self, left: float) -> float:
-        """The next step where `left` is left up to the point to land on."""
+        """Return the next step where `left` is left up to the point to land on."""
         return landing(self.dt, left)
 
     def judge(self, dt: float, error: float) -> bool:

@@ -1,4 +1,4 @@
-"""What a user declares: mechanisms with bodies, joints and forces; units, settings, errors.
+"""Declaration of mechanisms: bodies, joints and forces; units, settings and errors.
 
 Other rooms import `calls`, `checks`, `content`, `doubts`, `errors`, `files`, `gallery`, `hooks`, `kept`,
 `kinematics`, `making`, `mechanism`, `motion`, `parts`, `relations`, `settings`, `sources`, `spatial`, `stops`, `units`,

@@ -1,8 +1,8 @@
-"""Calls that declare something: what is missing, misspelt or of another kind is said, with what would be right.
+"""Check the arguments of declaring calls and explain a wrong call: what is missing, misspelt or of the wrong type.
 
-Declarations check what they are given, and say what is wrong. What they do not foresee ends in an error of Python's own
-somewhere inside; here it becomes a DeclarationError with the name of the part and of the argument, by the types that
-the signature has. A call that is refused leaves its mechanism as it was.
+Declarations check their arguments and explain mistakes. A mistake that they do not foresee raises one of Python's own
+errors somewhere inside; this module turns it into a DeclarationError that names the part and the argument, based on the
+type hints of the signature. A refused call leaves its mechanism unchanged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _R = TypeVar("_R")
 _C = TypeVar("_C", bound=type)
 
 _RAW = (TypeError, AttributeError, ValueError, RuntimeError, LookupError, ArithmeticError, AssertionError)
-"""What Python, NumPy and CasADi raise of arguments that make no sense."""
+"""Errors that Python, NumPy and CasADi raise for invalid arguments."""
 
 _WORDS: dict[Any, str] = {
     float: "a number",
@@ -45,18 +45,20 @@ _WORDS: dict[Any, str] = {
     "Spring": "a spring, as spring_damper() returns it",
     "Mechanism": "a Mechanism",
 }
-"""What arguments of a type are, in words, classes of the model by their names."""
+"""Description of each argument type in words; classes of the model are called by their names."""
 
 _FORMS: dict[Any, str] = {Callable: "a function", Mapping: "numbers by their names, as {'name': 1.0}"}
-"""The same of what is made of other types."""
+"""Description of composite types."""
 
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def explained(function: Callable[_P, _R], kind: type[AlfmuError] = DeclarationError) -> Callable[_P, _R]:
-    """The same function; errors of Python's own that its arguments lead to are AlfmuErrors of a kind, which say of what
-    call they are, what was given, and what it takes. After any error, a mechanism whose method it is, or that is its
-    argument `m`, is what it was before."""
+    """Return the function with its low-level errors turned into AlfmuErrors of the given kind.
+
+    The message names the call, the arguments given and the arguments it takes. After any error, a mechanism whose
+    method it is, or which is its argument `m`, is restored to its previous state.
+    """
 
     takes = _Takes(function)
 
@@ -87,12 +89,12 @@ def explained(function: Callable[_P, _R], kind: type[AlfmuError] = DeclarationEr
 
 
 def asked(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The same of a function that declares nothing: InputErrors."""
+    """Return the function `explained` with InputErrors, for functions that declare nothing."""
     return explained(function, InputError)
 
 
 def declares(of: _C) -> _C:
-    """The same class, whose public methods, and the making of one, are `explained`."""
+    """Return the class with its constructor and its public methods `explained`."""
     for name, function in [*vars(of).items()]:
         if inspect.isfunction(function) and (not name.startswith("_") or name == "__init__"):
             setattr(of, name, explained(function))
@@ -100,7 +102,7 @@ def declares(of: _C) -> _C:
 
 
 class _Takes:
-    """What a function takes; the mechanism that it is about left out."""
+    """The arguments of a function, without the mechanism it belongs to."""
 
     def __init__(self, function: Callable[..., Any]):
         parameters = inspect.signature(function).parameters
@@ -118,23 +120,23 @@ class _Takes:
 
     @cached_property
     def plain(self) -> dict[type, list[str]]:
-        """Arguments that are True or False, and those that are texts: others would be taken for one, or be names."""
+        """Return the arguments that are Boolean and those that are texts, which other values could be mistaken for."""
         return {
             kind: [name for name, hint in self.hints.items() if hint in (kind, kind | None)] for kind in (bool, str)
         }
 
     def known(self, given: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
-        """What is given, by name."""
+        """Return the given arguments by name."""
         return {**dict(zip(self.places, given[self.own :], strict=False)), **named}
 
     def check(self, known: Mapping[str, Any], kind: type) -> None:
-        """TypeError where what is plain is something else."""
+        """Raise TypeError if a Boolean or text argument has another type."""
         for name in self.plain[kind]:
             if name in known and not _fits(known[name], self.hints[name]):
                 raise TypeError(name)
 
     def said(self, given: Sequence[Any], named: Mapping[str, Any], error: Exception) -> str:
-        """What is wrong with a call that ended in an error of Python's own."""
+        """Return the explanation of a call that ended in one of Python's own errors."""
         call, known, count = (
             _called(self.function, given, named, self.own),
             self.known(given, named),
@@ -161,13 +163,13 @@ class _Takes:
         return [name for name, p in self.parameters.items() if p.default is p.empty and p.kind is not p.VAR_POSITIONAL]
 
     def all(self) -> str:
-        """What a call takes, in words."""
+        """Return the arguments of the call in words."""
         beside = [name for name in self.parameters if name not in self.needed]
         return f"it takes {_and(self.needed) or 'nothing'}" + f", and may take {_and(beside)}" * bool(beside)
 
 
 def _called(function: Callable[..., Any], given: Sequence[Any], named: Mapping[str, Any], own: int) -> str:
-    """A call with its mechanism, and with the name of what it declares or is about."""
+    """Return the call with its mechanism and the name of its part."""
     owner = given[0] if given and own else None
     about = [*given[own : own + 1], *(named[x] for x in ("name", "of", "joint", "body") if x in named)]
     names = [x if isinstance(x, str) else getattr(x, "name", None) for x in about]
@@ -183,7 +185,7 @@ def _and(names: Collection[str]) -> str:
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is what a type says."""
+    """Return whether a value matches a type hint."""
     origin, of = typing.get_origin(hint), typing.get_args(hint)
     if hint in (Any, object):
         return True
@@ -210,7 +212,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _in_words(hint: Any) -> str:
-    """A type in words."""
+    """Return a type in words."""
     origin, of = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         words = [_in_words(each) for each in of if each is not types.NoneType]

@@ -35,16 +35,16 @@ __all__ = ["Cam", "Curve", "cam", "curve"]
 Scalar = float | ca.SX
 
 _LOOK = 720
-"""Directions in which a curve is checked [1]: twice a degree."""
+"""Number of directions at which a curve is checked [1]: two per degree."""
 
 _DRAWN = 120
-"""Sides of a cam in pictures [1]: three degrees each."""
+"""Number of sides of a cam in pictures [1]: three degrees each."""
 
 _CLOSED = 1e-6
-"""Share of its size by which a curve may fail to close after a turn, and its slope per radian [1]."""
+"""Largest gap of a curve after one turn, and of its slope per radian, relative to its size [1]."""
 
 _FEWEST = 4
-"""Points of a curve at least."""
+"""Smallest number of points of a curve."""
 
 Profile = Callable[[ca.SX], ca.SX] | Sequence[Sequence[float]] | NDArray[np.float64]
 """A function of an angle [rad] from 0 to 2 pi that returns a length [m], or points."""
@@ -58,16 +58,16 @@ class Curve(Brief):
     value: ca.SX
 
     def at(self, turn: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The length at a direction and its slope [m/rad]."""
+        """Return the length [m] in a direction [rad] and its slope [m/rad]."""
         slope = ca.gradient(self.value, self.turn)
         return ca.substitute(self.value, self.turn, turn), ca.substitute(slope, self.turn, turn)
 
     def samples(self, parameters: ca.SX, values: ca.DM, count: int = _LOOK) -> NDArray[np.float64]:
-        """Directions (count,), the lengths there, their first and their second derivatives (4, count)."""
+        """Return directions (count,), and the lengths with their first and second derivatives (4, count)."""
         slope = ca.gradient(self.value, self.turn)
         terms = ca.vertcat(self.turn, self.value, slope, ca.gradient(slope, self.turn))
         look = ca.Function("look", [self.turn, parameters], [terms])
-        # Between round angles, where pieces of curves often meet.
+        # Sample between round angles, where pieces of curves often meet.
         turns = (np.arange(count) + 0.5) * 2 * math.pi / count
         return np.array(look(ca.DM(turns).T, ca.repmat(values, 1, count)))
 
@@ -83,13 +83,13 @@ class Cam(Relation):
     curve: Curve
     roller: Scalar | None
     face: tuple[Scalar, Scalar, Scalar] | None
-    """Direction [rad] of the normal in the follower's frame, its cosine and sine."""
+    """Direction [rad] of the normal in the follower's frame, its cosine and its sine."""
     contact: ca.SX | None
-    """The coordinate of the place of contact on an outline; None where the curve is a distance."""
+    """Coordinate of the contact's place on an outline; None if the curve is a distance."""
 
     @property
     def directions(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of its rows."""
+        """Names of its constraint rows."""
         return ("normal",) if self.contact is None else ("normal", "contact")
 
     def residual(self, places: Places, direction: str) -> ca.SX:
@@ -159,8 +159,8 @@ class Cam(Relation):
         return rims if ca.SX(self.roller).is_zero() else [*rims, circle(self.second, self.roller, spoke=False)]
 
     def _seen(self, places: Places) -> tuple[ca.SX, ca.SX]:
-        """Of a face its distance and the direction of its normal in the cam's frame, of a roller its centre, in the
-        axes of the contact where there is one, of the ground otherwise."""
+        """Return, for a face, its distance and the direction of its normal in the cam's frame; for a roller, its centre
+        in the axes of the contact, or of the ground if there is no contact coordinate."""
         (x1, y1), (x2, y2) = places.place(self.first), places.place(self.second)
         dx, dy = x2 - x1, y2 - y1
         turn = places.frame(self.first.body).angle
@@ -175,7 +175,7 @@ class Cam(Relation):
         return c * dx + s * dy, c * dy - s * dx
 
     def _polar(self, places: Places) -> ca.SX:
-        """Polar angle of the roller's centre in the cam's frame."""
+        """Return the polar angle of the roller's centre in the cam's frame."""
         dx, dy = self._seen(places)
         return ca.atan2(dy, dx) - places.frame(self.first.body).angle
 
@@ -191,7 +191,8 @@ def cam(
     face: Scalar | None,
     defaults: tuple[ca.SX, ca.DM],
 ) -> Cam:
-    """See `Mechanism.cam`; `contact` is left to the caller. `defaults` are the parameters and their values."""
+    """Return the cam of `Mechanism.cam`; the caller adds the `contact`. `defaults` are the parameters and their
+    values."""
     what = f"cam {name}"
     if first.body is second.body:
         raise DeclarationError(f"{m.name}: {what} follows {first.body.name} itself; give a follower on another body")
@@ -218,7 +219,8 @@ def cam(
 
 
 def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
-    """A closed curve from a function or from points; DeclarationError where it is neither or does not close."""
+    """Return a closed curve made from a function or points; raise DeclarationError if it is invalid or does not
+    close."""
     which = f"the {'outline' if outline else 'distance'} of {what}"
     turn = ca.SX.sym("turn")
     if callable(given):
@@ -238,7 +240,7 @@ def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
         return Curve(turn, ca.substitute(value, turn, once))
     turns, lengths = _points(m, which, given, outline)
     spline = CubicSpline(turns, lengths, bc_type="periodic")
-    # Within a turn from the first knot; coefficients of a piece are sums of steps, so that derivatives are short.
+    # The first knot is the origin; coefficients of a piece are sums of steps, which keeps the derivatives short.
     inside = turn - turns[0] - 2 * math.pi * ca.floor((turn - turns[0]) / (2 * math.pi))
     knots, pieces = turns[:-1] - turns[0], np.vstack([spline.c, turns[:-1] - turns[0]]).T
     coefficients: list[ca.SX] = [ca.SX(x) for x in pieces[0]]
@@ -251,7 +253,7 @@ def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
 
 
 def _of(m: Mechanism, which: str, given: Callable[[ca.SX], Any], turn: ca.SX) -> Any:
-    """What a user's function makes of an angle."""
+    """Return the user's function evaluated at an angle."""
     try:
         return given(turn)
     except DeclarationError:
@@ -264,7 +266,8 @@ def _of(m: Mechanism, which: str, given: Callable[[ca.SX], Any], turn: ca.SX) ->
 
 
 def _points(m: Mechanism, which: str, given: Any, outline: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions that rise by one turn, and lengths, of points (x, y) of an outline, or (angle, length)."""
+    """Return directions that rise by one turn, and lengths, from points (x, y) of an outline or pairs (angle,
+    length)."""
     form = "(x, y) [m]" if outline else "(angle, length) [rad, m]"
     try:
         points = np.array(given, float)
@@ -308,7 +311,7 @@ def _points(m: Mechanism, which: str, given: Any, outline: bool) -> tuple[NDArra
 
 
 def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool, roller: float | None) -> None:
-    """DeclarationError where a follower does not fit its curve, at the defaults of parameters."""
+    """Raise DeclarationError if a follower does not fit its curve at the default parameters."""
     turns, lengths, slopes, bends = samples
     if not np.isfinite(samples).all() or lengths.min() <= 0:
         at = int(np.argmin(np.where(np.isfinite(lengths), lengths, -math.inf)))

@@ -1,4 +1,4 @@
-"""What a declaration is checked for: numbers, lengths and angles, and where in a user's file a mistake is made."""
+"""Checks of a declaration: numbers, lengths, angles, and the line of the user's file that contains a mistake."""
 
 from __future__ import annotations
 
@@ -35,28 +35,29 @@ __all__ = [
 ]
 
 _LONG = 20.0
-"""Length [m] beyond which millimetres may have been meant."""
+"""Length [m] above which the user may have meant millimetres."""
 
 _GRID, _HALVINGS = 2000, 32
-"""Parts of the time in which a law is looked at, and how often those with something in them are halved: to 1e-12 s."""
+"""Number of intervals in which a law is sampled, and of halvings that locate a jump (to 1e-12 s)."""
 
 JUMP = 1e-7
-"""Least jump of a law, over 1 + its largest value: round-off of what rates make of a law is below 1e-10."""
+"""Smallest jump of a law relative to 1 + its largest value; round-off of a law integrated from its rate is below
+1e-10."""
 
 JUMPS = "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
-"""What is said of a law that jumps, when it is declared and while it runs: mechanism, what, size, unit, time."""
+"""Message for a law that jumps, at declaration and during a run: mechanism, quantity, size, unit, time."""
 
 IMPACT = (
     "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law "
     "off there, if no impact was meant"
 )
-"""The same of one whose rate does."""
+"""Message for a law whose rate jumps."""
 
 BROKEN = (
     "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or "
     "other parameters"
 )
-"""The same of one that ends, or has a pole: mechanism, time, what."""
+"""Message for a law that ends or has a pole: mechanism, time, quantity."""
 
 _BREAKS = {
     *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT, ca.OP_SIGN, ca.OP_COPYSIGN),
@@ -64,8 +65,8 @@ _BREAKS = {
     *(ca.OP_ATAN2, ca.OP_TAN, ca.OP_DIV, ca.OP_INV, ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_LOG, ca.OP_LOG1P),
     *(ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH, ca.OP_ATANH),
 }
-"""Operations at which a law, or its rate, may jump, or not be finite: choices, whole numbers, kinks, angles within a
-turn, poles, functions that end."""
+"""Operations at which a law or its rate may jump or become infinite: choices, whole numbers, kinks, angles within one
+turn, poles, functions with a limited domain."""
 
 _OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
 """Folders whose code is not the user's."""
@@ -86,11 +87,11 @@ _OTHERWISE = {
     "select": "if_else",
     "where": "if_else",
 }
-"""Functions of Python and NumPy that CasADi calls otherwise."""
+"""CasADi's names for functions that Python and NumPy name differently."""
 
 
 def number(what: str, value: Any) -> float | ca.SX:
-    """A finite number, or an expression without NaN and infinity; DeclarationError where a value is neither."""
+    """Return a finite number, or an expression without NaN and infinity; raise DeclarationError for any other value."""
     if not isinstance(value, ca.SX):
         if isinstance(value, np.ndarray) and value.size == 1:
             return number(what, value.item())
@@ -112,7 +113,7 @@ def number(what: str, value: Any) -> float | ca.SX:
 
 
 def symbols_in(value: float | ca.SX) -> list[ca.SX]:
-    """The symbols that an expression depends on."""
+    """Return the symbols that an expression depends on."""
     if not isinstance(value, ca.SX):
         return []
     return [value] if value.is_symbolic() else _steps(value).free_sx()
@@ -137,7 +138,8 @@ def perhaps_an_impact(name: str, what: str, time: float, size: float, unit: str)
 
 
 def may_break(law: ca.SX, time: ca.SX) -> bool:
-    """Whether a law may jump in time, or not be finite: whether it has an operation for that on what time changes."""
+    """Return whether a law may jump in time or become infinite: whether such an operation acts on something
+    time-dependent."""
     steps = ca.Function("law", [time], [law], {"allow_free": True})
     depends: dict[int, bool] = {}
     for i in range(steps.n_instructions()):
@@ -152,22 +154,23 @@ def may_break(law: ca.SX, time: ca.SX) -> bool:
 
 
 def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
-    """The time [s] and the size of the first jump of a law from 0 to `stop` [s], None where none is found.
+    """Return the time [s] and size of the first jump of a law from 0 to `stop` [s]; None if it has none.
 
-    Between points of a grid the law is compared with what its rate makes of it; where they differ, the place is looked
-    for by bisection. Smooth laws agree with their rates there, however steep they are.
+    Between the points of a grid, the law is compared with the integral of its rate; bisection locates the place where
+    they differ. A smooth law agrees with its rate everywhere, however steep it is.
     """
     evaluate = ca.Function("law", [time], [law, ca.jacobian(law, time)])
 
     def off(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far the law is off its rates between the columns of times, and its values."""
+        """Return the difference between the law and the integral of its rate in each interval of times, and its
+        values."""
         value, slope = (np.array(each).reshape(t.shape) for each in evaluate(t.reshape(1, -1)))
         with np.errstate(invalid="ignore", over="ignore"):
             found = np.abs(np.diff(value) - np.diff(t) * (slope[:, 1:] + slope[:, :-1]) / 2)
         return np.where(np.isfinite(found), found, 0.0), value
 
     grid = np.linspace(0.0, stop, _GRID + 1)
-    grid[1:-1] += 0.381966 * grid[1]  # Beside round times, at which a kink would be seen in two halves.
+    grid[1:-1] += 0.381966 * grid[1]  # Shift the grid off round times, at which a kink would be split into two halves.
     found, value = off(grid[None])
     limit = JUMP * (1.0 + np.abs(value, where=np.isfinite(value), out=np.zeros_like(value)).max())
     (places,) = np.nonzero(found[0] > limit)
@@ -183,13 +186,13 @@ def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
 
 
 def hint(message: str, place: tuple[str, int] | None = None) -> None:
-    """Warn of what is allowed and yet looks like a mistake, with the file and line of the user's code."""
+    """Warn of an allowed declaration that looks like a mistake, with the file and line of the user's code."""
     file, line = place or users_line()
     warnings.warn_explicit(message, AlfmuWarning, file, line)
 
 
 def casadi_function(file: str, line: int) -> str:
-    """CasADi's function for one of Python's `math` or of NumPy that a line of code calls; empty where it calls none."""
+    """Return CasADi's name of the function of `math` or NumPy that a line of code calls; empty if it calls none."""
     linecache.checkcache(file)
     called = re.search(r"\b(math|np|numpy)\.(?:linalg\.)?(\w+)\(", linecache.getline(file, line))
     if called is None:
@@ -199,7 +202,7 @@ def casadi_function(file: str, line: int) -> str:
 
 
 def _finite(value: float) -> str:
-    """What to do about a number that is not finite."""
+    """Return the advice for a number that is not finite."""
     if not math.isnan(value):
         return "give a finite number"
     of_symbols = casadi_function(*users_line()) or "those of CasADi, such as ca.sin"
@@ -207,7 +210,7 @@ def _finite(value: float) -> str:
 
 
 def users_line() -> tuple[str, int]:
-    """File and line of the user's code that is running."""
+    """Return the file and line of the user's code that is running."""
     frame = sys._getframe(1)
     while frame.f_back and frame.f_code.co_filename.startswith(_OURS):
         frame = frame.f_back
@@ -215,5 +218,6 @@ def users_line() -> tuple[str, int]:
 
 
 def _steps(value: ca.SX) -> ca.Function:
-    """The operations of an expression; walking it by its nodes is slow, and deep for long ones."""
+    """Return the operations of an expression; walking its nodes instead is slow, and recursion is deep for long
+    ones."""
     return ca.Function("steps", [], [value], {"allow_free": True})

@@ -1,7 +1,7 @@
-"""What a declaration says, as a short text: the same for the same declaration, whichever objects it consists of.
+"""The content of a declaration as a short text that depends on the declaration alone, not on its Python objects.
 
-Whoever keeps something that follows from a mechanism keeps it by this text, so that no change goes unseen: of a list,
-of a number of a body, of an expression.
+Caches of results that follow from a mechanism use this text as their key, so that every change is noticed: of a list,
+of a body's mass, of an expression.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _PLAIN = (bool, int, float, str, bytes, type(None))
 
 
 def content(mechanism: Mechanism) -> str | None:
-    """A digest of all that a mechanism declares; None where it holds something that has no text of its own."""
+    """Return a digest of everything that a mechanism declares; None if it holds an object that has no text."""
     m, said = mechanism, _Said()
     parts = {name: each for name, each in sorted(m._parts.items()) if each}
-    # Bodies and joints name each other: each is written once, and named by its place.
+    # Bodies and joints refer to each other: write each once and refer to it by its index.
     named = [m.ground, m.spatial_ground, *m.bodies, *m.joints, *m.spatial_bodies, *m.spatial_joints]
     said.places = {id(part): i for i, part in enumerate(named)}
     own = [getattr(m, field.name) for field in fields(m)]
@@ -39,14 +39,14 @@ def content(mechanism: Mechanism) -> str | None:
 
 
 class _Said:
-    """Values as nested lists of texts and numbers, and the expressions among them in a row."""
+    """Values as nested lists of texts and numbers, with the list of their expressions."""
 
     def __init__(self) -> None:
         self.expressions: list[ca.SX] = []
         self.places: dict[int, int] = {}
 
     def of(self, value: Any) -> Any:
-        """A value; TypeError where it is of a kind that has no text."""
+        """Return a value as text; raise TypeError if it is of a kind that has none."""
         if isinstance(value, _PLAIN):
             return type(value).__name__, repr(value)
         if isinstance(value, ca.SX):
@@ -65,5 +65,5 @@ class _Said:
         raise TypeError(type(value).__name__)
 
     def parts(self, value: Any) -> Any:
-        """The fields of a dataclass."""
+        """Return the fields of a dataclass."""
         return type(value).__name__, [self.of(getattr(value, field.name)) for field in fields(value)]

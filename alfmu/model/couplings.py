@@ -36,16 +36,16 @@ class Couplings(Joints):
         pressure_angle: Scalar | None = None,
         carrier: Body | None = None,
     ) -> Gear:
-        """Two gears in mesh, by the markers of their centres; both turn on a carrier, which is the ground or moves.
+        """Add two gears in mesh, given by the markers of their centres; the ground or a moving carrier holds both.
 
-        Hinges declared before hold the centres; they tell the carrier, or `carrier` says which body it is. Either
+        Hinges declared before hold the centres and determine the carrier, unless `carrier` names it. Give either
         `radii`, the pitch radii of both [m], or `teeth`, their numbers of teeth. With `internal` the larger of the two
-        is a ring with teeth inside. `phase` is the angle [rad] of the second from the carrier where the first has none.
-        `pressure_angle` [rad] is 20 degrees if left out, 0 for discs that roll on each other: it moves nothing, and
-        parts the bearings.
+        is a ring with teeth inside. `phase` is the angle [rad] of the second gear from the carrier when that of the
+        first is zero. `pressure_angle` [rad] is 20 degrees by default, 0 for discs that roll on each other: it does not
+        affect the motion, only the force that separates the bearings.
 
-        Outputs: `<name>.force` [N] at the pitch circles, positive where it turns the second gear counter-clockwise, and
-        `<name>.separating_force` [N] across them. Raises DeclarationError where hinges or radii do not fit.
+        Outputs: `<name>.force` [N] at the pitch circles, positive if it turns the second gear counter-clockwise, and
+        `<name>.separating_force` [N] across them. Raises DeclarationError if hinges or radii do not fit.
         """
         self._own((first, second), f"gear {name}", Marker)
         if carrier is not None:
@@ -65,15 +65,16 @@ class Couplings(Joints):
         phase: Scalar = 0.0,
         carrier: Body | None = None,
     ) -> Belt:
-        """A belt or chain around two pulleys, by the markers of their centres; it neither slips nor stretches.
+        """Add a belt or chain around two pulleys, given by the markers of their centres; it neither slips nor
+        stretches.
 
-        Hinges, `carrier` and `phase` are those of `gear`. `radii` [m] of the pulleys; with `crossed` they turn
-        against each other. `pretension` [N] is the tension of each strand without load: half of the load comes on top
-        of it in one strand, and is taken from it in the other.
+        Hinges, `carrier` and `phase` are those of `gear`. `radii` [m] are those of the pulleys; if `crossed`, they turn
+        in opposite directions. `pretension` [N] is the tension of each strand without load: half of the load is added
+        to it in one strand and subtracted from it in the other.
 
-        Outputs: `<name>.force` [N], positive where it turns the second pulley counter-clockwise, `<name>.tension.left`
-        and `<name>.tension.right` [N] of the strands that leave the first pulley on the left and right, seen towards
-        the second. A negative tension tells that the belt is slack. Raises DeclarationError where it cannot fit.
+        Outputs: `<name>.force` [N], positive if it turns the second pulley counter-clockwise, `<name>.tension.left` and
+        `<name>.tension.right` [N] of the strands that leave the first pulley on the left and right, seen towards the
+        second. A negative tension means that the belt is slack. Raises DeclarationError if the belt cannot fit.
         """
         self._own((first, second), f"belt {name}", Marker)
         if carrier is not None:
@@ -91,12 +92,12 @@ class Couplings(Joints):
         phase: Scalar = 0.0,
         pressure_angle: Scalar | None = None,
     ) -> Rack:
-        """A pinion, by the marker of its centre, and a rack, by the prismatic joint that guides it.
+        """Add a pinion, given by the marker of its centre, and a rack, given by the prismatic joint that guides it.
 
         A hinge declared before holds the pinion on the first body of the guide; the rack is its second body. `radius`
-        [m] is that of the pitch circle. `side` is where the pinion lies, "left" or "right" of the pitch line seen along
-        the guide; it may be left out where the guide itself runs along the pitch line. `phase` is the pinion's angle
-        [rad] where the rack is at 0, `pressure_angle` that of `gear`.
+        [m] is that of the pitch circle. `side` is the side on which the pinion lies, "left" or "right" of the pitch
+        line seen along the guide; it may be omitted if the guide itself runs along the pitch line. `phase` is the
+        pinion's angle [rad] when the rack is at 0, `pressure_angle` that of `gear`.
 
         Outputs: `<name>.force` [N] on the rack along the guide, `<name>.separating_force` [N] across it.
         """
@@ -108,13 +109,14 @@ class Couplings(Joints):
     def rolling(
         self, name: str, line: Marker, wheel: Marker, *, radius: Scalar, axis: Scalar = 0.0, phase: Scalar = 0.0
     ) -> Rolling:
-        """A wheel, by the marker of its centre, that rolls without slip on a line through a marker of another body.
+        """Add a wheel, given by the marker of its centre, that rolls without slip on a line through a marker of another
+        body.
 
         The line has the direction `axis` [rad] in its body, and the wheel of `radius` [m] lies to its left. `phase` is
-        the wheel's angle [rad] from the line's body where it stands on the line's marker.
+        the wheel's angle [rad] from the line's body when the wheel stands on the line's marker.
 
-        Outputs: `<name>.normal_force` [N] on the wheel across the line, negative where it would lift off, and
-        `<name>.friction_force` [N] along it, which rolling takes.
+        Outputs: `<name>.normal_force` [N] on the wheel across the line, negative if the wheel would lift off, and
+        `<name>.friction_force` [N] along it, which rolling requires.
         """
         self._own((line, wheel), f"rolling {name}", Marker)
         return self._relate(rolling(self, name, line, wheel, radius, axis, phase))
@@ -130,7 +132,8 @@ class Couplings(Joints):
         roller: Scalar | None = None,
         face: Scalar | None = None,
     ) -> Cam:
-        """A cam that turns about the marker of its centre, and a follower that stays on it, wherever joints lead it.
+        """Add a cam that turns about the marker of its centre, and a follower that stays on it, guided by its own
+        joints.
 
         The follower has a `roller` of that radius [m] about its marker (0: an edge), or a flat `face` through its
         marker: the direction [rad] square to the face in the follower's frame, away from the cam.
@@ -140,10 +143,10 @@ class Couplings(Joints):
         which the roller lies or the face's normal points. It is a function of the angle from 0 to 2 pi [rad], made of
         CasADi's functions and parameters, or points: (x, y) [m] of an outline, (angle, length) [rad, m] of a distance,
         with a periodic cubic spline through them. An outline adds the coordinate `<name>_contact`, without mass, unless
-        the roller is an edge; bodies must have been placed before.
+        the roller is an edge; place the bodies first.
 
-        Outputs: `<name>.force` [N] between both, negative where the follower would lift off, and the place of contact
-        `<name>.contact.x`, `.y` [m]. Raises DeclarationError where a curve does not close, or no follower fits it.
+        Outputs: `<name>.force` [N] between both, negative if the follower would lift off, and the place of contact
+        `<name>.contact.x`, `.y` [m]. Raises DeclarationError if a curve does not close or the follower does not fit it.
         """
         what = f"cam {name}"
         self._own((cam_centre, follower), what, Marker)
@@ -159,10 +162,11 @@ class Couplings(Joints):
         return self._relate(found)
 
     def blade(self, name: str, at: Marker, *, axis: Scalar = 0.0) -> Blade:
-        """A blade on the ground, or a thin wheel that rolls on it: a point of a body moves along the blade, not across.
+        """Add a blade on the ground, or a thin wheel that rolls on it: a point of a body moves along the blade, not
+        across.
 
-        `axis` is the direction of the blade [rad] in the body's frame. This is no constraint of positions: the body can
-        get anywhere, and has fewer independent velocities than positions. Start rates have to fit the blade, and
+        `axis` is the direction of the blade [rad] in the body's frame. This constraint is nonholonomic: the body can
+        reach any position, and has fewer independent velocities than positions. Start rates must satisfy it, and
         `solver.formulation` is `residual`, `classic` or `penalty`.
 
         Output `<name>.force` [N] across the blade, from the ground, along its left normal.
@@ -184,13 +188,13 @@ class Couplings(Joints):
         axis: Sequence[float] | None = None,
         normal: Sequence[float] = (0.0, 0.0, 1.0),
     ) -> SpatialRolling:
-        """A ball that rolls without slip on a plane, by the marker of its middle; with `axis`, a thin disc on its edge.
+        """Add a ball that rolls without slip on a plane, given by the marker of its centre; with `axis`, a thin disc.
 
         The plane goes through a marker on `spatial_ground`, and `normal` is the direction from it towards the ball.
-        `radius` is in m; `axis` is that of the disc in its body's frame. As with `blade`, slip is of velocities: start
-        rates have to fit, and formulations are those of a blade.
+        `radius` is in m; `axis` is that of the disc in its body's frame. As with `blade`, the constraint on slip is
+        nonholonomic: start rates must satisfy it, and formulations are those of a blade.
 
-        Outputs `<name>.force.x` ... [N] on the body from the ground. Nothing keeps it from pulling.
+        Outputs `<name>.force.x` ... [N] on the body from the ground. The contact is two-sided: a normal force may pull.
         """
         self._own((plane, centre), f"rolling {name}", SpatialMarker)
         if plane.body is not self.spatial_ground or centre.body is self.spatial_ground:

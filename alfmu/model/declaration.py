@@ -1,4 +1,4 @@
-"""What every call of a declaration needs: the tuples of its parts, its names and symbols, checks of what is given."""
+"""Base of all declaring calls: the tuples of a mechanism's parts, its names and symbols, checks of arguments."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ MEANT = {
     **dict.fromkeys(("rope", "cable", "tie_rod"), "distance"),
     **dict.fromkeys(("sensor", "probe"), "measure"),
 }
-"""Names that other programs have for what a mechanism is made of, and the method of each."""
+"""Names that other programs use for parts of a mechanism, and the corresponding method of each."""
 
 BOOKKEEPING = (
     *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
@@ -87,14 +87,14 @@ BOOKKEEPING = (
     *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
     *("instants", "watched"),
 )
-"""Public names that no user needs: they are not listed, and become private."""
+"""Public names that users do not need: they are hidden from listings and become private."""
 
 _Part = TypeVar("_Part")
 _Related = TypeVar("_Related", bound=Relation)
 
 
 class _Parts(Generic[_Part]):
-    """Parts of a mechanism in the order of their declaration: a tuple for readers; its methods alone add to it."""
+    """Parts of a mechanism in the order of their declaration: readers see a tuple; only its methods add to it."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -117,17 +117,17 @@ class _Parts(Generic[_Part]):
         )
 
     def of(self, mechanism: Declaration) -> list[_Part]:
-        """The list itself."""
+        """Return the list itself."""
         return mechanism._parts.setdefault(self._name, [])
 
 
 @declares
 @dataclass(eq=False, repr=False)
 class Declaration:
-    """What is declared, and what every call of it needs: names, symbols, and checks of what is given.
+    """The parts of a mechanism, and the services of every declaring call: names, symbols, checks of arguments.
 
-    `alfmu.Mechanism` has the calls. What is declared can be read: `parameters`, `coordinates`, `inputs`, `states`,
-    `outputs`, `bodies`, `joints`, `spatial_bodies` and `spatial_joints` are tuples in the order of declaration.
+    `alfmu.Mechanism` has the calls. The parts can be read: `parameters`, `coordinates`, `inputs`, `states`, `outputs`,
+    `bodies`, `joints`, `spatial_bodies` and `spatial_joints` are tuples in the order of declaration.
     """
 
     name: str
@@ -144,11 +144,11 @@ class Declaration:
     coordinates: ClassVar[_Parts[Coordinate]] = _Parts()
     """The dependent coordinates q, in their order."""
     inputs: ClassVar[_Parts[Input]] = _Parts()
-    """What the environment sets."""
+    """Quantities that the environment sets."""
     states: ClassVar[_Parts[State]] = _Parts()
-    """First-order equations beside the motion."""
+    """First-order equations integrated with the motion."""
     outputs: ClassVar[_Parts[Output]] = _Parts()
-    """Results of the user's own."""
+    """Outputs that the user declared."""
     bodies: ClassVar[_Parts[Body]] = _Parts()
     """Bodies in the plane, without the ground."""
     joints: ClassVar[_Parts[Joint]] = _Parts()
@@ -158,39 +158,39 @@ class Declaration:
     spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
     closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Motion | Relation]] = _Parts()
-    """What is closed by constraints, in the order of its rows."""
+    """Everything that constraints close, in the order of the rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
-    """Inputs that move something."""
+    """Inputs that prescribe motion."""
     instants: ClassVar[_Parts[Scalar]] = _Parts()
     """Times at which steps end."""
     laws: ClassVar[_Parts[Law]] = _Parts()
-    """What moves something in time and may jump, or not be finite."""
+    """Laws that prescribe motion in time and may jump or become infinite."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
-    """What a Boolean input can open."""
+    """Closures that a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
     """Springs and dampers."""
     drives: ClassVar[_Parts[Drive]] = _Parts()
-    """Efforts along joints."""
+    """Efforts along the free motions of joints."""
     end_stops: ClassVar[_Parts[EndStop]] = _Parts()
     """Limit stops."""
     loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
     spatial_loads: ClassVar[_Parts[SpatialLoad]] = _Parts()
-    """The same on bodies in space."""
+    """Forces and torques from the ground on bodies in space."""
     kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
-    """Kinetic energies at the general level."""
+    """Kinetic energies declared as expressions."""
     potential: ClassVar[_Parts[ca.SX]] = _Parts()
-    """Potential energies at the general level."""
+    """Potential energies declared as expressions."""
     generalized: ClassVar[_Parts[tuple[ca.SX, Scalar]]] = _Parts()
     """Coordinates and generalised forces along them."""
     watched: ClassVar[_Parts[Watched]] = _Parts()
     """Points of bodies that are watched."""
     measured: ClassVar[_Parts[AnyJoint | Spring]] = _Parts()
-    """Joints and springs that are measured, beside springs with names."""
+    """Measured joints and springs without names of their own."""
     drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
-    """Joints that pictures show of a mechanism whose bodies are energies alone."""
+    """Joints for pictures of a mechanism that is declared by energies only."""
     drawn_bars: ClassVar[_Parts[DrawnBar]] = _Parts()
-    """Bars between them."""
+    """Bars between drawn joints."""
     gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
@@ -244,7 +244,8 @@ class Declaration:
         self._told: set[float] = set()
 
     def _as_it_was(self) -> Callable[[], None]:
-        """What makes the mechanism again what it is now, for a declaration that is refused halfway."""
+        """Return a function that restores the mechanism to its present state, for a declaration that is refused
+        halfway."""
         own = {name: copy(each) if isinstance(each, dict | set) else each for name, each in vars(self).items()}
         own["_parts"] = {name: [*each] for name, each in self._parts.items()}
         changes, count = self._changes, len(self._changes)
@@ -259,12 +260,12 @@ class Declaration:
         return restore
 
     def _change(self, part: Any, name: str, value: Any) -> None:
-        """Change a part that is declared, or a marker, so that `_as_it_was` can take it back."""
+        """Change a declared part or a marker in a way that `_as_it_was` can undo."""
         self._changes.append((part, name, getattr(part, name)))
         object.__setattr__(part, name, value)
 
     def _springs(self) -> list[tuple[str, Spring]]:
-        """All springs but frictions, by their own names or by those that `measure` gives them."""
+        """Return all springs except frictions, by their own names or those that `measure` gives them."""
         named: dict[str, Spring] = {}
         for i, spring in enumerate((s for s in self.springs if not s.friction), 1):
             joint = spring.between if isinstance(spring.between, AnyJoint) else None
@@ -273,7 +274,7 @@ class Declaration:
         return list(named.items())
 
     def measured_joints(self) -> list[AnyJoint]:
-        """Joints whose motion is an output on request, once each; hinges in space have theirs anyway."""
+        """Return joints whose motion is an output on request, once each; hinges in space always have this output."""
         joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
         return [
             joint
@@ -284,12 +285,12 @@ class Declaration:
         ]
 
     def measured_springs(self) -> list[tuple[str, Spring]]:
-        """Springs that are measured, with the names of their outputs."""
+        """Return the measured springs, with the names of their outputs."""
         asked = [id(each) for each in self.measured]
         return [(name, s) for name, s in self._springs() if s.name or self.measures_all or id(s) in asked]
 
     def relations(self) -> list[Relation]:
-        """Gears, belts, racks, rolling wheels and cams, in the order of their declaration."""
+        """Return gears, belts, racks, rolling wheels and cams, in the order of their declaration."""
         return [each for each in self.closures if isinstance(each, Relation)]
 
     def _joint(self, of: AnyJoint | str) -> AnyJoint:
@@ -312,11 +313,11 @@ class Declaration:
     # ------------------------------------------------------------------------------------------------------------
 
     def _kinematics(self) -> Any:
-        """Where its bodies and points are, as expressions: `Mechanism` knows."""
+        """Return the places of its bodies and points as expressions; `Mechanism` implements it."""
         raise NotImplementedError
 
     def declared_at(self, name: str) -> str:
-        """Where the user declared something of this name, as ` (pendulum.py, line 7)`."""
+        """Return the place in the user's code that declared this name, as ` (pendulum.py, line 7)`."""
         return " ({}, line {})".format(*self._lines[name]) if name in self._lines else ""
 
     def _claim(self, name: str, unit_name: str, what: str) -> ca.SX:
@@ -377,7 +378,7 @@ class Declaration:
             what = f"the coordinate of {joint.name}, a {joint.kind},"
             along = "m" if joint.kind == "prismatic" else "rad"
             joint.coordinate = self._moving(what, joint.coordinate, along)
-            # The joint places whichever body has no place yet, the second one if it can.
+            # The joint places a body that has no place yet, preferably the second one.
             target = second if not second.is_placed else first
             if target.is_placed:
                 raise DeclarationError(
@@ -425,7 +426,7 @@ class Declaration:
         return joint
 
     def _placing(self, name: str, kind: str, given: Any) -> tuple[Scalar, ...] | None:
-        """The coordinates of a joint in space that places its second body, None where constraints close it."""
+        """Return the coordinates of a joint in space that places its second body, None if constraints close it."""
         units = RELATIVE[kind]
         if given is None:
             return None
@@ -438,7 +439,7 @@ class Declaration:
         return tuple(self._moving(what, x, u) for x, u in zip(_entries(given), units, strict=True))
 
     def _axes(self, name: str, axis: Any, second: Any) -> tuple[Vector, Vector]:
-        """Axes on both bodies: numbers, or expressions in parameters."""
+        """Return the axes on both bodies: numbers, or expressions in parameters."""
         axes = []
         for x in (axis, axis if second is None else second):
             entries = _entries(x) if _several(x) else []
@@ -451,19 +452,20 @@ class Declaration:
         return axes[0], axes[0] if second is None else axes[1]
 
     def _direction(self, name: str, axis: Any) -> tuple[float, float, float]:
-        """A direction that is three numbers."""
+        """Return a direction given by three numbers."""
         x, y, z = self._axes(name, axis, None)[0]
         what = f"the axis of {name}"
         return self._plain(what, x), self._plain(what, y), self._plain(what, z)
 
     def _size_of_axis(self, name: str, axis: Sequence[Scalar]) -> float:
-        """The length of an axis at the defaults of parameters."""
+        """Return the length of an axis at the default parameters."""
         what = f"the axis of {name}"
         given = [self._quantity(what, x, "1", CONSTANT) if isinstance(x, ca.SX) else x for x in axis]
         return math.hypot(*(self._at_defaults(what, x) for x in given))
 
     def _at_defaults(self, what: str, value: Scalar) -> float:
-        """A number, or an expression in parameters at their defaults; DeclarationError where that is not finite."""
+        """Return a number, or an expression evaluated at the default parameters; raise DeclarationError if it is not
+        finite."""
         if not isinstance(value, ca.SX):
             return value
         symbols, defaults = stack([x.symbol for x in self.parameters]), stack([x.default for x in self.parameters])
@@ -475,7 +477,7 @@ class Declaration:
     def _own(
         self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
     ) -> None:
-        """Points of bodies of this mechanism; of joints and the like, as the kind says, all in the plane or space."""
+        """Check that points, joints and the like belong to this mechanism, and are all in the plane or all in space."""
         for marker in markers:
             if isinstance(marker, Body | SpatialBody):
                 body = marker.name
@@ -492,7 +494,7 @@ class Declaration:
             place = self._vector(what, place, ("m",) * len(place), PLACE)
             for axis, x in zip("xyz", place, strict=False):
                 if x is not getattr(marker, axis):
-                    self._change(marker, axis, x)  # An input that moves the point is a signal from here on.
+                    self._change(marker, axis, x)  # From here on, an input that moves the point is a signal.
                 if kind:
                     self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
@@ -507,7 +509,7 @@ class Declaration:
             raise DeclarationError(f"{self.name}: {user} uses {body.name}, a body of another mechanism")
 
     def _free(self, joint: AnyJoint, user: str) -> str:
-        """Unit of the free motion of a joint."""
+        """Return the unit of the free motion of a joint."""
         if not isinstance(joint, AnyJoint):
             raise DeclarationError(
                 f"{self.name}: {user} takes a joint, as revolute() and prismatic() return it, not {shown(joint)}"
@@ -533,7 +535,7 @@ class Declaration:
         return symbol
 
     def _quantity(self, what: str, value: Any, unit: str, may: Collection[str]) -> Scalar:
-        """A number or an expression in the kinds of symbols that it may depend on, in a unit."""
+        """Return a number or an expression in the permitted kinds of symbols, in a unit."""
         what = f"{self.name}: {what}"
         value = number(what, value)
         for symbol in symbols_in(value):
@@ -552,7 +554,7 @@ class Declaration:
         return self._moved(value) if tuple(may) in MOVING else value
 
     def _moved(self, value: Scalar) -> Scalar:
-        """What moves something, with signals in place of inputs."""
+        """Return an expression that prescribes motion, with signals in place of inputs."""
         for symbol in symbols_in(value):
             given = self._by_symbol.get(key_of(symbol))
             self.moves |= self._symbols[key_of(symbol)].kind in ("time", "inputs")
@@ -561,16 +563,16 @@ class Declaration:
         return value
 
     def _moving(self, what: str, value: Any, unit: str) -> Scalar:
-        """A quantity that places bodies, and does not jump in time."""
+        """Return a quantity that places bodies and does not jump in time."""
         value = self._quantity(what, value, unit, PLACE)
         self._no_jumps(what, value, unit)
         return value
 
     def _no_jumps(self, what: str, value: Scalar, unit: str, motion: str = "") -> None:
-        """What moves bodies in time does so without a jump: at the defaults of parameters and up to the stop time it is
-        looked at here, all else by the run.
+        """Check that a law of time that moves bodies does not jump, at the default parameters and up to the stop time;
+        the run checks everything else.
 
-        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns.
+        Raises DeclarationError with the size of a jump. A jump of the rate is an impact and causes a warning.
         """
         symbols = symbols_in(value)
         kinds = {key_of(symbol): self._symbols[key_of(symbol)].kind for symbol in symbols}
@@ -584,7 +586,7 @@ class Declaration:
         Declaration.laws.of(self).append(law)
 
     def _no_jump_at_defaults(self, law: Law, others: Sequence[ca.SX]) -> None:
-        """The same at the defaults of parameters; `others` are its symbols beside time."""
+        """Check a law for jumps at the default parameters; `others` are its symbols other than time."""
         known = {key_of(x.symbol): x.default for x in self.parameters}
         at = ca.substitute(law.value, stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
         stop = self.experiment.stop_time
@@ -594,7 +596,7 @@ class Declaration:
             perhaps_an_impact(self.name, law.what, *found, rate_of(law.unit))
 
     def _signal(self, given: Input) -> Signal:
-        """The signal of an input, declared where the input moves something for the first time."""
+        """Return the signal of an input; declare it if the input moves something for the first time."""
         for signal in self.signals:
             if signal.input is given:
                 return signal
@@ -609,7 +611,7 @@ class Declaration:
         return signal
 
     def _vector(self, what: str, values: Any, units: Sequence[str], may: Collection[str]) -> Any:
-        """Several quantities, each in its unit: a tuple of as many as there are units."""
+        """Return several quantities as a tuple, one for each unit."""
         if not _several(values) or len(_entries(values)) != len(units):
             count = f"{len(_entries(values))} numbers" if _several(values) else shown(values)
             wanted = {2: "two", 3: "three", 4: "four"}[len(units)]
@@ -618,7 +620,7 @@ class Declaration:
         return tuple(self._quantity(what, value, unit, may) for value, unit in entries)
 
     def _constant(self, what: str, value: Any, unit: str, *arguments: ca.SX) -> Scalar:
-        """A quantity that only parameters change, and arguments of a function."""
+        """Return a quantity that depends on parameters and the arguments of a function only."""
         for symbol in arguments:
             self._stands_for(symbol, CONSTANT[0], f"the argument {symbol}", "1")
         try:
@@ -631,7 +633,7 @@ class Declaration:
         return self._length(what, value, CONSTANT)
 
     def _plain(self, what: str, value: Any) -> float:
-        """A number, where no expression will do."""
+        """Return a number; expressions are refused."""
         value = number(f"{self.name}: {what}", value)
         if isinstance(value, ca.SX) and not value.is_constant():
             raise DeclarationError(f"{self.name}: {what} is an expression; give a number")
@@ -642,7 +644,7 @@ class Declaration:
             raise DeclarationError(f"{self.name}: {name} is in {unit}; what moves is in m, rad or 1")
 
     def _of_coordinates(self, what: str, expression: Any, unit: str) -> ca.SX:
-        """What a constraint or a lock keeps: an expression that moves."""
+        """Return the expression of a constraint or a lock, which must depend on coordinates."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
         if not self._moves(value):
@@ -650,7 +652,7 @@ class Declaration:
         return value
 
     def _moves(self, value: Scalar) -> bool:
-        """Whether a quantity depends on coordinates."""
+        """Return whether a quantity depends on coordinates."""
         return any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value))
 
     def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
@@ -660,7 +662,7 @@ class Declaration:
         return mass
 
     def _not_negative(self, what: str, value: Scalar, unit: str) -> None:
-        """A number or an expression in parameters is zero or above at their defaults; a parameter stays so later."""
+        """Check that a quantity is not negative at the default parameters; a parameter stays so later."""
         if (found := self._at_defaults(what, value)) < 0:
             given = f"{found:g} {unit}".removesuffix(" 1")
             raise DeclarationError(f"{self.name}: {what} is {given}; it must not be negative")
@@ -672,7 +674,8 @@ class Declaration:
         return self._mass(name, inertia, "inertia", "kg.m2")
 
     def _spatial_inertia(self, name: str, inertia: Any) -> tuple[Vector, Vector]:
-        """Moments of inertia and entries xy, xz, yz of their matrix, of three principal moments or of a matrix."""
+        """Return the moments of inertia and the entries xy, xz, yz of their matrix, from three principal moments or a
+        matrix."""
         what = f"the inertia of {name}"
         given = inertia.tolist() if isinstance(inertia, np.ndarray) and inertia.ndim else inertia
         if isinstance(given, ca.SX) and given.shape == (3, 3):
@@ -713,7 +716,7 @@ class Declaration:
         return length
 
     def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
-        """Warn of a length that looks like millimetres: once of each."""
+        """Warn of a length that looks like millimetres, once for each."""
         if isinstance(value, ca.SX) or abs(value) not in self._told:
             perhaps_millimetres(f"{self.name}: {what}", value)
         if not isinstance(value, ca.SX):
@@ -738,7 +741,7 @@ def _entries(vector: Sequence[Scalar] | ca.SX) -> Sequence[Scalar]:
 
 
 def _several(values: Any) -> bool:
-    """Whether something is a row of things, as a vector is."""
+    """Return whether a value is a sequence, as a vector is."""
     if isinstance(values, ca.SX):
         return values.is_column()
     if isinstance(values, np.ndarray):

@@ -1,6 +1,6 @@
-"""Doubts about a whole declaration: masses in grams, inertias that were forgotten, no gravity.
+"""Warnings about a whole declaration: masses in grams, forgotten inertias, no gravity.
 
-Each is allowed and yet looks like a mistake. `model.checks` has those that a single number raises.
+Each is allowed but looks like a mistake. `model.checks` has the warnings about single numbers.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from .parts import Body, stack
 __all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams", "tell", "tell_of_gravity"]
 
 _HEAVY = 20.0
-"""Mass [kg] beyond which grams may have been meant."""
+"""Mass [kg] above which the user may have meant grams."""
 
 _APART = 300.0
-"""Ratio of masses [1]: a body that is heavier than every other by more may be given in grams, which are 1000."""
+"""Ratio of masses [1]: a body heavier than every other one by more may be given in grams, which are 1000."""
 
 _NEAR = 30.0
-"""Ratio of masses [1]: so far from those of other bodies the mass may be that was meant."""
+"""Largest ratio [1] of the presumably intended mass to the masses of the other bodies."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -32,7 +32,7 @@ _TOLD: set[str] = set()
 
 
 def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
-    """Warn of bodies whose mass looks like grams, and of those that turn and were given no inertia."""
+    """Warn of bodies whose mass looks like grams, and of bodies that rotate without an inertia."""
     found = masses(m)
     for name, message in perhaps_grams(m.name, found).items():
         hint(message, m._lines[name])
@@ -46,20 +46,20 @@ def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
 
 
 def masses(m: Mechanism, values: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Masses [kg] of the bodies by name, at values of parameters."""
+    """Return the masses [kg] of the bodies by name, at values of parameters."""
     bodies = [*m.bodies, *m.spatial_bodies]
     return dict(zip((x.name for x in bodies), evaluated(m, [x.mass for x in bodies], values), strict=True))
 
 
 def evaluated(m: Mechanism, expressions: list[float | ca.SX], values: Mapping[str, float] | None = None) -> list[float]:
-    """Expressions in parameters at values of these by name, or at their defaults."""
+    """Return expressions in parameters evaluated at given values by name, or at the defaults."""
     known = {x.name: x.default for x in m.parameters} | dict(values or {})
     at = ca.Function("at", [stack([x.symbol for x in m.parameters])], [stack(expressions)])
     return [float(x) for x in ca.vertsplit(at([known[x.name] for x in m.parameters]))]
 
 
 def perhaps_grams(name: str, found: Mapping[str, float]) -> dict[str, str]:
-    """What to say of the body, by its name, whose mass [kg] among these looks like grams."""
+    """Return a warning, by body name, about a mass [kg] that looks like grams."""
     *others, heaviest = sorted(found, key=found.__getitem__) if found else [""]
     rest = [found[x] for x in others if found[x] > 0]
     if not rest or found[heaviest] < max(_HEAVY, _APART * rest[-1]):
@@ -74,7 +74,8 @@ def perhaps_grams(name: str, found: Mapping[str, float]) -> dict[str, str]:
 
 
 def no_gravity(m: Mechanism) -> str:
-    """What to say of a mechanism whose bodies have masses, and that does not say whether there is gravity."""
+    """Return a warning about a mechanism with masses whose declaration does not mention gravity; empty if there is
+    none."""
     if m._weighs or m.potential or not any(masses(m).values()):
         return ""
     return (
@@ -83,12 +84,12 @@ def no_gravity(m: Mechanism) -> str:
 
 
 def tell_of_gravity(m: Mechanism) -> None:
-    """Log once that bodies have masses and no gravity acts, where that is so."""
+    """Log a warning once if bodies have masses and no gravity acts."""
     tell(no_gravity(m))
 
 
 def tell(text: str) -> None:
-    """Log a text as a warning, once in this process; an empty one is none."""
+    """Log a text as a warning once per process; ignore an empty text."""
     if text and text not in _TOLD:
         _TOLD.add(text)
         _LOGGER.warning("%s", text)

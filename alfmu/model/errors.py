@@ -24,7 +24,7 @@ __all__ = [
 
 
 class Rows(Protocol):
-    """What a run had computed, as `alfmu.Result` has it."""
+    """The rows that a run had computed, as `alfmu.Result` has them."""
 
     @property
     def time(self) -> NDArray[np.float64]: ...
@@ -46,11 +46,11 @@ class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
 
     result: Rows | None = None
-    """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
+    """Results up to the error that ended the run (`alfmu.Result`); None if the run had not begun."""
 
 
 class AlfmuWarning(UserWarning):
-    """Something that is allowed and yet looks like a mistake; its text is meant for the user."""
+    """A warning about an allowed declaration that looks like a mistake; its text is meant for the user."""
 
 
 class DeclarationError(AlfmuError):
@@ -62,11 +62,11 @@ class AssemblyError(AlfmuError):
 
 
 class InputError(AlfmuError):
-    """What a user gave cannot be used: an unknown name, a value out of its bounds, a file of another form."""
+    """A user's input cannot be used: an unknown name, a value out of its bounds, a file in the wrong format."""
 
 
 class WriteError(AlfmuError, OSError):
-    """A file cannot be written; nothing of it is left."""
+    """A file cannot be written; no partial file is left behind."""
 
 
 class StepError(AlfmuError):
@@ -74,7 +74,7 @@ class StepError(AlfmuError):
 
 
 class ExportError(AlfmuError):
-    """An FMU cannot be built or is not what was expected."""
+    """An FMU cannot be built or has unexpected contents."""
 
 
 class OpenError(StepError):

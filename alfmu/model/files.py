@@ -1,10 +1,9 @@
-"""Files that are whole or not there at all, and folders for a while: all that the package leaves on a disk.
+"""Atomic files and temporary folders: everything that the package writes to a disk.
 
-On Linux a file has no name until it is complete, so that nothing is left of it where the process is killed. Elsewhere,
-and for the instant in which it takes the place of an older one, it stands beside that as `.alfmu-*.part`. Such a file,
-and a folder `alfmu-scratch-*` among the temporary ones, is locked while it is used: one that a killed process left
-behind is removed by the next that is made there, a minute later at the earliest. Windows has no such lock, and removes
-none.
+On Linux a file has no name until it is complete, so that nothing is left if the process is killed. On other systems,
+and for the instant in which it replaces an older file, it is called `.alfmu-*.part` in the same folder. Such a file,
+and a temporary folder `alfmu-scratch-*`, is locked while it is in use: those left behind by a killed process are
+removed when the next one is made there, a minute later at the earliest. Windows has no such lock, and removes none.
 """
 
 from __future__ import annotations
@@ -30,21 +29,21 @@ except ImportError:  # Windows
 __all__ = ["atomic", "exclusive", "scratch", "write"]
 
 _YOUNG = 60.0
-"""Age [s] up to which what is not locked is taken as being made."""
+"""Age [s] up to which an unlocked file is assumed to be under construction."""
 
 _FOLDER = "alfmu-scratch-"
-"""How names of folders for a while begin; eight characters follow."""
+"""Prefix of the names of temporary folders; eight characters follow."""
 
 _OPENED = "/proc/self/fd"
-"""Where a file without a name can be found, to give it one."""
+"""Folder in which a nameless file can be found, to give it a name."""
 
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[BinaryIO]:
-    """A file to write, which is there once the block is done, and not at all where it fails.
+    """Open a file for writing that appears when the block ends, and does not appear if the block fails.
 
-    Its folder is made. Links are followed, permissions of an older file kept; what is no regular file (a pipe, a
-    device) is written as it is. Raises WriteError.
+    Missing folders are made. Links are followed and the permissions of an older file are kept; a pipe or a device is
+    written directly. Raises WriteError.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -59,14 +58,14 @@ def atomic(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write(path: str | Path, content: bytes) -> None:
-    """Write a file as a whole; see `atomic`."""
+    """Write a file atomically; see `atomic`."""
     with atomic(path) as file:
         file.write(content)
 
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """A folder among the temporary ones, removed with all that is in it when the block is done."""
+    """Make a temporary folder, removed with its content when the block ends."""
     _clear(Path(tempfile.gettempdir()), f"{_FOLDER}????????")
     with tempfile.TemporaryDirectory(prefix=_FOLDER, ignore_cleanup_errors=True) as folder:
         lock = os.open(folder, os.O_RDONLY) if fcntl else None
@@ -81,10 +80,10 @@ def scratch() -> Iterator[Path]:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[bool]:
-    """A folder of one's own as long as the block lasts, made where there is none; False where another process has it.
+    """Lock a folder for the duration of the block, made if missing; yield False if another process holds the lock.
 
-    A process that is killed leaves it free. Windows and some network drives have no such lock: it is always True there.
-    Raises WriteError.
+    A killed process releases the lock. Windows and some network drives have no such lock: there the result is always
+    True. Raises WriteError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -99,20 +98,20 @@ def exclusive(folder: Path) -> Iterator[bool]:
 
 
 def _locked(descriptor: int | None) -> bool:
-    """Whether a folder could be locked, or needs no lock; False where another process has it."""
+    """Return whether a folder was locked or needs no lock; False if another process holds it."""
     try:
         if descriptor is not None:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # not on every network drive
+    except OSError:  # not supported on some network drives
         return True
     return True
 
 
 @contextmanager
 def _replacing(target: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of a regular one, or of none."""
+    """Open a file that replaces a regular file, or makes a new one."""
     mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
     if mode is not None and not os.access(target, os.W_OK):
         raise PermissionError(None, "it is there and may not be changed")
@@ -127,7 +126,7 @@ def _replacing(target: Path) -> Iterator[BinaryIO]:
             if mode is not None and hasattr(os, "fchmod"):
                 os.fchmod(file.fileno(), mode)
             if nameless is not None:
-                folder = os.open(target.parent, os.O_RDONLY)  # with a folder given, Python follows the link
+                folder = os.open(target.parent, os.O_RDONLY)  # with dir_fd given, Python follows the link
                 try:
                     os.link(f"{_OPENED}/{nameless}", partial.name, src_dir_fd=folder, dst_dir_fd=folder)
                 finally:
@@ -138,7 +137,7 @@ def _replacing(target: Path) -> Iterator[BinaryIO]:
 
 
 def _nameless(folder: Path) -> int | None:
-    """A new file in a folder, without a name; None where the system has no such files."""
+    """Return a new nameless file in a folder; None if the system does not support them."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir(_OPENED):
         with suppress(OSError):
             return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
@@ -148,12 +147,12 @@ def _nameless(folder: Path) -> int | None:
 def _lock(descriptor: int) -> None:
     """Show that a file or folder is in use, as long as it is open here."""
     if fcntl:
-        with suppress(OSError):  # not on every network drive
+        with suppress(OSError):  # not supported on some network drives
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _clear(folder: Path, pattern: str) -> None:
-    """Remove what killed processes of this user left in a folder."""
+    """Remove files that killed processes of this user left in a folder."""
     for path in folder.glob(pattern) if fcntl else ():
         with suppress(OSError):
             if _abandoned(path):
@@ -161,7 +160,7 @@ def _clear(folder: Path, pattern: str) -> None:
 
 
 def _abandoned(path: Path) -> bool:
-    """Whether no process uses a file or folder of this user; OSError where one does."""
+    """Return whether no process uses a file or folder of this user; raise OSError if one does."""
     about = path.lstat()
     if about.st_uid != os.getuid() or time.time() - about.st_mtime < _YOUNG:
         return False

@@ -57,7 +57,8 @@ _DRY_FRICTION: dict[tuple[str, bool], tuple[tuple[str, ...], str]] = {
     ),
     ("screw", True): (("radius",), "a screw takes the radius [m] of its thread, and no length or collar"),
 }
-"""What dry friction of each kind of joint, in the plane or in space, can be told, and what is said of anything else."""
+"""Permitted geometry of dry friction for each kind of joint, in the plane or in space, and the message for any
+other."""
 
 
 @declares
@@ -67,16 +68,17 @@ class Forces(Couplings):
     # Forces -----------------------------------------------------------------------------------------------------
 
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:
-        """A torque [N.m] (revolute) or force along the guide [N] (prismatic) on the second body from the first."""
+        """Add a torque [N.m] (revolute) or a force along the guide [N] (prismatic) on the second body from the
+        first."""
         unit = EFFORTS[self._free(joint, "drive()")]
         Declaration.drives.of(self).append(
             Drive(joint, self._quantity(f"the effort on {joint.name}", effort, unit, EFFORT))
         )
 
     def force(self, at: AnyMarker, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> None:
-        """A force [N] in ground axes at a point of a body: an input, a state, a constant, or any expression.
+        """Add a force [N] in ground axes at a point of a body: an input, a state, a constant, or any expression.
 
-        `z` is for bodies in space. Of a force that turns with its body, give `body.rotation @ force` by its entries.
+        `z` is for bodies in space. For a force that turns with its body, give the entries of `body.rotation @ force`.
         """
         self._own((at,), "force()")
         what = f"the force on {at.body.name}"
@@ -89,7 +91,8 @@ class Forces(Couplings):
             Declaration.loads.of(self).append(Load(at, self._vector(what, (x, y), ("N",) * 2, EFFORT), 0.0))
 
     def torque(self, body: Body | SpatialBody, torque: Scalar | Sequence[Scalar] | ca.SX) -> None:
-        """A torque [N.m] on a body from the ground: a number or an expression; three in ground axes in space."""
+        """Add a torque [N.m] on a body from the ground: a number or an expression; in space three of them, in ground
+        axes."""
         self._body(body, "torque()")
         what = f"the torque on {body.name}"
         if isinstance(body, SpatialBody):
@@ -108,11 +111,12 @@ class Forces(Couplings):
         rest: Scalar = 0.0,
         name: str = "",
     ) -> Spring:
-        """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
+        """Add a linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between
+        points.
 
-        stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
-        bodies in space. Angles count whole turns, however bodies are placed.
-        With a `name` its elongation and force are outputs (see `measure`).
+        `stiffness` is in N.m/rad or N/m, `damping` in N.m.s/rad or N.s/m, the rest angle or length in rad or m. Points
+        may belong to bodies in space. Angles count whole turns, whichever coordinates place the bodies. With a `name`,
+        its elongation and force are outputs (see `measure`).
         """
         if isinstance(between, AnyJoint):
             along, what = self._free(between, "spring_damper()"), f"the spring at {between.name}"
@@ -148,16 +152,17 @@ class Forces(Couplings):
         creep: Scalar = CREEP,
         unit: str = "m",
     ) -> EndStop:
-        """A limit stop: it pushes a displacement back beyond `upper`, below `lower`, or both, and never pulls.
+        """Add a limit stop: beyond `upper`, below `lower`, or both, it pushes a displacement back and never pulls.
 
         It acts on the free motion of a joint, on the distance of two markers, or on an expression in coordinates in
-        `unit`, m or rad. `stiffness` [N/m or N.m/rad] is full beyond a penetration of `onset` [m or rad], up to which
-        it rises smoothly. Energy is lost by `dissipation` [s/m or s/rad], in proportion to the push and its rate, or by
-        a coefficient of `restitution` from 0 to 1, the speed after a blow over that before; with neither, none is. With
-        a restitution, `creep` [m/s or rad/s] is the rate about zero in which the push goes from one to the other.
+        `unit`, m or rad. The stiffness rises smoothly up to a penetration of `onset` [m or rad], beyond which it is
+        `stiffness` [N/m or N.m/rad]. Energy is dissipated by `dissipation` [s/m or s/rad], in proportion to the push
+        and its rate, or by a coefficient of `restitution` from 0 to 1, the ratio of the speeds after and before a blow;
+        without either, none is. With a restitution, `creep` [m/s or rad/s] is the range of rates about zero over which
+        the push changes between approach and return.
 
         Outputs: `<name>.penetration` [m or rad] and `<name>.force` [N] or `<name>.torque` [N.m] along the displacement.
-        Raises DeclarationError where there is no limit, or numbers that no stop can have.
+        Raises DeclarationError if there is no limit, or if a number is out of its range.
         """
         what = f"end stop {name}"
         if isinstance(of, AnyJoint):
@@ -197,7 +202,7 @@ class Forces(Couplings):
         effort = f"{EFFORTS[along]}/{along}"
 
         def positive(which: str, value: Scalar, unit: str, least: float | None, most: float = math.inf) -> Scalar:
-            """A constant above zero, or in a range where `least` is given."""
+            """Return a constant above zero, or in a range if `least` is given."""
             value = self._constant(f"the {which} of {what}", value, unit)
             x = self._at_defaults(f"the {which} of {what}", value)
             if not (x > 0 if least is None else least <= x <= most):
@@ -236,19 +241,19 @@ class Forces(Couplings):
         stribeck: Scalar | None = None,
         collar: Scalar | None = None,
     ) -> None:
-        """Friction in a revolute, prismatic or screw joint: viscous, and dry in proportion to the joint's reaction.
+        """Add friction in a revolute, prismatic or screw joint: viscous, and dry in proportion to the joint's reaction.
 
         `viscous` [N.m.s/rad or N.s/m] resists in proportion to the rate. `coulomb` is the coefficient of dry friction
-        while the joint slides, `static` that at which it begins to slide (the same where it is not given). With
-        `stribeck` [rad/s or m/s] the coefficient goes from the static one at rest to the Coulomb one at such rates. A
-        joint that sticks is held as by a lock. A coefficient that depends on inputs, time or the motion counts as none
-        where it is below zero.
+        while the joint slides, `static` that at which it begins to slide (the same if omitted). With `stribeck` [rad/s
+        or m/s] the coefficient goes from the static one at rest to the Coulomb one at such rates. A sticking joint is
+        held as if locked. A coefficient that depends on inputs, time or the motion counts as zero when it is negative.
 
         A revolute joint is a journal of `radius` [m]: its torque is coefficient times radius times the force across its
-        axis. A prismatic one bears at two edges that are `length` [m] apart, which carry its force and its moment;
-        without `length` its force alone rubs. In space a journal may have a `length` between two bearings, too, and a
-        `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for the moment
-        about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
+        axis. A prismatic joint bears at two edges that are `length` [m] apart, which carry its force and its moment;
+        without `length` only its force causes friction. In space a journal may have a `length` between two bearings,
+        too, and a `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for
+        the moment about its axis; a screw takes the `radius` of its thread. A bearing surface that is not given carries
+        its load without friction.
         """
         numbers = (viscous, coulomb, static, radius, length, stribeck, collar)
         if any(x is not None for x in numbers[1:]):
@@ -274,7 +279,8 @@ class Forces(Couplings):
             self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
 
     def _coefficient(self, joint: AnyJoint, which: str, value: Any, unit: str) -> Scalar:
-        """A coefficient of friction, which is not negative: refused as far as it is known before the run, none then."""
+        """Return a coefficient of friction; a constant that is negative is refused, a variable one counts as zero when
+        negative."""
         what = f"the {which} of friction of {joint.name}"
         value = self._quantity(what, value, unit, EFFORT)
         if all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(value)):
@@ -283,7 +289,7 @@ class Forces(Couplings):
         return ca.fmax(value, 0)
 
     def _slides_one_way(self, joint: AnyJoint) -> None:
-        """DeclarationError where no sign tells the direction in which a joint slides, as dry friction takes it."""
+        """Raise DeclarationError if the joint has no signed sliding direction, which dry friction requires."""
         whole = joint.joint if isinstance(joint, SpatialFreedom) else joint
         if isinstance(whole, SpatialJoint) and len(whole.freedoms) != 1 and whole.kind not in ("weld", "distance"):
             moves = in_words(list(whole.freedoms)) if whole.freedoms else "turns"

@@ -17,12 +17,12 @@ __all__ = ["factory", "names"]
 _ROOT = Path(__file__).parents[1]
 
 _FOLDERS = (_ROOT / "catalogue" / "gallery", _ROOT.parent / "docs" / "gallery")
-"""Where the pages are: installed, or in a source tree."""
+"""Folders of the pages: installed, or in a source tree."""
 
 
 @cache
 def _pages() -> dict[str, tuple[Path, str]]:
-    """The pages that declare a mechanism: name -> file and function."""
+    """Return the pages that declare a mechanism: name -> file and function."""
     files = next((found for folder in _FOLDERS if (found := sorted(folder.glob("plot_*.py")))), [])
     pages = {}
     for path in files:
@@ -33,12 +33,12 @@ def _pages() -> dict[str, tuple[Path, str]]:
 
 
 def names() -> list[str]:
-    """Names of the mechanisms that the gallery declares, in alphabetical order."""
+    """Return names of the mechanisms that the gallery declares, in alphabetical order."""
     return list(_pages())
 
 
 def factory(name: str) -> Callable[..., Any]:
-    """The function that declares a mechanism of the gallery."""
+    """Return the function that declares a mechanism of the gallery."""
     path, function = _pages()[name]
     page = ast.parse(path.read_text(encoding="utf-8"))
     wanted, kept = {function}, []
@@ -53,7 +53,7 @@ def factory(name: str) -> Callable[..., Any]:
 
 
 def _bound(node: ast.stmt) -> set[str]:
-    """The names that a statement gives a meaning."""
+    """Return the names that a statement binds."""
     if isinstance(node, ast.FunctionDef):
         return {node.name}
     if isinstance(node, ast.Import | ast.ImportFrom):

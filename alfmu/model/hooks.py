@@ -1,4 +1,5 @@
-"""What methods of a declaration or a result call in rooms above: `alfmu` hands it in, by the names of `alfmu.api`."""
+"""Functions of higher rooms that methods of a declaration or a result call; `alfmu` registers them, named as in
+`alfmu.api`."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ class Picture(Protocol):
     """The picture of a mechanism, as `alfmu.view.picture.Drawing` has it; notebooks show it."""
 
     def image(self) -> Any:
-        """As an image of Pillow."""
+        """Return the picture as an image of Pillow."""
 
     def png(self, colors: int | None = None) -> bytes:
-        """As a PNG, the same bytes each time."""
+        """Return the picture as a PNG, the same bytes each time."""
 
     def svg(self) -> str:
-        """As an SVG, the same text each time."""
+        """Return the picture as an SVG, the same text each time."""
 
     def save(self, path: str | Path) -> None:
         """Write a `.png` or an `.svg`."""
@@ -31,10 +32,10 @@ class Picture(Protocol):
 
 
 def hand_in(find: Callable[[str], Callable[..., Any]]) -> None:
-    """Say how a function of a room above is found by its name; `alfmu` does, when it is imported."""
+    """Register how to find a function of a higher room by its name; `alfmu` does this on import."""
     _FIND[:] = [find]
 
 
 def handed_in(name: str) -> Callable[..., Any]:
-    """A function that was handed in."""
+    """Return a registered function."""
     return _FIND[0](name)

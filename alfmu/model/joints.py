@@ -60,10 +60,10 @@ class Joints(Quantities):
         center: tuple[Scalar, Scalar] = (0.0, 0.0),
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
     ) -> Body:
-        """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
+        """Add a rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
 
-        Without an inertia it is a point mass; where it turns, a warning asks whether the inertia was forgotten, which
-        `inertia=0.0` answers.
+        Without an inertia it is a point mass; if it rotates, a warning asks whether the inertia was forgotten, and
+        `inertia=0.0` silences it.
 
         `pose` (x, y, angle) gives the place of the *centre of mass* [m] and the angle of the frame [rad] in ground axes
         (absolute coordinates). A body without one is placed by a joint with a coordinate, or by a weld.
@@ -84,7 +84,7 @@ class Joints(Quantities):
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
         between: tuple[Point | Marker, Point | Marker] | None = None,
     ) -> Body:
-        """A thin uniform bar, mass [kg] and length [m], along the x axis of its frame from `start` to `end`.
+        """Add a thin uniform bar, mass [kg] and length [m], along the x axis of its frame from `start` to `end`.
 
         `pose` (x, y, angle) gives the place of its *middle* [m] and its angle [rad] in ground axes.
 
@@ -104,11 +104,11 @@ class Joints(Quantities):
         return body
 
     def point(self, x: Scalar, y: Scalar) -> Point:
-        """A point in ground axes [m], usually a pair of coordinates."""
+        """Return a point in ground axes [m], usually a pair of coordinates."""
         return Point(*(self._moving("a point", each, "m") for each in (x, y)))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
-        """The acceleration of gravity [m/s2] in ground axes; (0, 0) says that there is none."""
+        """Set the acceleration of gravity [m/s2] in ground axes; (0, 0) declares that there is none."""
         self._weighs = True
         self.gravity_vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
 
@@ -123,15 +123,15 @@ class Joints(Quantities):
         attitude: Sequence[Scalar] | ca.SX = (1.0, 0.0, 0.0, 0.0),
         relative: bool = False,
     ) -> SpatialBody:
-        """A rigid body in space: mass [kg], inertia about its centre of mass [kg.m2], the centre of mass in its frame
-        [m].
+        """Add a rigid body in space: mass [kg], inertia about its centre of mass [kg.m2], the centre of mass in its
+        frame [m].
 
         `inertia` is three principal moments along the axes of the frame, or the matrix (3, 3) of inertia in these axes:
-        moments on its diagonal, products of inertia with a minus sign beside it.
+        moments on its diagonal, negated products of inertia off the diagonal.
 
         The body has seven coordinates, `<name>_x` ... `<name>_e3`: the place of the centre of mass and the Euler
         parameters of the frame, kept at unit length by a constraint. `position` and `attitude` are their guesses at the
-        start, as `start` of `coordinate` is; `spatial.about` and `spatial.product` make Euler parameters from turns.
+        start, like `start` of `coordinate`; `spatial.about` and `spatial.product` make Euler parameters from rotations.
         Joints to `spatial_ground` and to other bodies in space are closed by constraints.
 
         With `relative=True` it has no coordinates of its own: a joint with a `coordinate` places it on another body.
@@ -162,7 +162,7 @@ class Joints(Quantities):
     # Joints -----------------------------------------------------------------------------------------------------
 
     def revolute(self, name: str, first: Marker, second: Marker, *, coordinate: Scalar | None = None) -> Joint:
-        """A hinge: the two markers coincide. Returns the joint, for `drive`, `spring_damper`, `friction` and `lock`.
+        """Add a hinge: the two markers coincide. Return the joint, for `drive`, `spring_damper`, `friction` and `lock`.
 
         `coordinate` is the angle [rad] of the second body from the first, counter-clockwise; a hinge without one closes
         a loop. Outputs `<name>.force.x` and `.y` [N] are the reaction on the second body from the first in ground axes.
@@ -180,7 +180,8 @@ class Joints(Quantities):
         angle: Scalar = 0.0,
         coordinate: Scalar | None = None,
     ) -> Joint:
-        """A slider in a guide: the second marker on a line through the first, the second body at a constant angle.
+        """Add a slider in a guide: the second marker stays on a line through the first, the second body at a constant
+        angle.
 
         The guide has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left; the second
         body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] of the second marker along
@@ -190,9 +191,9 @@ class Joints(Quantities):
         return self._join(Joint(name, "prismatic", first, second, coordinate, axis, offset, angle))
 
     def weld(self, name: str, first: Marker, second: Marker, *, angle: Scalar = 0.0) -> Joint:
-        """A rigid connection: markers coincide, the second body at `angle` [rad] from the first.
+        """Add a rigid connection: the markers coincide, and the second body stays at `angle` [rad] from the first.
 
-        Where nothing else places one of the bodies, the weld does; otherwise it is closed by constraints.
+        If nothing else places one of the bodies, the weld does; otherwise it is closed by constraints.
         """
         joint = Joint(name, "weld", first, second, angle=angle)
         self._own((first, second), f"joint {name}", Marker)
@@ -203,7 +204,7 @@ class Joints(Quantities):
     def point_on_line(
         self, name: str, first: Marker, second: Marker, *, axis: Scalar = 0.0, offset: Scalar = 0.0
     ) -> Joint:
-        """A pin in a slot: the second marker on a line through the first, free to turn.
+        """Add a pin in a slot: the second marker stays on a line through the first, free to turn.
 
         The line has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left.
         """
@@ -214,7 +215,7 @@ class Joints(Quantities):
     @overload
     def distance(self, name: str, first: SpatialMarker, second: SpatialMarker, *, length: Scalar) -> SpatialJoint: ...
     def distance(self, name: str, first: AnyMarker, second: AnyMarker, *, length: Scalar) -> AnyJoint:
-        """A massless rod: the markers, both in the plane or both in space, stay `length` [m] apart.
+        """Add a massless rod: the markers, both in the plane or both in space, stay `length` [m] apart.
 
         Output `<name>.force` [N] is positive when the rod pushes.
         """
@@ -231,10 +232,10 @@ class Joints(Quantities):
         *,
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
-        """A ball joint in space: the two markers coincide.
+        """Add a ball joint in space: the two markers coincide.
 
-        `coordinates` are the four Euler parameters of the second body in the axes of the first; a constraint keeps
-        them at unit length. A joint without them closes a loop.
+        `coordinates` are the four Euler parameters of the second body in the axes of the first; a constraint keeps them
+        at unit length. A joint without them closes a loop.
         """
         joint = SpatialJoint(
             name, "spherical", first, second, coordinates=self._placing(name, "spherical", coordinates)
@@ -254,12 +255,12 @@ class Joints(Quantities):
         second_axis: Sequence[Scalar] | None = None,
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
-        """A hinge in space: the two markers coincide, and so does an axis fixed on both bodies.
+        """Add a hinge in space: the two markers coincide, and so does an axis fixed on both bodies.
 
         `axis` gives its direction in the frame of the first body, `second_axis` in that of the second (the same numbers
-        if left out). The angle, output `<name>.angle` [rad], is zero where the triads of `spatial.right_handed` on both
-        coincide: for one and the same axis, where the frames are parallel. `coordinate` is this angle and places the
-        second body, which is `relative`; a hinge without one closes a loop. Axes may be expressions in parameters.
+        by default). The angle, output `<name>.angle` [rad], is zero if the triads of `spatial.right_handed` on both
+        bodies coincide: with the same axis on both, if the frames are parallel. `coordinate` is this angle and places
+        the second body, which is `relative`; a hinge without one closes a loop. Axes may be expressions in parameters.
         """
         axes, placing = self._axes(name, axis, second_axis), self._placing(name, "revolute", coordinate)
         return self._join_in_space(SpatialJoint(name, "revolute", first, second, axes, placing))
@@ -274,7 +275,8 @@ class Joints(Quantities):
         second_axis: Sequence[Scalar] | None = None,
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
-        """A sleeve on a shaft: the second marker on an axis through the first, free to slide along it and to turn.
+        """Add a sleeve on a shaft: the second marker stays on an axis through the first, free to slide along it and to
+        turn.
 
         `coordinates` are the angle [rad] and the position [m] along the axis, and place the second body.
         """
@@ -290,7 +292,7 @@ class Joints(Quantities):
         axis: Sequence[Scalar],
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
-        """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel.
+        """Add a slider in space: the second marker stays on an axis through the first, with both frames parallel.
 
         `coordinate` is the position [m] along the axis, and places the second body.
         """
@@ -308,10 +310,10 @@ class Joints(Quantities):
         second_axis: Sequence[Scalar] | None = None,
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
-        """A nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
+        """Add a nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
 
-        A negative lead is a left-hand thread. `coordinate` is the angle [rad] and places the second body. Where
-        constraints close the screw, it keeps the turn of the thread on which it starts. A drive is a torque [N.m].
+        A negative lead is a left-hand thread. `coordinate` is the angle [rad] and places the second body. If
+        constraints close the screw, it stays on the turn of the thread on which it starts. A drive is a torque [N.m].
         """
         axes, placing = self._axes(name, axis, second_axis), self._placing(name, "screw", coordinate)
         lead = self._quantity(f"the lead of {name}", lead, "m", CONSTANT)
@@ -329,11 +331,11 @@ class Joints(Quantities):
         second_axis: Sequence[float],
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
-        """A universal (Cardan) joint: the markers coincide, and two axes, one on each body, stay square to each other.
+        """Add a universal (Cardan) joint: the markers coincide, and two axes, one on each body, stay perpendicular.
 
-        `axis` in the frame of the first body and `second_axis` in that of the second are square to each other by their
-        numbers: the frames are parallel where both angles are zero. `coordinates` are the angles [rad] about the first
-        and then about the second axis, and place the second body.
+        `axis` in the frame of the first body and `second_axis` in that of the second must be perpendicular as numbers:
+        the frames are parallel when both angles are zero. `coordinates` are the angles [rad] about the first and then
+        about the second axis, and place the second body.
         """
         axes = self._direction(name, axis), self._direction(name, second_axis)
         across = sum(a * b for a, b in zip(*axes, strict=True)) / (math.hypot(*axes[0]) * math.hypot(*axes[1]))
@@ -356,8 +358,8 @@ class Joints(Quantities):
         second_axis: Sequence[Scalar] | None = None,
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
-        """A plate on a table: the second marker in a plane through the first, free to slide in it and to turn about its
-        normal `axis`.
+        """Add a plate on a table: the second marker slides in a plane through the first and turns about its normal
+        `axis`.
 
         `coordinates` are the positions [m] along the two normals of `axis` that `spatial.right_handed` gives and the
         angle [rad] about it, and place the second body.
@@ -366,9 +368,9 @@ class Joints(Quantities):
         return self._join_in_space(SpatialJoint(name, "planar", first, second, axes, placing))
 
     def spatial_weld(self, name: str, first: SpatialMarker, second: SpatialMarker) -> SpatialJoint:
-        """A rigid connection in space: markers coincide, frames are parallel.
+        """Add a rigid connection in space: the markers coincide, the frames are parallel.
 
-        Where nothing else places the second body, the weld does; otherwise it is closed by constraints.
+        If nothing else places the second body, the weld does; otherwise it is closed by constraints.
         """
         self._own((first, second), f"joint {name}", SpatialMarker)
         placing = None if second.body.is_placed else ()

@@ -33,7 +33,7 @@ __all__ = ["FREE", "Closing", "Closure", "Displacement", "Frame", "Kinematics", 
 
 @dataclass
 class Frame:
-    """Place of a body: the point with local coordinates `local` is at (x, y), the x axis points along (ex, ey)."""
+    """Place of a body: its point with local coordinates `local` is at (x, y), and its x axis points along (ex, ey)."""
 
     x: ca.SX
     y: ca.SX
@@ -42,35 +42,35 @@ class Frame:
     ey: ca.SX
     angle: ca.SX
     wrapped: bool = False
-    """Whether the angle is known up to whole turns only."""
+    """Whether the angle is known modulo whole turns only."""
     turned: ca.SX | None = None
-    """The angle with its turns, where it is not."""
+    """The angle with its turns, if it is known."""
 
     @property
     def counted(self) -> ca.SX:
-        """The angle with its turns, which a run counts where places tell it up to whole turns only."""
+        """The angle with its turns; a run counts them if the coordinates determine it modulo whole turns only."""
         return self.angle if self.turned is None else self.turned
 
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
-        """A vector of the body's frame in ground axes."""
+        """Return a vector of the body's frame in ground axes."""
         if _vanishes(y):
             return (x, y) if _vanishes(x) else (self.ex * x, self.ey * x)
         return self.ex * x - self.ey * y, self.ey * x + self.ex * y
 
     def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
-        """A point of the body's frame in ground axes."""
+        """Return a point of the body's frame in ground axes."""
         dx, dy = self.turn(_sum(x, -self.local[0]), _sum(y, -self.local[1]))
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
 Closure = AnyJoint | Rigidity | Constraint | Lock | Motion | Relation
-"""What constraints close."""
+"""A part that constraints close."""
 
 Closing = tuple[Closure, str]
-"""One relative displacement that is kept at zero: of what, and in which direction."""
+"""One relative displacement kept at zero: its closure and its direction."""
 
 FREE = "free"
-"""The direction in which a joint moves by a law that is its coordinate."""
+"""Direction in which a joint moves whose coordinate follows a law."""
 
 Displacement = dict[str, ca.SX]
 """Virtual displacement of a joint: direction -> symbol."""
@@ -79,7 +79,7 @@ Displacement = dict[str, ca.SX]
 class Kinematics:
     """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given.
 
-    What has been worked out once is kept.
+    Results are cached.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Kinematics:
         return frame
 
     def place(self, at: Marker | Point) -> tuple[ca.SX, ca.SX]:
-        """A marker or point in ground axes."""
+        """Return a marker or point in ground axes."""
         if isinstance(at, Point):
             return symbolic(at.x), symbolic(at.y)
         if at not in self.places:
@@ -138,18 +138,18 @@ class Kinematics:
         return self.places[at]
 
     def center(self, body: Body) -> tuple[ca.SX, ca.SX]:
-        """The centre of mass of a body in ground axes."""
+        """Return the centre of mass of a body in ground axes."""
         if body not in self.places:
             self.places[body] = self.frame(body).place(*body.center)
         return self.places[body]
 
     def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Direction of a guide and its left normal."""
+        """Return the direction of a guide and its left normal."""
         ux, uy = self.frame(joint.first.body).turn(*_cis(joint.axis))
         return ux, uy, -uy, ux
 
     def free(self, joint: AnyJoint) -> ca.SX:
-        """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
+        """Return the free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
         if isinstance(joint, SpatialJoint | SpatialFreedom):
             return joint.free
         if joint.kind == "revolute":
@@ -159,7 +159,7 @@ class Kinematics:
         return ux * (x2 - x1) + uy * (y2 - y1)
 
     def counted(self, joint: AnyJoint) -> ca.SX:
-        """The free displacement, an angle with its turns: for what depends on how far it is."""
+        """Return the free displacement, with whole turns counted for an angle."""
         if isinstance(joint, SpatialFreedom):
             return joint.joint.counted(joint.which)
         if isinstance(joint, SpatialJoint):
@@ -175,9 +175,10 @@ class Kinematics:
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
     def locked(self, lock: Lock | Motion) -> tuple[ca.SX, bool]:
-        """The displacement that a lock or a motion keeps, and whether it is an angle known up to whole turns only.
+        """Return the displacement that a lock or a motion keeps, and whether it is an angle known modulo whole turns
+        only.
 
-        Of a motion it is what is beside its law.
+        For a motion, return its deviation from the law.
         """
         value, wrapped = self._displacement(lock.of)
         return value - lock.law if isinstance(lock, Motion) else value, wrapped
@@ -196,7 +197,8 @@ class Kinematics:
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
     def gap(self, closure: Closure, direction: str) -> ca.SX:
-        """The residual to first order where it is small; farther off in metres, and not zero half a turn away."""
+        """Return the residual to first order where it is small; far from zero in metres, and not zero half a turn
+        away."""
         if isinstance(closure, SpatialJoint):
             return closure.gap(direction)
         if direction == "length":
@@ -213,9 +215,9 @@ class Kinematics:
         return self.residual(closure, direction)
 
     def residual(self, closure: Closure, direction: str) -> ca.SX:
-        """What a closure keeps at zero along one direction.
+        """Return the residual of a closure along one direction.
 
-        For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
+        For lengths it is zero at the given one, polynomial, and its multiplier is the force along the line.
         """
         if (closure, direction) not in self.residuals:
             self.residuals[closure, direction] = self._residual(closure, direction)
@@ -232,7 +234,7 @@ class Kinematics:
             beside = self._beside(closure)
             if not self.locked(closure)[1]:
                 return beside
-            # The multiplier of friction is the torque wherever the joint slides, far from where it stuck.
+            # The multiplier of friction is the torque at any sliding position, far from the one at which it stuck.
             return ca.remainder(beside, 2 * math.pi) if isinstance(closure, Friction) else ca.sin(beside)
         if direction == "length":
             square, length = self._apart(closure)
@@ -252,12 +254,12 @@ class Kinematics:
         return ex * second.ey - ey * second.ex
 
     def _beside(self, closure: Lock | Motion) -> ca.SX:
-        """How far a displacement is from where a lock or a motion keeps it."""
+        """Return the deviation of a displacement from the value that a lock or a motion keeps."""
         value, _ = self.locked(closure)
         return value if closure.value is None else value - closure.value
 
     def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, Scalar]:
-        """The square of the distance of two points, and the distance that a closure keeps between them."""
+        """Return the squared distance of two points, and the distance that a closure keeps between them."""
         if closure not in self.squares:
             if isinstance(closure, Rigidity):
                 _, _, dx, dy = self._span(closure.body)
@@ -268,7 +270,7 @@ class Kinematics:
         return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
 
     def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """The first point of a body between points, and the way from there to the second."""
+        """Return the first point of a body between points, and the vector from it to the second."""
         if body not in self.spans:
             ends = []
             for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
@@ -279,10 +281,10 @@ class Kinematics:
         return self.spans[body]
 
     def _shift(self, end: Marker) -> tuple[Scalar, Scalar]:
-        """Virtual displacement of an end of a body between points.
+        """Return the virtual displacement of an end of a body between points.
 
-        The joints at a point tie its bodies into a tree; what one of them displaces, all that hangs on it follows. The
-        root is a body that no points carry, or the one declared first.
+        The joints at a point connect its bodies into a tree; the displacement of one of them moves all bodies that hang
+        on it. The root is a body that no points carry, or the one declared first.
         """
         if not self.links:
             carried = [joints for body, joints in self.held.items() if body.between is not None]
@@ -308,7 +310,7 @@ class Kinematics:
         return ways[min(ways, key=lambda node: (node[1] is not None, self.order[node[0]], node[1] or 0))]
 
     def _node(self, marker: Marker) -> tuple[Body, int | None]:
-        """A body with the number of its end where two points carry it, otherwise with None."""
+        """Return a body with the number of its end if two points carry it, otherwise with None."""
         body = marker.body
         if body.between is not None:
             for i, end in enumerate((body.start, body.end)):
@@ -348,7 +350,7 @@ class Kinematics:
         return frame
 
     def _displaced(self, frame: Frame, joint: Joint) -> Frame:
-        """A body in absolute coordinates, displaced at a joint that its pose closes."""
+        """Return a body in absolute coordinates, displaced at a joint that its pose closes."""
         e = self.eps[joint]
         x, y = frame.place(joint.second.x, joint.second.y)
         moved = _turned(frame, e["rotation"], (joint.second.x, joint.second.y)) if "rotation" in e else frame
@@ -365,7 +367,7 @@ def _absolute(x: Scalar, y: Scalar, angle: Scalar, local: tuple[Scalar, Scalar])
 
 
 def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
-    """A frame turned by an angle against another one; its place is set by whoever asks."""
+    """Return a frame turned by an angle relative to another; the caller sets its place."""
     by = symbolic(by)
     angle = base.angle + by
     if base.wrapped:
@@ -380,17 +382,17 @@ def same(a: Scalar, b: Scalar) -> bool:
 
 
 def _sum(a: Scalar, b: Scalar) -> Scalar:
-    """a + b; operations with expressions are slow, so none is done where one of them vanishes."""
+    """Return a + b; if one of them vanishes, no operation is made, as operations with expressions are slow."""
     return a if _vanishes(b) else b if _vanishes(a) else a + b
 
 
 def _vanishes(x: Scalar) -> bool:
-    """Whether something is the number zero."""
+    """Return whether a value is the number zero."""
     return not isinstance(x, ca.SX) and x == 0
 
 
 def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
-    """Cosine and sine, exact at the right angles that guides usually have."""
+    """Return cosine and sine, exact at right angles, which are usual for guides."""
     angle = symbolic(angle)
     if angle.is_constant():
         quarters = float(angle) / (math.pi / 2)

@@ -1,4 +1,4 @@
-"""What is made while a mechanism gets ready, told to whoever shows it: the command line does where that takes long."""
+"""Progress reports while a mechanism is prepared; the command line shows them if preparation takes long."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextvars import ContextVar
 __all__ = ["getting_ready", "making", "showing"]
 
 Show = Callable[[], AbstractContextManager[Callable[[str], None]]]
-"""Opens what shows names, and closes it when all is made."""
+"""Opens a display of names, and closes it when everything is made."""
 
 _SHOW: ContextVar[Show | None] = ContextVar("show", default=None)
 _TELL: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
@@ -17,7 +17,7 @@ _TELL: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=Non
 
 @contextmanager
 def showing(show: Show) -> Iterator[None]:
-    """Whatever gets ready inside is shown by this."""
+    """Show the preparation inside this block with the given display."""
     token = _SHOW.set(show)
     try:
         yield
@@ -27,7 +27,7 @@ def showing(show: Show) -> Iterator[None]:
 
 @contextmanager
 def getting_ready() -> Iterator[None]:
-    """A stage, of which the outermost is shown."""
+    """Mark a stage of preparation; only the outermost one is shown."""
     show = _SHOW.get()
     if show is None or _TELL.get() is not None:
         yield
@@ -41,6 +41,6 @@ def getting_ready() -> Iterator[None]:
 
 
 def making(name: str) -> None:
-    """Tell the name of a function that is about to be made."""
+    """Report the name of a function that is about to be made."""
     if (tell := _TELL.get()) is not None:
         tell(name)

@@ -50,10 +50,10 @@ __all__ = ["Mechanism"]
 
 
 QUICK = 100
-"""Coordinates up to which a notebook draws a mechanism that it shows: a second, or less."""
+"""Largest number of coordinates for which a notebook draws a mechanism: this takes a second at most."""
 
 DRAWN = ("", "revolute", "cylindrical", "prismatic", "spherical")
-"""Kinds of joints that pictures show of what is declared at the general level; the first is none."""
+"""Kinds of joints that pictures can show for a mechanism at the general level; the first is none."""
 _Form = TypeVar("_Form", str, bytes)
 
 
@@ -75,12 +75,13 @@ class Mechanism(Forces):
     `spatial_ground` is that in space; `time` is the symbol of time [s]. Numbers are in SI units: floats, or expressions
     of CasADi in what the methods return.
 
-    What is declared can be read: `parameters`, `coordinates`, `inputs`, `states`, `outputs`, `bodies`, `joints`,
-    `spatial_bodies` and `spatial_joints` are tuples in the order of declaration, `options` are those it was made with.
+    The parts can be read: `parameters`, `coordinates`, `inputs`, `states`, `outputs`, `bodies`, `joints`,
+    `spatial_bodies` and `spatial_joints` are tuples in the order of declaration, `options` are the arguments it was
+    made with.
 
-    `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
-    Its `author` is named in the FMU. Methods raise DeclarationError, with the mechanism and the name, where what they
-    are given makes no sense.
+    Explanations of the mechanism show `sketch`; the README beside a mechanism's file is its documentation. Its `author`
+    is named in the FMU. Methods raise DeclarationError, which names the mechanism and the part, if an argument is
+    invalid.
     """
 
     # Pictures ---------------------------------------------------------------------------------------------------
@@ -93,11 +94,11 @@ class Mechanism(Forces):
         kind: str = "",
         axis: Sequence[Scalar] | np.ndarray | ca.SX | None = None,
     ) -> None:
-        """What pictures show at a place (3,) [m] in ground axes: for mechanisms whose bodies are energies alone.
+        """Draw a joint at a place (3,) [m] in ground axes: for mechanisms declared by energies only.
 
         `kind` is "revolute", "cylindrical" or "prismatic", with the direction `axis` (3,); "spherical"; or "" for an
-        end of a bar.
-        Where they move, the outputs `<name>.x` ... and `<name>.axis.x` ... tell the place and the axis.
+        end of a bar. For a joint that moves, the outputs `<name>.x` ... and `<name>.axis.x` ... give the place and the
+        axis.
         """
         if kind not in DRAWN:
             raise DeclarationError(f"{self.name}: {name} is drawn as {shown(kind)}; take one of {in_words(DRAWN[1:])}")
@@ -118,7 +119,7 @@ class Mechanism(Forces):
         Declaration.drawn_joints.of(self).append(DrawnJoint(name, kind, place, along, tuple(parts) if moves else ()))
 
     def drawn_bar(self, name: str, *joints: str) -> None:
-        """A bar in pictures, through two or more drawn joints by their names."""
+        """Draw a bar in pictures, through two or more drawn joints given by their names."""
         known = [joint.name for joint in self.drawn_joints]
         if len(joints) < 2:
             raise DeclarationError(f"{self.name}: {name} is drawn through {len(joints)} joints; give two or more")
@@ -135,24 +136,26 @@ class Mechanism(Forces):
         parameters: Mapping[str, float] | None = None,
         size: tuple[int, int] = (640, 480),
     ) -> Picture:
-        """The picture of the mechanism at its start, before anything is simulated; written to `path` (PNG or SVG) too.
+        """Draw the mechanism at its start, before any simulation; write the picture to `path` (PNG or SVG) if given.
 
         `at` gives values [rad, m] of start quantities or coordinates that it is drawn at, `parameters` changes
-        defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError where there is no
-        start.
+        defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError if the mechanism has
+        no start.
         """
         drawn: Picture = handed_in("draw")(self, path, at=at, parameters=parameters, size=size)
         return drawn
 
     def _repr_svg_(self) -> str | None:
-        """What notebooks show; nothing, in silence, of a declaration that is not finished or cannot start."""
+        """Return the picture for notebooks; None, without an error, if the declaration is unfinished or cannot
+        start."""
         return self._shown(lambda drawing: drawing._repr_svg_())
 
     def _repr_png_(self) -> bytes | None:
         return self._shown(lambda drawing: drawing._repr_png_())
 
     def _shown(self, how: Callable[[Picture], _Form | None]) -> _Form | None:
-        """The drawing as a notebook asks for it, None where there is none or where it would take long."""
+        """Return the drawing in the form that a notebook asks for; None if there is none or if drawing would take
+        long."""
         if len(self.coordinates) > QUICK:
             return None
         with warnings.catch_warnings():
@@ -163,21 +166,21 @@ class Mechanism(Forces):
                 return None
 
     def _kinematics(self) -> Kinematics:
-        """Where its bodies and points are, as expressions, as far as it is declared by now."""
+        """Return the places of its bodies and points as expressions, from the declaration so far."""
         return Kinematics(self)
 
     # General level ----------------------------------------------------------------------------------------------
 
     def kinetic_energy(self, expression: ca.SX) -> None:
-        """Kinetic energy [J] in coordinates, their rates and time, in addition to that of the bodies."""
+        """Add kinetic energy [J] in coordinates, their rates and time to that of the bodies."""
         Declaration.kinetic.of(self).append(symbolic(self._quantity("a kinetic energy", expression, "J", MOTION)))
 
     def potential_energy(self, expression: ca.SX) -> None:
-        """Potential energy [J] in coordinates, time and inputs, in addition to that of the bodies and springs."""
+        """Add potential energy [J] in coordinates, time and inputs to that of the bodies and springs."""
         Declaration.potential.of(self).append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
 
     def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
-        """A generalised force along a coordinate: any expression in coordinates, rates, inputs, states and time."""
+        """Add a generalised force along a coordinate: any expression in coordinates, rates, inputs, states and time."""
         along = self._coordinate(coordinate)
         what = f"the generalised force along {along.name}"
         expression = self._quantity(what, expression, EFFORTS.get(along.unit, "1"), EFFORT)
@@ -186,16 +189,17 @@ class Mechanism(Forces):
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
 
-        Where they are given, redundant constraints share a load as joints of that compliance do; otherwise joints
-        carry the least. The motion is that of rigid joints either way.
+        If compliances are given, redundant constraints share a load as joints of these compliances do; otherwise the
+        multipliers of least norm are taken. The motion is that of rigid joints in both cases.
         """
         self.compliant = True
 
     def event(self, time: Scalar) -> None:
         """Let steps end at a time [s]: a number, or an expression in parameters.
 
-        Where forces, laws and rates of states have comparisons, maxima, whole numbers and the like of time and inputs,
-        these times are found by themselves. Declare one where something smooth is so short that steps may pass it.
+        Times at which comparisons, maxima, roundings and similar functions of time and inputs switch in forces, laws
+        and rates of states are found automatically. Declare an event for a smooth pulse so short that a step may miss
+        it.
         """
         Declaration.instants.of(self).append(self._quantity("the time of an event", time, "s", CONSTANT))
 
@@ -204,7 +208,7 @@ class Mechanism(Forces):
     def lock(self, of: AnyJoint | str) -> None:
         """Let the Boolean input `<joint>.locked` stop the free motion of a revolute or prismatic joint while it is on.
 
-        A joint that moves stops in a plastic impact, and keeps its state where it is let go.
+        A joint that moves stops in a plastic impact, and keeps its state when it is released.
         """
         joint = self._joint(of)
         self._lock(joint.name, joint, self._free(joint, "lock()"))
@@ -212,13 +216,13 @@ class Mechanism(Forces):
     def motion(self, of: AnyJoint | str | ca.SX, law: Scalar, *, switch: bool = False) -> None:
         """Prescribe a motion: the free displacement of a revolute or prismatic joint, or a coordinate, follows `law`.
 
-        `law` [rad or m] is an expression in time, parameters and inputs. The output `<name>.torque` [N.m] is the
-        torque that the motion takes, on the second body from the first: inverse dynamics. Of a displacement in metres
-        it is `<name>.force` [N], of a prismatic joint `<joint>.driving_force`. A coordinate that is independent has
-        no start value then: it begins where the law has it.
+        `law` [rad or m] is an expression in time, parameters and inputs. The output `<name>.torque` [N.m] is the torque
+        that the motion requires, on the second body from the first: inverse dynamics. For a displacement in metres it
+        is `<name>.force` [N], for a prismatic joint `<joint>.driving_force`. An independent coordinate then has no
+        start value: it starts at the value of the law.
 
-        With `switch`, the Boolean input `<name>.driven` puts the motion in force while it is on, as a `lock` is: from
-        where the joint is at that instant, it makes the *changes* of the law, in a plastic impact where the rates
+        With `switch`, the Boolean input `<name>.driven` puts the motion in force while it is on, like a `lock`: from
+        its position at that instant, the joint follows the *changes* of the law, after a plastic impact if the rates
         differ.
         """
         along: AnyJoint | ca.SX
@@ -251,8 +255,8 @@ class Mechanism(Forces):
         Declaration.closures.of(self).append(Motion(name, along, law, unit, value))
 
     def _displacing(self, joint: AnyJoint) -> Scalar | None:
-        """What is declared as the free displacement of a joint, if anything: its coordinate, or the angle in the pose
-        of a body that the joint hinges to the ground."""
+        """Return the free displacement of a joint as declared, if any: its coordinate, or the angle in the pose of a
+        body that the joint hinges to the ground."""
         if isinstance(joint, SpatialFreedom):
             whole, which = joint.joint, joint.which
             return None if whole.coordinates is None else whole.coordinates[list(whole.freedoms).index(which)]
@@ -264,7 +268,7 @@ class Mechanism(Forces):
         return joint.coordinate
 
     def _begins(self, coordinate: Coordinate, law: ca.SX) -> None:
-        """A coordinate begins where its motion has it; DeclarationError where it was given another start."""
+        """Let a coordinate start at the value of its motion; raise DeclarationError if it was given another start."""
         name = coordinate.name
         own = [x for x in self.starts if x.name == name and x.symbol is coordinate.guess]
         for start in own:
@@ -286,7 +290,7 @@ class Mechanism(Forces):
         Declaration.coordinates.of(self)[i] = self._by_symbol[key_of(coordinate.q)] = following
 
     def _at_begin(self, law: ca.SX) -> float | None:
-        """A law at time zero and default parameters; None where it takes a signal."""
+        """Return a law at time zero and default parameters; None if it depends on a signal."""
         known = {key_of(self.time): 0.0, **{key_of(x.symbol): x.default for x in self.parameters}}
         symbols = ca.symvar(law)
         if any(key_of(x) not in known for x in symbols):
@@ -294,7 +298,7 @@ class Mechanism(Forces):
         return float(ca.substitute(law, stack(symbols), stack([known[key_of(x)] for x in symbols])))
 
     def clutch(self, name: str, first: Body, second: Body) -> None:
-        """Let the Boolean input `<name>.locked` couple the turning of two bodies; a brake where one is the ground."""
+        """Let the Boolean input `<name>.locked` couple the rotation of two bodies; a brake if one is the ground."""
         self._claim(name, "1", "a clutch")
         for body in (first, second):
             self._body(body, f"clutch {name}")
@@ -308,14 +312,16 @@ class Mechanism(Forces):
         self._lock(name, (first, second), "rad")
 
     def lock_displacement(self, name: str, expression: ca.SX, unit: str = "rad") -> None:
-        """Let the Boolean input `<name>.locked` keep any expression in the coordinates [m or rad] as it is."""
+        """Let the Boolean input `<name>.locked` keep an expression in the coordinates [m or rad] at its present
+        value."""
         self._claim(name, unit, "a lock")
         self._lock(name, self._of_coordinates(f"lock {name}", expression, unit), unit)
 
     def release(self, of: AnyJoint | str) -> None:
         """Let the Boolean input `<joint>.released` switch the constraints of a joint off while it is on.
 
-        It can be switched off where the joint is closed again, in a plastic impact. `of` may name a `constraint`.
+        The input can be switched off again at a position where the joint closes; the impact is plastic. `of` may name a
+        `constraint`.
         """
         found = [c for c in self.closures if c is of or (not isinstance(c, Rigidity | Lock | Motion) and c.name == of)]
         if not found:

@@ -15,24 +15,24 @@ from .words import Brief
 __all__ = ["COEFFICIENTS", "DERIVATIVES", "JUMPS", "ORDERS", "Input", "Law", "Signal"]
 
 DERIVATIVES = ("rate", "acceleration")
-"""What companions of an input are called, behind its name: `A.angle_rate`, `A.angle_acceleration`."""
+"""Suffixes of the derivatives of an input: `A.angle_rate`, `A.angle_acceleration`."""
 
 ORDERS = (0, 1, 2)
 """Orders by which the highest given derivative of an input can be extrapolated."""
 
 JUMPS = {"rad": 0.1, "m": 0.01}
-"""Largest jump [rad, m] of an input that moves something, where the declaration says no other; 0.01 for other units."""
+"""Largest jump [rad, m] of an input that moves something, by default; 0.01 for other units."""
 
 COEFFICIENTS = 6
-"""Of the polynomial of a signal: a quintic."""
+"""Number of coefficients of a signal's polynomial: a quintic."""
 
 
 @dataclass(frozen=True, repr=False)
 class Input(Brief):
     """A quantity that the environment sets at any time.
 
-    Where it moves something, `derivatives` of it are inputs too, the highest one that is given is extrapolated inside
-    a communication step by a polynomial of `order`, and a `jump` [in its unit] above that limit is refused.
+    If it moves something, its `derivatives` are inputs too, a polynomial of `order` extrapolates the highest given one
+    inside a communication step, and a jump above `jump` [in its unit] is refused.
     """
 
     name: str
@@ -47,22 +47,22 @@ class Input(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Signal(Brief):
-    """An input that moves something, as a polynomial of time from `since` [s] on."""
+    """An input that moves something, as a polynomial of time starting at `since` [s]."""
 
     input: Input
     since: ca.SX
     coefficients: tuple[ca.SX, ...]
-    """In the unit of the input over powers of a second, the constant one first."""
+    """Coefficients in the unit of the input over powers of a second, the constant one first."""
 
     @classmethod
     def of(cls, given: Input) -> Signal:
-        """Fresh symbols for the polynomial of an input."""
+        """Return a signal with fresh symbols for the polynomial of an input."""
         name = given.name
         coefficients = tuple(ca.SX.sym(f"{name}.c{k}") for k in range(COEFFICIENTS))
         return cls(given, ca.SX.sym(f"{name}.since"), coefficients)
 
     def at(self, time: ca.SX) -> ca.SX:
-        """The signal at a time [s]."""
+        """Return the signal at a time [s]."""
         x, value = time - self.since, ca.SX(0)
         for coefficient in reversed(self.coefficients):
             value = coefficient + x * value
@@ -70,18 +70,19 @@ class Signal(Brief):
 
     @property
     def numbers(self) -> tuple[ca.SX, ...]:
-        """Everything that says what it is, in the order in which the runtime keeps it."""
+        """Symbols of the signal, in the order in which the runtime stores them."""
         return (self.since, *self.coefficients)
 
 
 @dataclass(frozen=True, repr=False)
 class Law(Brief):
-    """What moves something in time, and may jump or not be finite: a run looks at it over each communication step."""
+    """A law of time that moves something and may jump or become infinite: a run checks it over each communication
+    step."""
 
     what: str
-    """What it is, in words."""
+    """Description in words."""
     value: ca.SX
-    """In coordinates, parameters, signals and time."""
+    """Expression in coordinates, parameters, signals and time."""
     unit: str
     motion: str = ""
-    """Name of the motion in force with which alone it counts; empty where it always does."""
+    """Switchable motion this law belongs to; empty if always active."""

@@ -1,4 +1,4 @@
-"""What a declaration consists of: quantities, points, bodies, joints, constraints, forces and motions, as data."""
+"""Parts of a declaration as data: quantities, points, bodies, joints, constraints, forces and motions."""
 
 from __future__ import annotations
 
@@ -77,11 +77,12 @@ GUESS = (*CONSTANT, "coordinates", "start values")
 MOTION = (*CONSTANT, "coordinates", "rates", "time")
 EFFORT = (*CONSTANT, "coordinates", "rates", "inputs", "states", "time")
 READING = (*EFFORT, "accelerations")
-"""What a number of a declaration may depend on: a mass, a motion, a place, a guess, an energy, a force or the
-rate of a state, an output."""
+"""Quantities on which a number of a declaration may depend: a mass, a motion, a place, a guess, an energy, a force or
+the rate of a state, an output."""
 
 MOVING = (LAW, PLACE, MOTION)
-"""What makes the mechanism depend on time where it depends on time or on an input, which is a signal there."""
+"""Kinds of quantities that make the mechanism depend on time if they depend on time or on an input, which is a signal
+there."""
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
@@ -89,7 +90,7 @@ EFFORTS = {"rad": "N.m", "m": "N"}
 
 @dataclass(frozen=True, repr=False)
 class Symbol(Brief):
-    """What a symbol of a declaration stands for; `kind` is one of READING or GUESS."""
+    """Meaning of a symbol of a declaration; `kind` is one of READING or GUESS."""
 
     kind: str
     text: str
@@ -149,7 +150,7 @@ class State(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Output(Brief):
-    """An expression that a user asked for by name."""
+    """An expression that the user declared as an output."""
 
     name: str
     expression: ca.SX
@@ -159,7 +160,7 @@ class Output(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Watched(Brief):
-    """A point of a body that is watched: outputs of its place and velocity, and a trail in pictures."""
+    """A watched point of a body: outputs of its place and velocity, and a trail in pictures."""
 
     name: str
     marker: Marker | SpatialMarker
@@ -180,7 +181,7 @@ class Point(Brief):
 
 
 class Owner(Protocol):
-    """The mechanism of a body, which knows where all of it is (`model.kinematics.Kinematics`)."""
+    """The mechanism of a body, which knows the places of all its bodies (`model.kinematics.Kinematics`)."""
 
     def _kinematics(self) -> Any: ...
 
@@ -197,7 +198,7 @@ class Marker(Brief):
     def position(self) -> tuple[ca.SX, ca.SX]:
         """The point (x, y) [m] in ground axes, as expressions in coordinates and parameters.
 
-        Raises DeclarationError where nothing places its body yet.
+        Raises DeclarationError if nothing places its body yet.
         """
         return self.body._places().place(self)
 
@@ -207,7 +208,7 @@ class Body(Brief):
     """A rigid body in the plane; `Mechanism.body` and `Mechanism.bar` make it.
 
     `mass` [kg], `inertia` [kg.m2] about the centre of mass, `center` (x, y) [m] of mass in the body's frame, whose
-    origin is wherever the user measures from; `length` [m] of a bar.
+    origin the user chooses; `length` [m] of a bar.
     """
 
     name: str
@@ -222,26 +223,26 @@ class Body(Brief):
     def __post_init__(self) -> None:
         self._mechanism: Owner | None = None
         self.near: ca.SX = ca.SX.sym(f"{self.name}.near")
-        """Where its angle was last, which tells its turns where two points place it."""
+        """Its last angle, which determines its whole turns if two points place it."""
 
     @property
     def angle(self) -> ca.SX:
         """The angle [rad] of its frame in ground axes, as an expression in coordinates and parameters.
 
-        Of a bar between two points a run counts the turns. Raises DeclarationError where nothing places it yet.
+        For a bar between two points, a run counts the turns. Raises DeclarationError if nothing places it yet.
         """
         counted: ca.SX = self._places().frame(self).counted
         return counted
 
     def _places(self) -> Any:
-        """Where all bodies of its mechanism are, as it is declared by now."""
+        """Return the places of all bodies of its mechanism, from the declaration so far."""
         if self._mechanism is None:
             raise DeclarationError(f"{self.name} belongs to no mechanism; make bodies by body() and bar()")
         return self._mechanism._kinematics()
 
     @explained
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
-        """The point (x, y) [m] of the body's frame."""
+        """Return the point (x, y) [m] of the body's frame."""
         x, y = (number(f"{axis} of {self.name}.at()", value) for axis, value in (("x", x), ("y", y)))
         return Marker(self, x, y)
 
@@ -259,7 +260,7 @@ class Body(Brief):
 
     @property
     def is_placed(self) -> bool:
-        """Whether something says where the body is: a pose, two points, a joint with a coordinate."""
+        """Whether something places the body: a pose, two points, or a joint with a coordinate."""
         return self.pose is not None or self.between is not None or self.placed_by is not None
 
 
@@ -312,7 +313,7 @@ class Constraint(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Lock(Brief):
-    """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
+    """A displacement that a Boolean input keeps at its present `value` and releases again."""
 
     direction: ClassVar[str] = "locked"
     name: str
@@ -323,7 +324,7 @@ class Lock(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Motion(Brief):
-    """A displacement that follows a law; `value` is what a motion that is switched keeps beside it, else None."""
+    """A displacement that follows a law; `value` is the offset that a switched motion adds to it, else None."""
 
     direction: ClassVar[str] = "motion"
     name: str
@@ -335,7 +336,7 @@ class Motion(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Friction(Lock):
-    """Dry friction in a joint, in proportion to its own reaction: a lock that the load lets go.
+    """Dry friction in a joint, in proportion to its own reaction: a lock that the load can break loose.
 
     `slip` stands for the direction in which it slides (1 or -1), and is 0 while it sticks.
     """
@@ -360,7 +361,7 @@ class Spring(Brief):
     rest: Scalar
     name: str = ""
     friction: bool = False
-    """Whether it is the viscous friction of a joint, which nobody declared as a spring."""
+    """Whether it is the viscous friction of a joint, not a declared spring."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -391,14 +392,14 @@ class SpatialLoad(Brief):
 
 @dataclass(frozen=True, repr=False)
 class DrawnJoint(Brief):
-    """A joint or point that pictures show of what is declared at the general level; it moves nothing."""
+    """A joint or point that pictures show for a mechanism at the general level; it does not affect the motion."""
 
     name: str
     kind: str
     at: tuple[Scalar, ...]
     axis: tuple[Scalar, ...] | None
     outputs: tuple[str, ...]
-    """Names of the outputs that tell its place, then its axis; none where it stands still."""
+    """Names of the outputs that give its place, then its axis; empty if it stands still."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -412,19 +413,19 @@ class DrawnBar(Brief):
 @declares
 @dataclass(frozen=True)
 class Experiment:
-    """What a run of the mechanism looks like when nobody says otherwise.
+    """Default settings of a run of the mechanism.
 
     `stop_time` is its end [s], `communication_step` the time between two rows of the result [s], `step_size` the
-    default of `solver.step_size` [s], which stands for the communication step where that is None. Raises
-    DeclarationError where one of them is not above zero.
+    default of `solver.step_size` [s], which is also the communication step if that is None. Raises DeclarationError if
+    one of them is not above zero.
     """
 
     stop_time: float = 10.0
-    """[s]"""
+    """End of the run [s]."""
     step_size: float = 0.02
     """Default of `solver.step_size` [s]."""
     communication_step: float | None = None
-    """[s]; None for the step size of the solver."""
+    """Time between two rows of the result [s]; None for the step size of the solver."""
     interval: InitVar[float | None] = None
     """Former name of `communication_step`."""
 
@@ -441,15 +442,15 @@ class Experiment:
 
 
 def key_of(symbol: Scalar) -> int | None:
-    """A key that no other scalar symbol or expression has; None for a number."""
+    """Return a key that no other scalar symbol or expression has; None for a number."""
     return symbol.element_hash() if isinstance(symbol, ca.SX) and symbol.is_scalar(True) else None
 
 
 def symbolic(value: Scalar) -> ca.SX:
-    """A number or an expression as an expression; conversion is slow, so it is left out where it does nothing."""
+    """Return a number or an expression as an expression; an expression is returned as it is, as conversion is slow."""
     return value if isinstance(value, ca.SX) else ca.SX(value)
 
 
 def stack(expressions: Sequence[Scalar]) -> ca.SX:
-    """A column of expressions, empty ones included."""
+    """Return a column of expressions, empty ones included."""
     return ca.vertcat(*map(symbolic, expressions)) if expressions else ca.SX(0, 1)

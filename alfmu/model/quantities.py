@@ -53,7 +53,7 @@ class Quantities(Declaration):
         maximum: float | None = None,
         description: str = "",
     ) -> ca.SX:
-        """A constant that a user may change before the start; returns its symbol.
+        """Add a constant that a user may change before the start; return its symbol.
 
         `default`, `minimum` and `maximum` (inclusive) are floats in `unit`, one of `alfmu.model.units.UNITS`.
         """
@@ -85,7 +85,7 @@ class Quantities(Declaration):
         rate_name: str | None = None,
         description: str = "",
     ) -> ca.SX:
-        """A quantity given at the start, `start.<name>`, and its rate; returns the symbol of its value.
+        """Add a quantity given at the start, `start.<name>`, and its rate; return the symbol of its value.
 
         A coordinate whose `start` is this symbol is independent; `tie` binds the symbol to any other expression.
         """
@@ -119,7 +119,7 @@ class Quantities(Declaration):
         independent: bool = False,
         description: str = "",
     ) -> ca.SX:
-        """A dependent coordinate (entry of q) in `unit`: rad, m or 1; returns its symbol.
+        """Add a dependent coordinate (entry of q) in `unit`: rad, m or 1; return its symbol.
 
         `start` is the guess from which the assembly is solved: a number, or an expression in parameters, start
         quantities and coordinates declared before; its time derivative is the guess of the velocity. A coordinate with
@@ -152,7 +152,7 @@ class Quantities(Declaration):
         return symbol
 
     def rate(self, coordinate: ca.SX) -> ca.SX:
-        """The velocity of a coordinate, or the rate of an expression in coordinates declared before: for kinetic
+        """Return the velocity of a coordinate, or the rate of an expression in coordinates declared before, for kinetic
         energies, forces and outputs."""
         if isinstance(coordinate, ca.SX) and coordinate.is_scalar() and not coordinate.is_symbolic():
             x = symbolic(self._quantity("what rate() is asked of", coordinate, "1", PLACE))
@@ -161,7 +161,7 @@ class Quantities(Declaration):
         return self._coordinate(coordinate).v
 
     def acceleration(self, coordinate: ca.SX) -> ca.SX:
-        """The acceleration symbol of a coordinate, for outputs."""
+        """Return the acceleration symbol of a coordinate, for outputs."""
         return self._coordinate(coordinate).a
 
     def input(
@@ -175,14 +175,15 @@ class Quantities(Declaration):
         order: int = 2,
         jump: float | None = None,
     ) -> ca.SX:
-        """A quantity in `unit` that is set from outside at any time and is `start` until then; returns its symbol.
+        """Add a quantity in `unit` that the environment sets at any time and that is `start` until then; return its
+        symbol.
 
-        An input can also move something: a `motion`, a place, a guide, a constraint. It is a *signal* there, which
-        inside a communication step runs without a jump from where it is to where it will be, as far as is known.
-        `derivatives` 1 or 2 declares the inputs `<name>_rate` and `<name>_acceleration`, which tell more of that; the
-        highest one given goes on by a polynomial of `order` (0, 1 or 2) through its values at past communication
-        points. A value that differs from where the signal is by more than `jump` is refused: 0.1 rad or 0.01 m where
-        nothing else is given.
+        An input can also move something: a `motion`, a place, a guide, a constraint. It is then a *signal*, which runs
+        without a jump from its present to its next value inside a communication step, as far as that is known.
+        `derivatives` 1 or 2 declares the inputs `<name>_rate` and `<name>_acceleration`, which improve this prediction;
+        the highest one given is extrapolated by a polynomial of `order` (0, 1 or 2) through its values at past
+        communication points. A value that differs from the present signal by more than `jump` is refused; the default
+        is 0.1 rad or 0.01 m.
         """
         symbol = self._claim(name, unit, "an input")
         text(f"{self.name}: the description of {name}", description)
@@ -216,14 +217,14 @@ class Quantities(Declaration):
         nominal: float = 1.0,
         description: str = "",
     ) -> ca.SX:
-        """A quantity of a first-order equation that is integrated with the motion: a current, an integral of a
-        controller, a filtered signal, the filling of a vessel. Returns its symbol, for forces, rates and outputs.
+        """Add a quantity of a first-order equation that is integrated with the motion: a current, an integral of a
+        controller, a filtered signal, the filling of a vessel. Return its symbol, for forces, rates and outputs.
 
         `rate` is its time derivative [unit/s]: an expression in parameters, coordinates, rates, inputs, states and
-        time. Where it takes the state itself, or one that is declared later, `derivative` gives it instead. `start` is
-        its value [unit] at the start, which the parameter `start.<name>` changes. `nominal` [unit] is what a large
-        value of it is: an error below `solver.absolute_tolerance` of it does not count. The output `<name>` shows it.
-        Raises DeclarationError where the name is taken, or a number or the unit makes no sense.
+        time. If the rate depends on the state itself, or on a later one, give it with `derivative` instead. `start` is
+        its value [unit] at the start, which the parameter `start.<name>` changes. `nominal` [unit] is a large value of
+        the state: errors below `solver.absolute_tolerance` times it are negligible. The output `<name>` shows it.
+        Raises DeclarationError if the name is taken, or if a number or the unit is invalid.
         """
         symbol = self._claim(name, unit, "a state")
         self._claim(f"start.{name}", unit, "a start value")
@@ -241,12 +242,12 @@ class Quantities(Declaration):
         return symbol
 
     def derivative(self, state: ca.SX, rate: Scalar) -> None:
-        """Give a state its rate, where it was declared without one: an expression as `state` takes it::
+        """Give a state that was declared without a rate its rate, an expression as in `state`::
 
             i = m.state("motor.current", "A")
             m.derivative(i, (voltage - resistance * i - constant * m.rate(angle)) / inductance)
 
-        Raises DeclarationError where the symbol is no state of this mechanism, or has a rate already.
+        Raises DeclarationError if the symbol is no state of this mechanism, or has a rate already.
         """
         place = next((k for k, x in enumerate(self.states) if key_of(x.symbol) == key_of(state)), None)
         if place is None:
@@ -271,8 +272,7 @@ class Quantities(Declaration):
         Declaration.states.of(self)[place] = replace(found, rate=expression)
 
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
-        """A result in `unit` of the user's own: an expression in coordinates, rates, accelerations, inputs, states,
-        time."""
+        """Add an output in `unit`: an expression in coordinates, rates, accelerations, inputs, states and time."""
         self._claim(name, unit, "an output")
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
@@ -280,9 +280,9 @@ class Quantities(Declaration):
 
     def watch(self, name: str, marker: AnyMarker, description: str = "") -> None:
         """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
-        `.z` and `.vz`. Pictures show the point, and films its trail, the path that it has made.
+        `.z` and `.vz`. Pictures show the point, and films its trail, the path behind it.
 
-        Raises DeclarationError where the name is taken or the marker is not on a body of this mechanism.
+        Raises DeclarationError if the name is taken or the marker is not on a body of this mechanism.
         """
         self._claim(name, "m", "a watched point")
         text(f"{self.name}: the description of {name}", description)
@@ -294,7 +294,7 @@ class Quantities(Declaration):
         self.watch(name, marker, description)
 
     def measure(self, *of: AnyJoint | Spring | str) -> None:
-        """Outputs of joints and springs, or their names; of all that there are where none is given.
+        """Add outputs of joints and springs, given as objects or names; of all of them if none is given.
 
         A hinge `A` has `A.angle` [rad], `A.angular_velocity` and `A.angular_acceleration`, a slider `guide` has
         `guide.displacement` [m], `guide.velocity` and `guide.acceleration`: of the second body from the first. A spring
@@ -302,7 +302,7 @@ class Quantities(Declaration):
         without a name is called after its joint (`A.spring`), between points by its number (`spring1`). Viscous
         friction is no spring: declare a damper in its place to measure it.
 
-        Raises DeclarationError where something is neither a spring nor a joint with one free motion.
+        Raises DeclarationError if something is neither a spring nor a joint with one free motion.
         """
         if not of:
             self.measures_all = True

@@ -1,4 +1,4 @@
-"""What joins the motions of several bodies by one relation: gears, racks, belts, rolling wheels, blades.
+"""Relations that couple the motions of several bodies: gears, racks, belts, rolling wheels, blades.
 
 A relation is closed by constraints, as a loop is. Each row is the relative displacement of two bodies where they touch,
 written in the places of the bodies themselves, so that its multiplier is the force there and the reactions of all
@@ -92,7 +92,7 @@ class Mechanism(Protocol):
 
 
 Reading = tuple[str, ca.SX, str, str]
-"""An output of a relation: what follows its name, expression, unit, description."""
+"""An output of a relation: suffix of its name, expression, unit, description."""
 
 _ROUND = 72
 """Sides of a circle in pictures [1]: five degrees each, which is round at the size of a screen."""
@@ -111,7 +111,7 @@ class Rim(Brief):
 
 
 Way = tuple[tuple[Joint, int], ...]
-"""Joints on the way from the carrier to a body, each with 1 where its second body is the one that is further away."""
+"""Joints on the way from the carrier to a body, each with 1 if its second body is the one that is further away."""
 
 
 class Places(Protocol):
@@ -139,18 +139,19 @@ class Relation(Brief, ABC):
 
     @abstractmethod
     def residual(self, places: Places, direction: str) -> ca.SX:
-        """What the relation keeps at zero [m]."""
+        """Return the residual of the relation [m]."""
 
     @abstractmethod
     def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
-        """What a user can read of it."""
+        """Return the outputs of the relation."""
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
-        """What forces that do no work add to reactions: of which joint, along which direction, how much."""
+        """Return the contributions of workless forces to reactions: joint, direction and amount of each."""
         return []
 
     def slip(self, places: Places, direction: str) -> list[tuple[ca.SX, ca.SX]] | None:
-        """Of a row of velocities: directions, and places whose rates they weigh; None of a row of positions."""
+        """Return, for a row of velocities, its directions and the places whose rates they weigh; None for a row of
+        positions."""
         return None
 
     def rims(self) -> list[Rim]:
@@ -197,16 +198,16 @@ class Pair(Relation):
         return [circle(at, abs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
 
     def line(self, places: Places) -> tuple[ca.SX, ca.SX]:
-        """Direction from the first centre to the second in ground axes."""
+        """Return direction from the first centre to the second in ground axes."""
         return places.frame(self.carrier).turn(*(x / self.distance for x in self.across))
 
     def driving(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Force at the rim of the second wheel, positive where it turns it counter-clockwise [N]."""
+        """Return force at the rim of the second wheel, positive where it turns it counter-clockwise [N]."""
         R2 = self.radii[1]
         return -multipliers["rim"] * (ca.sign(R2) if isinstance(R2, ca.SX) else math.copysign(1.0, R2))
 
     def pushed(self, places: Places, force: ca.SX) -> list[tuple[Joint, str, ca.SX]]:
-        """Reactions to a force that pushes the centres apart [N]."""
+        """Return reactions to a force that pushes the centres apart [N]."""
         if force.is_zero():
             return []
         e = self.line(places)
@@ -244,7 +245,7 @@ class Gear(Pair):
         return readings
 
     def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Force across the pitch circles: the flank in contact is the one that pushes [N]."""
+        """Return force across the pitch circles: the flank in contact is the one that pushes [N]."""
         return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
@@ -351,7 +352,7 @@ class Rack(Relation):
         return [circle(self.pinion, self.radius), Rim(bar.body, ends)]
 
     def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Force across the pitch line [N]."""
+        """Return force across the pitch line [N]."""
         return ca.fabs(multipliers["teeth"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
@@ -366,7 +367,7 @@ class Rack(Relation):
         return added
 
     def _arm(self, places: Places) -> tuple[ca.SX, ca.SX]:
-        """The pitch point from the joint's point on the rack: along the guide and to its left [m]."""
+        """Return the pitch point from the joint's point on the rack: along the guide and to its left [m]."""
         (x, y), (x2, y2) = places.place(self.held), places.place(self.guide.second)
         ux, uy, nx, ny = places.axes(self.guide)
         dx, dy = x - x2, y - y2
@@ -489,7 +490,7 @@ class SpatialRolling(Relation):
         return pairs
 
     def _lean(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The plane's normal, its part along a disc's axis, and the length of what is left."""
+        """Return the plane's normal, its part along a disc's axis, and the length of what is left."""
         normal = ca.SX(list(self.triad[2]))
         if self.axis is None:
             return normal, ca.SX.zeros(3), ca.SX(1)
@@ -498,7 +499,7 @@ class SpatialRolling(Relation):
         return normal, tilt * axis, ca.sqrt(1 - tilt**2)
 
     def wrench(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Force on the body that rolls, and its moment about the centre."""
+        """Return force on the body that rolls, and its moment about the centre."""
         order = ("slip1", "slip2", "normal")
         force = sum((-multipliers[k] * ca.SX(list(x)) for k, x in zip(order, self.triad, strict=True)), ca.SX.zeros(3))
         normal, lean, size = self._lean()
@@ -511,7 +512,7 @@ class SpatialRolling(Relation):
 
 
 def circle(centre: Marker, radius: Scalar, spoke: bool = True) -> Rim:
-    """A circle about a marker, with a spoke that shows how it turns."""
+    """Return a circle about a marker, with a spoke that shows how it turns."""
     turns = [2 * math.pi * k / _ROUND for k in range(_ROUND + 1)]
     points = [(centre.x + radius * math.cos(t), centre.y + radius * math.sin(t)) for t in turns]
     return Rim(centre.body, ((centre.x, centre.y), *points) if spoke else tuple(points))
@@ -664,7 +665,7 @@ def _both(m: Mechanism, what: str, values: Any) -> Sequence[Any]:
 
 
 def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
-    """A pressure angle that teeth can have."""
+    """Return a pressure angle that teeth can have."""
     of = f"the pressure angle of {what}"
     angle = m._constant(of, pressure_angle, "rad")
     if not 0 <= (at := m._at_defaults(of, angle)) < math.pi / 2:
@@ -675,7 +676,7 @@ def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
 
 
 def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float, float]:
-    """Two radii, and what they are at the defaults of the parameters."""
+    """Return two radii, and what they are at the defaults of the parameters."""
     given = _both(m, f"the radii of {what}", radii)
     named = [(f"the {which} radius of {what}", r) for which, r in zip(("first", "second"), given, strict=True)]
     own = [m._constant_length(*each) for each in named]
@@ -686,7 +687,8 @@ def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float,
 def _centres(
     m: Mechanism, what: str, first: Marker, second: Marker, carrier: Body | None
 ) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar, Marker]:
-    """The carrier of two wheels, hinges between it and them, the way from centre to centre, its length, its start."""
+    """Return the carrier of two wheels, hinges between it and them, the way from centre to centre, its length, its
+    start."""
     wheels = (first.body, second.body)
     if wheels[0] is wheels[1]:
         raise DeclarationError(f"{m.name}: {what} joins {wheels[0].name} to itself; give wheels of two bodies")
@@ -725,7 +727,7 @@ def _centres(
 
 
 def _way(m: Mechanism, what: str, at: Marker, carrier: Body) -> tuple[Way, Marker]:
-    """The hinges from a carrier to a centre, and the centre on the carrier."""
+    """Return the hinges from a carrier to a centre, and the centre on the carrier."""
     reached = _reached(m, at)
     if carrier not in reached:
         raise DeclarationError(_unheld(m, what, at, [carrier.name]))
@@ -740,12 +742,13 @@ def _unheld(m: Mechanism, what: str, at: Marker, carriers: Sequence[str]) -> str
 
 
 def shown_place(at: Marker) -> str:
-    """The place of a marker as messages show it."""
+    """Return the place of a marker as messages show it."""
     return ", ".join("..." if isinstance(x, ca.SX) else f"{x:g}" for x in (at.x, at.y))
 
 
 def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
-    """Bodies on which hinges and welds hold a point: the joints from there to the point, and the marker there."""
+    """Return bodies on which hinges and welds hold a point: the joints from there to the point, and the marker
+    there."""
     found: dict[Body, tuple[Way, Marker]] = {centre.body: ((), centre)}
     pending = [centre]
     while pending:
@@ -765,13 +768,13 @@ def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
 
 
 def _at(one: Marker, other: Marker) -> bool:
-    """Whether two markers of a body are at one place."""
+    """Return whether two markers of a body are at one place."""
     apart = [ca.SX(a) - ca.SX(b) for a, b in ((one.x, other.x), (one.y, other.y))]
     return all(x.is_zero() or (x.is_constant() and abs(float(x)) < _SAME) for x in apart)
 
 
 def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.SX:
-    """The angle of a body from its carrier, counted over turns."""
+    """Return the angle of a body from its carrier, counted over turns."""
     frames = [places.frame(each) for each in (body, carrier)]
     for each, frame in zip((body, carrier), frames, strict=True):
         if frame.wrapped:
@@ -784,7 +787,7 @@ def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.S
 
 
 def _gap(places: Places, way: Way) -> tuple[ca.SX, ca.SX]:
-    """How far the joints of a way are open [m]."""
+    """Return the opening of the joints of a way [m]."""
     x, y = ca.SX(0), ca.SX(0)
     for joint, sign in way:
         (x1, y1), (x2, y2) = places.place(joint.first), places.place(joint.second)
@@ -797,7 +800,7 @@ def _nothing(value: Scalar) -> bool:
 
 
 def direction(angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of an angle, exact at right angles."""
+    """Return cosine and sine of an angle, exact at right angles."""
     if isinstance(angle, ca.SX):
         return ca.cos(angle), ca.sin(angle)
     quarters = angle / (math.pi / 2)

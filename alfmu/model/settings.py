@@ -1,4 +1,4 @@
-"""Numbers and choices of the method that a user may set: their names, their defaults, what they may be."""
+"""Numbers and choices of the method that a user may set: their names, defaults and ranges."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class Settings:
     formulation: str = "residual"
     """One of FORMULATIONS."""
     method: str = "auto"
-    """One of METHODS; formulations but `residual`, and `branch` = paper, are integrated by `rk4` where it is `auto`."""
+    """One of METHODS; `auto` means `rk4` for formulations other than `residual` and for `branch` = paper."""
     relative_tolerance: float = 1e-6
-    """Of a run, for methods that control their error."""
+    """Relative tolerance of a run, for methods with error control."""
     absolute_tolerance: float = 0.0
-    """The same where values are small [m, rad; per s]; 0 is the number of the relative one."""
+    """Absolute tolerance for small values [m, rad; per s]; 0 takes the number of the relative one."""
     input_order: int = 0
-    """Of the extrapolation of inputs inside a communication step; 0 holds them."""
+    """Order of the extrapolation of inputs inside a communication step; 0 holds them."""
     branch: str = "continue"
     """How singular positions are passed, one of BRANCHES; `residual` alone continues."""
     zeta: float = 1.0
@@ -80,7 +80,7 @@ class Settings:
     """Whether to correct the state after each step; None leaves it to the formulation."""
 
     def checked(self, name: str, rows: int) -> Settings:
-        """These settings, or InputError naming the mechanism and what is wrong."""
+        """Return these settings; raise InputError, with the mechanism and the mistake, if one is out of its range."""
         if self.formulation not in FORMULATIONS:
             raise InputError(
                 f"{name}: solver.formulation is {self.formulation!r}; use one of {', '.join(FORMULATIONS)}"

@@ -11,5 +11,5 @@ LINKAGES = (".xml", ".urdf", ".sdf")
 
 
 def is_file(mechanism: object) -> bool:
-    """Whether something names a file that declares a mechanism, and no registered one."""
+    """Return whether something names a file that declares a mechanism, and no registered one."""
     return isinstance(mechanism, str | Path) and str(mechanism).endswith((".py", *LINKAGES))

@@ -89,7 +89,7 @@ RELATIVE: dict[str, tuple[str, ...]] = {
 
 
 def rotation(e: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) of Euler parameters (4,): its columns are the axes of the body in ground axes."""
+    """Return rotation matrix (3, 3) of Euler parameters (4,): its columns are the axes of the body in ground axes."""
     e0, e1, e2, e3 = ca.vertsplit(e)
     return ca.blockcat(
         [
@@ -101,22 +101,22 @@ def rotation(e: ca.SX) -> ca.SX:
 
 
 def angular_velocity(e: ca.SX, rate: ca.SX) -> ca.SX:
-    """Angular velocity (3,) [rad/s] in ground axes, from Euler parameters (4,) and their rates."""
+    """Return angular velocity (3,) [rad/s] in ground axes, from Euler parameters (4,) and their rates."""
     return 2 * (e[0] * rate[1:] - rate[0] * e[1:] + ca.cross(e[1:], rate[1:]))
 
 
 def about(axis: Vector, angle: Scalar) -> ca.SX:
-    """Euler parameters (4,) of a turn by an angle [rad] about an axis of unit length."""
+    """Return Euler parameters (4,) of a turn by an angle [rad] about an axis of unit length."""
     return ca.vertcat(ca.cos(angle / 2), *(ca.sin(angle / 2) * x for x in axis))
 
 
 def product(e: ca.SX, f: ca.SX) -> ca.SX:
-    """Euler parameters (4,) of the turn f made in the axes that the turn e leads to: R = R(e) R(f)."""
+    """Return Euler parameters (4,) of the turn f made in the axes that the turn e leads to: R = R(e) R(f)."""
     return ca.vertcat(e[0] * f[0] - ca.dot(e[1:], f[1:]), e[0] * f[1:] + f[0] * e[1:] + ca.cross(e[1:], f[1:]))
 
 
 def spin_matrix(e: ca.SX) -> ca.SX:
-    """The matrix (3, 4) that makes an angular velocity of the rates of Euler parameters (4,)."""
+    """Return the matrix (3, 4) that makes an angular velocity of the rates of Euler parameters (4,)."""
     rates = ca.SX.sym("rates", 4)
     return ca.jacobian(angular_velocity(e, rates), rates)
 
@@ -150,7 +150,7 @@ class SpatialBody(Brief):
     own: tuple[ca.SX, ca.SX] | None
     """Centre of mass (3,) in ground axes and Euler parameters (4,) of a body in absolute coordinates."""
     products: Vector = (0.0, 0.0, 0.0)
-    """Entries xy, xz and yz of that matrix, zero where the axes are principal ones."""
+    """Entries xy, xz and yz of that matrix, zero if the axes are principal ones."""
     placed_by: SpatialJoint | None = None
     """The joint that places a body in relative coordinates."""
 
@@ -201,7 +201,7 @@ class SpatialBody(Brief):
         return found
 
     def seen_by(self, carrier: SpatialBody) -> Seen | None:
-        """The body as one of its carriers sees it; None of itself."""
+        """Return the body as one of its carriers sees it; None of itself."""
         if self is carrier:
             return None
         kept = self.__dict__.setdefault("_seen", {})
@@ -224,7 +224,7 @@ class SpatialBody(Brief):
         return kept[carrier]
 
     def turned(self, point: Vector) -> ca.SX:
-        """A point of the body's frame, from its anchor, in ground axes (3,)."""
+        """Return a point of the body's frame, from its anchor, in ground axes (3,)."""
         return self.rotation @ _between(self.center if self.own is not None else self.anchor[0], point)
 
     @property
@@ -243,7 +243,7 @@ class SpatialBody(Brief):
 
     @explained
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> SpatialMarker:
-        """The point (x, y, z) [m] of the body's frame."""
+        """Return the point (x, y, z) [m] of the body's frame."""
         named = zip("xyz", (x, y, z), strict=True)
         return SpatialMarker(self, *(number(f"{axis} of {self.name}.at()", value) for axis, value in named))
 
@@ -330,12 +330,13 @@ class SpatialJoint(Brief):
 
     @property
     def driven_axis(self) -> Vector | None:
-        """Direction of its free motion in the frame of the second body, None where it has several or none."""
+        """Direction of its free motion in the frame of the second body, None if it has several or none."""
         return self.axes[1] if len(self.freedoms) == 1 else None
 
     @explained
     def freedom(self, which: str) -> SpatialFreedom:
-        """One of the free motions of a joint that has several, for `drive`, `spring_damper`, `friction` and `lock`.
+        """Return one of the free motions of a joint that has several, for `drive`, `spring_damper`, `friction` and
+        `lock`.
 
         `which` is "angle" or "position" (cylindrical), "angle1" or "angle2" (universal), "position1", "position2" or
         "angle" (planar). Raises DeclarationError for any other.
@@ -346,8 +347,8 @@ class SpatialJoint(Brief):
         return SpatialFreedom(self, which)
 
     def triad(self, second: bool = False, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in the axes of the
-        ground, or of a body that carries that one."""
+        """Return two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in the axes of
+        the ground, or of a body that carries that one."""
         body = (self.second if second else self.first).body
         normal, other, axis = map(_column, right_handed(self.axes[second], self.nominal[second]))
         if carrier is None:
@@ -360,7 +361,7 @@ class SpatialJoint(Brief):
 
     @property
     def carrier(self) -> SpatialBody | None:
-        """The body that carries both bodies of the joint, the nearest one; None where there is none."""
+        """The body that carries both bodies of the joint, the nearest one; None if there is none."""
         others = self.second.body.carriers
         return next((body for body in self.first.body.carriers if body in others), None)
 
@@ -432,7 +433,8 @@ class SpatialJoint(Brief):
         return found
 
     def _ways(self, triad: tuple[ca.SX, ca.SX, ca.SX]) -> list[ca.SX]:
-        """Velocity (3,) of the second point, from the first body, for each unit of a rate, in the axes of a triad."""
+        """Return velocity (3,) of the second point, from the first body, for each unit of a rate, in the axes of a
+        triad."""
         nothing, (normal, other, axis) = ca.SX.zeros(3), triad
         return {
             "cylindrical": [nothing, axis],
@@ -487,11 +489,11 @@ class SpatialJoint(Brief):
         return self.is_wrapped(next(iter(self.freedoms)))
 
     def is_wrapped(self, which: str) -> bool:
-        """Whether a free displacement is an angle known up to whole turns only."""
+        """Return whether a free displacement is an angle known up to whole turns only."""
         return self.coordinates is None and self.freedoms[which] == "rad"
 
     def displacement(self, which: str) -> ca.SX:
-        """One of the free displacements, second body from first: an angle [rad], or a way [m]."""
+        """Return one of the free displacements, second body from first: an angle [rad], or a way [m]."""
         if self.coordinates is not None:
             return ca.SX(self._coordinate(which))
         return self._measured(which)
@@ -501,13 +503,14 @@ class SpatialJoint(Brief):
         return self.__dict__.setdefault("_near", {}).setdefault(which, ca.SX.sym(f"{self.name}.{which}.near"))
 
     def counted(self, which: str) -> ca.SX:
-        """One of the free displacements, an angle with its turns."""
+        """Return one of the free displacements, an angle with its turns."""
         if not self.is_wrapped(which):
             return self.displacement(which)
         return with_turns(*self._arms(which), self.near(which))
 
     def _measured(self, which: str) -> ca.SX:
-        """The displacement as the places of both bodies tell it, an angle within a turn; the same object each time."""
+        """Return the displacement as the places of both bodies tell it, an angle within a turn; the same object each
+        time."""
         kept = self.__dict__.setdefault("_kept", {})
         if which not in kept:
             kept[which] = self._from_places(which)
@@ -521,7 +524,7 @@ class SpatialJoint(Brief):
         return ca.dot(along, self.apart)
 
     def _arms(self, which: str) -> tuple[ca.SX, ca.SX]:
-        """Sine and cosine of an angle, times one length."""
+        """Return sine and cosine of an angle, times one length."""
         if which != "angle":
             # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
             one, two = map(_unit, self.axes)
@@ -553,8 +556,8 @@ class SpatialJoint(Brief):
         return ca.dot(*self._kept_square(direction, carrier))
 
     def gap(self, direction: str) -> ca.SX:
-        """The residual, to first order where it is small, but for a joint that is closed far from zero: in metres for
-        lengths, and not zero where directions that should be parallel are opposite."""
+        """Return the residual, to first order where it is small, but for a joint that is closed far from zero: in
+        metres for lengths, and not zero if directions that should be parallel are opposite."""
         residual, carrier = self.residual(direction), self.carrier
         if direction == "length":
             return ca.norm_2(self.apart) - self.length
@@ -571,7 +574,8 @@ class SpatialJoint(Brief):
         return (2 + _OPPOSITE) * whole / (whole + ca.dot(one, two) + _OPPOSITE * whole) * residual
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground axes.
+        """Return force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground
+        axes.
 
         What the constraint forces -C' lambda do in a displacement and in a turn of the second body.
         """
@@ -610,8 +614,8 @@ class SpatialJoint(Brief):
         return ca.dot(across, turned), way * axis, ca.cross(turned, across)
 
     def _kept_square(self, direction: str, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX]:
-        """Two directions, one on each body, that a joint keeps at a right angle, in the axes of the ground or of a
-        carrier."""
+        """Return two directions, one on each body, that a joint keeps at a right angle, in the axes of the ground or of
+        a carrier."""
         on_first, on_second = self.triad(carrier=carrier), self.triad(True, carrier)
         if direction == "rotation":
             return on_first[2], on_second[2]
@@ -639,7 +643,7 @@ class SpatialFreedom(Brief):
 
     @property
     def driven_axis(self) -> Vector | None:
-        """Its direction in the frame of the second body, None where it is fixed on the first one alone."""
+        """Its direction in the frame of the second body, None if it is fixed on the first one alone."""
         return self.joint.axes[1] if self.which in ("angle", "angle2", "position") else None
 
     @property
@@ -672,7 +676,7 @@ _NONE = 1e-30
 
 
 def with_turns(sine: ca.SX, cosine: ca.SX, near: ca.SX) -> ca.SX:
-    """The angle of a sine and a cosine, times one length, that is within half a turn of where it was last [rad].
+    """Return the angle of a sine and a cosine, times one length, that is within half a turn of where it was last [rad].
 
     Without jumps, and atan2 alone where it was at zero.
     """
@@ -681,30 +685,30 @@ def with_turns(sine: ca.SX, cosine: ca.SX, near: ca.SX) -> ca.SX:
 
 
 def _column(vector: Vector) -> ca.SX:
-    """Numbers or expressions as a column (3,)."""
+    """Return numbers or expressions as a column (3,)."""
     return ca.vertcat(*map(ca.SX, vector))
 
 
 def _between(a: Vector, b: Vector) -> ca.SX:
-    """The way (3,) from one point of a body's frame to another."""
+    """Return the way (3,) from one point of a body's frame to another."""
     return ca.vertcat(*(ca.SX(y) - x for x, y in zip(a, b, strict=True)))
 
 
 def _length(axis: Vector) -> Scalar:
-    """The length of a direction."""
+    """Return the length of a direction."""
     if any(isinstance(x, ca.SX) for x in axis):
         return ca.norm_2(ca.vertcat(*axis))
     return math.hypot(*axis)
 
 
 def _same(first: Vector, second: Vector) -> bool:
-    """Whether two axes are given by the same numbers or expressions."""
+    """Return whether two axes are given by the same numbers or expressions."""
     plain = not any(isinstance(x, ca.SX) for x in (*first, *second))
     return first == second if plain else all(a is b for a, b in zip(first, second, strict=True))
 
 
 def _unit(axis: Vector) -> Vector:
-    """A direction of unit length."""
+    """Return a direction of unit length."""
     x, y, z = (a / _length(axis) for a in axis)
     return x, y, z
 
@@ -714,7 +718,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 
 def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vector, Vector] | None = None) -> ca.SX:
-    """The rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
+    """Return the rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
     triads = (right_handed(axis, near) for axis, near in zip(axes, nominal or (None, None), strict=True))
     if any(isinstance(x, ca.SX) for axis in axes for x in axis):
         (i, j, k), (i2, j2, k2) = ([_column(each) for each in triad] for triad in triads)
@@ -733,7 +737,7 @@ def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vecto
 
 
 def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
-    """Euler parameters (4,) of a rotation matrix (3, 3) that is near one of numbers."""
+    """Return Euler parameters (4,) of a rotation matrix (3, 3) that is near one of numbers."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(np.array(ca.DM(nominal))).as_quat()
@@ -745,7 +749,7 @@ def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
 
 
 def _squares(R: ca.SX) -> ca.SX:
-    """The matrix (4, 4) of products of the Euler parameters of a rotation matrix, four times each."""
+    """Return the matrix (4, 4) of products of the Euler parameters of a rotation matrix, four times each."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     found = ca.SX(4, 4)
     found[0, 0] = 1 + trace
@@ -757,7 +761,7 @@ def _squares(R: ca.SX) -> ca.SX:
 
 
 def right_handed(axis: Vector, nominal: Vector | None = None) -> tuple[Vector, Vector, Vector]:
-    """Two normals of a direction and the direction itself, of unit length and right-handed.
+    """Return two normals of a direction and the direction itself, of unit length and right-handed.
 
     The first normal is the next coordinate axis, made square to the direction: exact for an axis of the frame. Of an
     expression in parameters, `nominal` is the direction at their defaults, which says what the next axis is.

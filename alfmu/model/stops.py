@@ -1,4 +1,4 @@
-"""Limit stops: what pushes a displacement back where it goes too far, and never pulls.
+"""Limit stops, which push a displacement back beyond its limit and never pull.
 
 With the penetration x, its rate x', and z = x/onset limited to [0, 1], a stop pushes with p(x) (1 + loss), where
 
@@ -59,16 +59,16 @@ class EndStop(Brief):
         return "what it limits" if isinstance(self.of, ca.SX) else f"{self.of.second.body.name} in {self.of.name}"
 
     def penetrations(self, x: ca.SX) -> Sequence[tuple[ca.SX, int]]:
-        """How far a displacement is in the stop at each limit, with the sign in which that grows with it."""
+        """Return the penetration at each limit, with the sign in which it grows with the displacement."""
         upper = [(x - self.upper, 1)] if self.upper is not None else []
         return upper + ([(self.lower - x, -1)] if self.lower is not None else [])
 
     def energy(self, x: ca.SX) -> ca.SX:
-        """What is stored at a displacement [J]."""
+        """Return the stored energy at a displacement [J]."""
         return sum((contact(depth, self.stiffness, self.onset)[0] for depth, _ in self.penetrations(x)), ca.SX(0))
 
     def losses(self, x: ca.SX, rate: ca.SX) -> ca.SX:
-        """The part of the effort along a displacement that takes energy [N or N.m]."""
+        """Return the dissipative part of the effort along a displacement [N or N.m]."""
         total = ca.SX(0)
         for depth, sign in self.penetrations(x):
             _, push = contact(depth, self.stiffness, self.onset)
@@ -76,7 +76,7 @@ class EndStop(Brief):
         return total
 
     def effort(self, x: ca.SX, rate: ca.SX) -> ca.SX:
-        """The effort along a displacement [N or N.m]."""
+        """Return the effort along a displacement [N or N.m]."""
         total = ca.SX(0)
         for depth, sign in self.penetrations(x):
             _, push = contact(depth, self.stiffness, self.onset)
@@ -84,7 +84,7 @@ class EndStop(Brief):
         return total
 
     def penetration(self, x: ca.SX) -> ca.SX:
-        """How far a displacement is in the stop, 0 where it is not [m or rad]."""
+        """Return the penetration into the stop, 0 outside it [m or rad]."""
         depth = [depth for depth, _ in self.penetrations(x)]
         return ca.fmax(depth[0] if len(depth) == 1 else ca.fmax(*depth), 0)
 
@@ -95,7 +95,8 @@ class EndStop(Brief):
 
 
 def contact(penetration: ca.SX, stiffness: Scalar, onset: Scalar) -> tuple[ca.SX, ca.SX]:
-    """Energy [J] and push [N] of a spring whose stiffness rises from 0 to the given one over the first `onset` [m].
+    """Return energy [J] and push [N] of a spring whose stiffness rises from 0 to the given one over the first `onset`
+    [m].
 
     With z = penetration/onset between 0 and 1 the stiffness is k (10 z^3 - 15 z^4 + 6 z^5), and constant beyond.
     """

@@ -80,7 +80,7 @@ _RATES = {"m": "m/s", "rad": "rad/s", "m/s": "m/s2", "rad/s": "rad/s2", "1": "1/
 
 
 def unit(name: str) -> Unit:
-    """The unit called `name`; DeclarationError where it is not one that alfmu knows."""
+    """Return the unit called `name`; raise DeclarationError if it is not one that alfmu knows."""
     if isinstance(name, str) and name in UNITS:
         return UNITS[name]
     for si, factor in ((u.name, u.display[name]) for u in UNITS.values() if name in u.display):
@@ -93,20 +93,21 @@ def unit(name: str) -> Unit:
 
 
 def alike(one: str, other: str) -> bool:
-    """Whether two units measure the same; an angle counts as a number."""
+    """Return whether two units measure the same; an angle counts as a number."""
     first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
     return first == second
 
 
 def is_rate(one: str, other: str) -> bool:
-    """Whether the first unit measures the time derivative of what the second one does; an angle counts as a number."""
+    """Return whether the first unit measures the time derivative of what the second one does; an angle counts as a
+    number."""
     first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
     second["s"] = second.get("s", 0) - 1
     return first == {k: x for k, x in second.items() if x}
 
 
 def rate_of(name: str) -> str:
-    """Name of the unit of the time derivative of a quantity in the unit called `name`."""
+    """Return name of the unit of the time derivative of a quantity in the unit called `name`."""
     try:
         return _RATES[unit(name).name]
     except KeyError:
@@ -114,7 +115,7 @@ def rate_of(name: str) -> str:
 
 
 def quotient(one: str, other: str) -> str:
-    """Name of the unit of a quantity in the first unit over one in the second: rad over N.m is rad/(N.m)."""
+    """Return name of the unit of a quantity in the first unit over one in the second: rad over N.m is rad/(N.m)."""
     if other == "1":
         return one
     powers = _powers(one)
@@ -130,7 +131,8 @@ def quotient(one: str, other: str) -> str:
 
 
 def composed(name: str) -> Unit:
-    """The unit called `name`, or a quotient of units, as `quotient` calls it; DeclarationError where it is neither."""
+    """Return the unit called `name`, or a quotient of units, as `quotient` calls it; raise DeclarationError if it is
+    neither."""
     if name in UNITS or not re.fullmatch(rf"({_PRODUCT}|1)(/{_FACTOR}|/\({_PRODUCT}\))?", name):
         return unit(name)
     exponents: dict[str, int] = {}
@@ -141,7 +143,7 @@ def composed(name: str) -> Unit:
 
 
 def _powers(name: str) -> dict[str, int]:
-    """The units that a name is made of, each with its power."""
+    """Return the units that a name is made of, each with its power."""
     above, _, below = name.partition("/")
     found: dict[str, int] = {}
     for part, sign in ((above, 1), (below, -1)):
@@ -151,5 +153,5 @@ def _powers(name: str) -> dict[str, int]:
 
 
 def _plain(name: str) -> str:
-    """A unit without what people write otherwise: dots, spaces, powers."""
+    """Return a unit without what people write otherwise: dots, spaces, powers."""
     return "".join(c for c in name if c not in " .*^·")

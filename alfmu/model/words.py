@@ -1,4 +1,4 @@
-"""What messages say of names and texts: what a text may be, which names were meant, how a value is shown."""
+"""Words of messages about names and texts: which texts are allowed, which names were meant, how a value is shown."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def text(what: str, value: Any, longest: int | None = None) -> str:
-    """A text that files and FMUs can hold; DeclarationError otherwise."""
+    """Return a text that files and FMUs can hold; DeclarationError otherwise."""
     if not isinstance(value, str):
         raise DeclarationError(f"{what} is {shown(value)}; give a text")
     if bad := _NOT_XML.search(value):
@@ -53,7 +53,7 @@ def text(what: str, value: Any, longest: int | None = None) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it: short, and with its kind where that is not plain."""
+    """Return a value as a message shows it: short, and with its kind where that is not plain."""
     if hasattr(value, "is_symbolic"):  # of CasADi
         return f"the symbol {value}" if value.is_symbolic() else f"an expression ({type(value).__name__})"
     text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
@@ -80,7 +80,7 @@ class Brief:
 
 
 def _brief(value: Any) -> str:
-    """A value in a `repr`."""
+    """Return a value in a `repr`."""
     if hasattr(value, "is_symbolic"):  # of CasADi
         plain = value.is_symbolic() or value.is_constant()
         return str(value) if plain else f"<{type(value).__name__}>"
@@ -107,7 +107,7 @@ def no_attribute(of: object, name: str, meant: str | None = None) -> str:
 
 
 def nearest(name: object, names: Collection[str]) -> list[str]:
-    """The names that somebody may have meant, the likeliest first; those that end with it before all others."""
+    """Return the names that somebody may have meant, the likeliest first; those that end with it before all others."""
     ending = [each for each in names if re.search(rf"[._]{re.escape(str(name))}$", each)]
     if 0 < len(ending) <= _SHOWN:
         return ending
@@ -125,13 +125,14 @@ def there_is(name: object, names: Collection[str]) -> str:
 
 
 def some_like(pattern: str, names: Collection[str]) -> str:
-    """The same of a pattern that nothing matches: all of a part may have been meant, as of a body by its name."""
+    """Return the same of a pattern that nothing matches: all of a part may have been meant, as of a body by its
+    name."""
     whole = any(name.startswith(f"{pattern}.") for name in names)
     return f"did you mean {pattern}.*?" if whole else there_is(pattern, names)
 
 
 def angle(value: float, digits: int = 3) -> str:
-    """An angle [rad] as a person reads it."""
+    """Return an angle [rad] as a person reads it."""
     return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
 
 
@@ -142,7 +143,7 @@ def in_words(names: Collection[str]) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> str:
-    """A value with its unit, an angle in degrees, too."""
+    """Return a value with its unit, an angle in degrees, too."""
     plain = f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
     return f"{plain} ({math.degrees(value):.4g} deg)" if unit == "rad" and value else plain
 

@@ -36,7 +36,7 @@ def motor(
     damping: float = 0.0,
     nominal: float = 1.0,
 ) -> Mechanism:
-    """A DC motor: `voltage` and the `speed` of its shaft in, `torque` and `current` out.
+    """Return a DC motor: `voltage` and the `speed` of its shaft in, `torque` and `current` out.
 
     With the `inertia` [kg.m2] of a rotor and its viscous `damping` [N.m.s/rad] the shaft moves by itself: `voltage` and
     the torque `load` against it in, `speed`, `angle`, `torque` and `current` out. `nominal` [A] is a large current.
@@ -74,7 +74,7 @@ def motor(
 
 @explained
 def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0) -> Mechanism:
-    """A gearbox with elastic shafts: `motor_speed` and `load_speed` in, `motor_torque` and `load_torque` out.
+    """Return a gearbox with elastic shafts: `motor_speed` and `load_speed` in, `motor_torque` and `load_torque` out.
 
     `ratio` is the speed of the motor over that of the load [1], `stiffness` [N.m/rad] and `damping` [N.m.s/rad] are
     those of its shafts, seen from the load. Its state `twist` [rad] is what the side of the motor is ahead.
@@ -96,7 +96,8 @@ def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0
 
 @explained
 def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mechanism:
-    """A PI controller of a speed: `wanted` and `measured` in [rad/s], `output` [V] out, within `limit` [V] of zero.
+    """Return a PI controller of a speed: `wanted` and `measured` in [rad/s], `output` [V] out, within `limit` [V] of
+    zero.
 
     `gain` is in V.s/rad, `time` [s] that of the integral part.
     """
@@ -109,7 +110,8 @@ def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mec
 
 @explained
 def load(inertia: float = 0.01, damping: float = 0.0, opposing: float = 0.0, fan: float = 0.0) -> Mechanism:
-    """A load on a shaft of its own: `torque` in, `angle` and `speed` out; the numbers are those of `parts.load`."""
+    """Return a load on a shaft of its own: `torque` in, `angle` and `speed` out; the numbers are those of
+    `parts.load`."""
     m = Mechanism("load", "Load on a shaft")
     torque = m.input("torque", "N.m", description="that drives the shaft")
     angle = m.coordinate("turned", "rad", start=0.0, independent=True)

@@ -35,7 +35,7 @@ def pi_controller(
     start: float = 0.0,
     nominal: float = 1.0,
 ) -> ca.SX:
-    """A PI controller; returns its output, for a motor or a drive.
+    """Add a PI controller; return its output, for a motor or a drive.
 
     `wanted` and `measured` are expressions in the first of `units`; measured are coordinates, rates, states and inputs,
     and no accelerations. `gain` [second unit over first] and `time` [s] of the integral part are numbers, which become
@@ -43,8 +43,8 @@ def pi_controller(
     either side of zero, the parameter `<name>.limit` [second unit]. `start` is the integral part at the start,
     `nominal` what a large output is (as in `Mechanism.state`).
 
-    Outputs are `<name>.output`, `<name>.error`, and the state `<name>.integral`. Raises DeclarationError where units
-    are no pair of units, or what is given makes no controller.
+    Outputs are `<name>.output`, `<name>.error`, and the state `<name>.integral`. Raises DeclarationError if units are
+    no pair of units, or what is given makes no controller.
     """
     if not isinstance(units, tuple | list) or len(units) != 2:
         raise DeclarationError(

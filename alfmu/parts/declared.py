@@ -1,4 +1,4 @@
-"""What the parts have in common: their parameters, and units that follow from others."""
+"""Common services of the parts: their parameters, and units that follow from others."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["label", "mounted", "named", "of", "rate_of_joint"]
 
 
 def label(part: str, name: str) -> str:
-    """The name of a quantity of a part; as it is where the part is a mechanism of its own, without a name."""
+    """Return the name of a quantity of a part; as it is where the part is a mechanism of its own, without a name."""
     return f"{part}.{name}" if part else name
 
 
@@ -34,7 +34,7 @@ def named(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Any:
-    """A number as the parameter `<part>.<name>` of the mechanism; an expression stays what it is."""
+    """Return a number as the parameter `<part>.<name>` of the mechanism; an expression stays what it is."""
     if isinstance(value, ca.SX):
         return value
     return m.parameter(
@@ -80,6 +80,6 @@ def mounted(
 
 
 def rate_of_joint(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
-    """Rate of the free displacement of a joint, whatever moves it: coordinates, or a law of time beside them."""
+    """Return the rate of the free displacement of a joint: coordinates, or a law of time beside them."""
     moving, rates = stack([m.time, *(c.q for c in m.coordinates)]), stack([1.0, *(c.v for c in m.coordinates)])
     return ca.jtimes(Kinematics(m).free(joint), moving, rates)

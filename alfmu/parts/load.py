@@ -44,7 +44,7 @@ def load(
     opposing: Scalar = 0.0,
     fan: Scalar = 0.0,
 ) -> Load:
-    """A load on a joint that turns, a hinge or a screw, which brakes it and gives it inertia.
+    """Add a load on a joint that turns, a hinge or a screw, which brakes it and gives it inertia.
 
     `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own, in space a thin disc about the axis.
     `damping` [N.m.s/rad] is viscous, `opposing` [N.m] a torque against the motion, which builds up within
@@ -52,7 +52,7 @@ def load(
     the speed. Numbers other than zero become the parameters `<name>.inertia` and so on; expressions stay what they are.
 
     The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name leaves out what
-    stands in front. Raises DeclarationError where the joint is none that turns, or nothing is given.
+    stands in front. Raises DeclarationError if the joint is none that turns, or nothing is given.
     """
     turns = isinstance(joint, Joint | SpatialJoint) and joint.kind in ("revolute", "screw")
     if not turns or joint not in (*m.joints, *m.spatial_joints):

@@ -74,7 +74,8 @@ def dc_motor(
     current: float = 0.0,
     nominal: float = 1.0,
 ) -> Motor:
-    """A DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic one.
+    """Add a DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic
+    one.
 
     Joints in space are driven as those in the plane are, and a screw, too, by its angle.
 
@@ -166,7 +167,7 @@ def _geared(
 
 
 def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
-    """What passes a gearbox, on the side of the motor: less where the motor drives, more where it is driven."""
+    """Return the torque beyond a gearbox, on the motor's side: less if the motor drives, more if it is driven."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
     passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)

@@ -1,4 +1,4 @@
-"""Runs: the one driver of them (`run`), `Result` and its tables, and the oracle that the kernel is held against.
+"""Runs: their common driver (`run`), `Result` and its tables, and the oracle that verifies the kernel.
 
 Other rooms import `oracle`, `result`.
 """

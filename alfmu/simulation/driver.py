@@ -40,7 +40,7 @@ Progress = Callable[[Iterable[float]], Iterable[float]]
 
 
 class Unit(Protocol):
-    """What the driver needs of a mechanism, whether it is an `Instance` or an FMU."""
+    """The interface that the driver needs of an `Instance` or an FMU."""
 
     name: str
 
@@ -66,7 +66,8 @@ FINER = {"solver.relative_tolerance": 0.01, "solver.step_size": 0.5}
 
 
 def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
-    """The number of the solver that a run takes which checks another one with these; InputError where there is none."""
+    """Return the number of the solver that a run takes which checks another one with these; raise InputError if there
+    is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
         raise InputError(f"{name} has no {setting}, which a run that checks another one changes; FMUs of alfmu have it")
@@ -74,7 +75,7 @@ def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
 
 
 def checked(result: Result, other: Result, setting: str, value: float) -> Result:
-    """A result with how far it is from one with a finer setting; a warning where that is much."""
+    """Return a result with its deviation from a run with a finer setting; warn if that is large."""
     check = Check.of(result, other, setting, value)
     if check.since is not None:
         _LOGGER.warning(
@@ -85,7 +86,7 @@ def checked(result: Result, other: Result, setting: str, value: float) -> Result
 
 
 def instance(equations: Equations, kernel: str, settings: Settings | None = None) -> Instance:
-    """An instance that is not yet initialised, run by a kernel."""
+    """Return an instance that is not yet initialised, run by a kernel."""
     return (oracle.Instance if kernel == "oracle" else Instance)(prepared(equations, kernel), settings)
 
 
@@ -122,7 +123,7 @@ def run(
 
 
 def values_of(unit: Unit, inputs: Mapping[str, Signal] | None) -> Callable[[str, float], float]:
-    """The value of an input at a time [s]."""
+    """Return a function that gives the value of an input at a time [s]."""
     signals = signals_of(unit.name, inputs)
     kinds = {v.name: v.type for v in unit.input_variables}
 
@@ -152,7 +153,7 @@ def _tell_of_small_states(unit: Instance, result: Result) -> None:
 def table_of(
     inputs: Sequence[str], at: Callable[[str, float], float], times: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Inputs by columns, at times by rows."""
+    """Return inputs by columns, at times by rows."""
     return np.array([[at(name, t) for name in inputs] for t in times], float).reshape(len(times), len(inputs))
 
 
@@ -164,7 +165,7 @@ def _in_one_call(
     names: list[str],
     progress: Progress,
 ) -> tuple[NDArray[np.float64], BaseException | None]:
-    """The values of a run that is one call of the runtime, and why it ended early."""
+    """Return the values of a run that is one call of the runtime, and why it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
     table = table_of(inputs, at, times)
@@ -197,7 +198,8 @@ def _step_by_step(
     progress: Progress,
     held: bool,
 ) -> tuple[NDArray[np.float64], BaseException | None]:
-    """The values of a run of a unit that makes one communication step after the other, and why it ended early."""
+    """Return the values of a run of a unit that makes one communication step after the other, and why it ended
+    early."""
     table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
 
     def apply(t: float) -> None:
@@ -223,7 +225,7 @@ def _step_by_step(
 
 
 def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
-    """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
+    """0, step, 2 step, ... and stop_time itself; raise InputError if a result of so many columns would be too large."""
     for what, given in (("step", step), ("stop time", stop_time)):
         if not (isinstance(given, float | int | np.number) and math.isfinite(given) and given > 0):
             raise InputError(f"{name}: the {what} is {given!r} s; it must be a finite number above zero")
@@ -240,7 +242,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
 
 
 def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Values by the names of what they are for; InputError where they are given in another way."""
+    """Return values by the names of what they are for; raise InputError if they are given in another way."""
     if given is not None and not isinstance(given, Mapping):
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
@@ -248,7 +250,7 @@ def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> di
 
 
 def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
-    """Names in their order; InputError where they are given in another way, as one text above all."""
+    """Return names in their order; raise InputError if they are given in another way, as one text above all."""
     if isinstance(given, str) or not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a list of names")
@@ -256,7 +258,7 @@ def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
 
 
 def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[str, Callable[[float], float]]:
-    """Inputs as functions of time [s], by name; InputError where one is no signal."""
+    """Return inputs as functions of time [s], by name; raise InputError if one is no signal."""
     found: dict[str, Callable[[float], float]] = {}
     for name, signal in by_name(mechanism, "inputs", inputs).items():
         if callable(signal):

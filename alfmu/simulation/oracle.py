@@ -65,7 +65,7 @@ class Instance(runtime.Instance):
         self.counters, self._unfinished, self._by_row = Counters(), 0.0, False
 
     def initialize(self) -> None:
-        """Begin as the runtime does, with RK4 for `auto`; InputError where another method is asked for."""
+        """Begin as the runtime does, with RK4 for `auto`; raise InputError if another method is asked for."""
         if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         if self.equations.frictions:
@@ -105,24 +105,24 @@ class Instance(runtime.Instance):
     # Equations ----------------------------------------------------------------------------------------------------
 
     def _values(self, function: str, *arguments: NDArray | float) -> list[NDArray]:
-        """The results of a function of the equations, matrices dense."""
+        """Return the results of a function of the equations, matrices dense."""
         return [x.toarray() if hasattr(x, "toarray") else x.copy() for x in self._functions[function](*arguments)]
 
     def dynamics(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> list[NDArray]:
-        """M, C, F = f - d and xi of (3) and (4)."""
+        """Return M, C, F = f - d and xi of (3) and (4)."""
         return self._values("dynamics", q, v, u, self.memory["p"], t)
 
     def constraints(self, q: NDArray, v: NDArray) -> list[NDArray]:
-        """M, C, Phi and C v of (1) and (2)."""
+        """Return M, C, Phi and C v of (1) and (2)."""
         return self._values("constraints", q, v, self.memory["p"])
 
     def augmented(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, method.Solve]:
-        """The same, and what solves with H."""
+        """Return the same, and a solver with H."""
         M, C, Phi, Cv = self.constraints(q, v)
         return M, C, Phi, Cv, self.inverse(method.augmented_mass(M, C, self.alpha))
 
     def inverse(self, H: NDArray) -> method.Solve:
-        """What solves with a matrix; StepError where it is singular."""
+        """Return a solver with a matrix; raise StepError if it is singular."""
 
         def solve(b: NDArray) -> NDArray:
             try:
@@ -134,37 +134,38 @@ class Instance(runtime.Instance):
         return solve
 
     def readings(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
-        """Everything a user can read, in the order of `equations.outputs`."""
+        """Return everything a user can read, in the order of `equations.outputs`."""
         return self._values("readings", q, v, a, lam, u, self.memory["p"], t)[0]
 
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
-        """Power [W] of inputs, loads and dampers."""
+        """Return the power [W] of inputs, loads and dampers."""
         return float(self._values("power", q, v, u, self.memory["p"], t)[0][0]) if self.equations.works else 0.0
 
     def state_rates(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> NDArray:
-        """Time derivatives of the states."""
+        """Return time derivatives of the states."""
         return self._values("state_rates", q, v, u, self.memory["p"], t)[0] if self.equations.states else u[:0]
 
     def supply(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> float:
-        """Power [W] of what moves by itself."""
+        """Return the power [W] of prescribed motion."""
         e = self.equations
         if not (e.timed and e.works):
             return 0.0
         return float(e.functions["motion_power"](q, v, a, lam, u, self.memory["p"], t))
 
     def energy(self, q: NDArray, v: NDArray) -> float:
-        """Kinetic and potential energy [J]."""
+        """Return kinetic and potential energy [J]."""
         return float(self._values("energy", q, v, self.memory["p"])[0][0])
 
     def residues(self, q: NDArray, v: NDArray) -> tuple[float, float]:
-        """The largest |Phi| and |Phi-dot|."""
+        """Return the largest |Phi| and |Phi-dot|."""
         _, _, Phi, Cv = self.constraints(q, v)
         return self._largest(Phi), self._largest(Cv)
 
     # Accelerations ------------------------------------------------------------------------------------------------
 
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1) -> Found:
-        """Accelerations and multipliers by the formulation that is chosen; `patience` times as many iterations."""
+        """Return accelerations and multipliers by the formulation that is chosen; `patience` times as many
+        iterations."""
         M, C, F, xi = self.dynamics(q, v, u, t)
         kind, alpha, s, used = self.settings.formulation, self.alpha, self.settings, 1
         if not all(np.isfinite(x).all() for x in (M, F, xi)):
@@ -216,7 +217,7 @@ class Instance(runtime.Instance):
         return a, method.minimum_norm(C, self.alpha, solve, lam, method.SETTLING, settled), used, converged
 
     def _check_converged(self, t: float) -> None:
-        """What multiplier iterations left since this was asked last: told once, StepError where it is too much.
+        """What multiplier iterations left since this was asked last: told once, StepError if it is too much.
 
         As the runtime, for the formulation that continues through singular positions; the others are only told about.
         """
@@ -244,7 +245,8 @@ class Instance(runtime.Instance):
         return M * min(1.0, ratio or 1.0)
 
     def carried(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
-        """Multipliers that act like lam (l,) with the least that joints carry, or as the given compliances share it."""
+        """Return multipliers that act like lam (l,) with the least that joints carry, or as the given compliances share
+        it."""
         e, l = self.equations, len(lam)
         M, C, _, _ = self.constraints(q, v)
         held = np.diag(self.active.astype(float))
@@ -291,7 +293,7 @@ class Instance(runtime.Instance):
 
         Near a singular position the corrections gain little in the direction that the constraints hardly hold, which
         magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
-        OpenError where more than `GROSS` is left.
+        OpenError if more than `GROSS` is left.
         """
         M, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
@@ -317,7 +319,7 @@ class Instance(runtime.Instance):
         return q, v, self._largest(Phi), self._largest(Cv)
 
     def _closer(self, M: NDArray, C: NDArray, Phi: NDArray, solve: method.Solve, q: NDArray) -> NDArray:
-        """q after a correction (10)."""
+        """Return q after a correction (10)."""
 
         def left(d: NDArray) -> NDArray:
             return self.constraints(q + d, d)[2]
@@ -325,11 +327,12 @@ class Instance(runtime.Instance):
         return q + method.project_residual(M, C, self.alpha, solve, Phi, left)
 
     def _correction(self, M: NDArray, C: NDArray, Cv: NDArray, solve: method.Solve) -> NDArray:
-        """A correction (10) of v."""
+        """Return a correction (10) of v."""
         return method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
-        """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
+        """Return whether a residue of C is within the tolerance, or within the round-off of the row where that is
+        larger."""
         limit = np.maximum(self.settings.tolerance * self.units, 8 * EPS * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
 
@@ -346,7 +349,7 @@ class Instance(runtime.Instance):
         return np.maximum(pivots / self.scales[self.equations.order], 1e-300)
 
     def margin(self, q: NDArray) -> tuple[bool, float]:
-        """Whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
+        """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
         ratios = self.pivots(q)
         if self.equations.turns and len(q) <= DENSE and np.prod(ratios) >= self.regular:
             return False, 1.0
@@ -390,7 +393,7 @@ class Instance(runtime.Instance):
         return lambda x: self.constraints(q, x)[3], np.append(v[:-1], 0.0)
 
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
-        """What `on_branch` returns; OpenError where the branch does not lead there."""
+        """What `on_branch` returns; raise OpenError if the branch does not lead there."""
         near, v = self.on_branch(q, v)
         gap, row = self._worst(self.constraints(near, v)[2])
         if not gap <= GROSS:
@@ -455,7 +458,7 @@ class Instance(runtime.Instance):
         self._warn()
 
     def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
-        """Times [s] between which nothing jumps by itself, as `alfmu_ready` has found them."""
+        """Return times [s] between which nothing jumps by itself, as `alfmu_ready` has found them."""
         count = self._scene.library.alfmu_breaks(self._unit.address, None)
         times = (ctypes.c_double * (2 * count))()
         self._scene.library.alfmu_breaks(self._unit.address, times)
@@ -467,7 +470,7 @@ class Instance(runtime.Instance):
             yield begin, end
 
     def _step(self, start: float, dt: float) -> None:
-        """An internal step; in shorter ones where constraints stay open near a singular position."""
+        """Make an internal step, in shorter ones where constraints stay open near a singular position."""
         t, h, near = 0.0, dt, False
         while t < dt:
             try:
@@ -488,7 +491,7 @@ class Instance(runtime.Instance):
 
     @np.errstate(all="ignore")
     def _follow(self, start: float, dt: float) -> None:
-        """One step of RK4 and the projections after it; all stages on the branch where one is near its singularity."""
+        """Make one step of RK4 and its projections, all stages on the branch if one is near a singular position."""
         n, c, t = self.equations.n, self.counters, start + dt
         read = self._seen[2] if start == self.time and self._seen[0] == self._key() else None
 
@@ -531,7 +534,7 @@ class Instance(runtime.Instance):
         self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work[0], t
 
     def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
-        """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
+        """Raise StepError if a step to q that moved the coordinates by `moved` (n,) is too long to be meaningful."""
         turned, (gap, row) = moved[self._turns[: len(moved)]].max(initial=0.0), self._worst(self.constraints(q, q)[2])
         if turned > TURN:
             raise self._error(StepError, t, f"an angle turned by {turned:.3g} rad in one step, more than half a turn")
@@ -561,12 +564,12 @@ class Instance(runtime.Instance):
     # Readings -----------------------------------------------------------------------------------------------------
 
     def get(self, name: str) -> float | str:
-        """The value of an output, input, parameter, start value or solver number."""
+        """Return the value of an output, input, parameter, start value or solver number."""
         place = self._references.get(name, -1) - self._scene.first_output
         return float(self.read()[place]) if place >= 0 else super().get(name)
 
     def read(self) -> NDArray:
-        """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
+        """Return all outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
         if not self.initialized:
             raise InputError(f"{self.name}: outputs are known after initialising")
         if self._seen[0] != self._key():
@@ -586,7 +589,7 @@ class Instance(runtime.Instance):
         return self._seen[1].copy()
 
     def _key(self) -> bytes:
-        """What readings depend on."""
+        """Return a key of everything that readings depend on."""
         p = self.memory["p"]  # with what signals are
         return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, p, self.penalty, self.state[-1:]))
 
@@ -594,8 +597,8 @@ class Instance(runtime.Instance):
     def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int, float]:
         """What `accelerations` returns here, lam as joints carry it, whether it is a limit, and its error.
 
-        It is 0 where lam is no limit; where it is, 1 where lam has a limit, 2 where it has a pole, of which the finite
-        part is given at the position itself.
+        It is 0 if lam is no limit; where it is, 1 if lam has a limit, 2 where it has a pole, of which the finite part
+        is given at the position itself.
         """
         q, v, u, t = self.q, self.v, self.driven, self.time
         margin = self.margin(q)[1]
@@ -653,7 +656,7 @@ class Instance(runtime.Instance):
         return float(np.abs(residue[self.active]).max(initial=0.0))
 
     def _worst(self, residue: NDArray) -> tuple[float, str]:
-        """The largest residue, in units of its row, and what the row is called; 0 where there are none."""
+        """Return the largest residue, in units of its row, and what the row is called; 0 if there are none."""
         if not len(residue):
             return 0.0, ""
         sizes = np.where(self.active, np.nan_to_num(np.abs(residue / self.units), nan=np.inf), 0)
@@ -667,7 +670,7 @@ class Instance(runtime.Instance):
 
 
 def _unchanged(change: NDArray, value: NDArray) -> bool:
-    """Whether a pass changed round-off alone."""
+    """Return whether a pass changed round-off alone."""
     return bool(np.abs(change).max(initial=0.0) <= EPS * np.abs(value).max(initial=0.0))
 
 

@@ -1,4 +1,4 @@
-"""What a run gave: columns over time by name, as a table in a file, a plot, a film; inputs from tables.
+"""Result of a run: columns over time by name, as a table in a file, a plot or a film; inputs from tables.
 
 Beside a table `run.csv` stands `run.json`, with what a table of plain columns cannot say: what was run, the units, the
 drawing. Importers of FMUs read the table as it is.
@@ -64,11 +64,11 @@ class Check:
     share: float
     """How far that is off by this measure."""
     since: float | None
-    """The first time [s] at which it is off by more than `OFF`; None where it never is."""
+    """The first time [s] at which it is off by more than `OFF`; None if it never is."""
 
     @classmethod
     def of(cls, result: Result, finer: Result, setting: str, value: float) -> Check:
-        """What two runs with the same communication points differ by."""
+        """Return the differences of two runs with the same communication points."""
         places = [name for name in result.names if result.units.get(name) in ("rad", "m")] or list(result.names)
         largest: dict[str, float] = {"rad": 1.0}
         for name in (x for x in places if result.units[x] != "rad"):
@@ -112,15 +112,16 @@ class Result:
     values: NDArray[np.float64]
     """(rows, columns): one row per communication point, one column per name."""
     counters: Counters | None = None
-    """Work and largest errors; None where the run was made by somebody else's solver."""
+    """Work and largest errors; None if the run was made by somebody else's solver."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """What was run: `mechanism`, `options` and `parameters`; of a table from a file, all that stands beside it."""
+    """Description of the run: `mechanism`, `options` and `parameters`; for a table from a file, all facts stored beside
+    it."""
     declared: Mechanism | None = None
-    """The mechanism, where it is known and not only its drawing."""
+    """The mechanism, if it is known and not only its drawing."""
     check: Check | None = None
-    """How far it is from a run with a finer setting, where that was asked for."""
+    """Deviation from a run with a finer setting, if that was requested."""
     _ran: str | None = field(default=None, init=False)
-    """What it declared at the run."""
+    """Content of the declaration at the time of the run."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
@@ -139,14 +140,14 @@ class Result:
         return name in self.names
 
     def keys(self) -> tuple[str, ...]:
-        """The names, so that `dict(result)` has the columns by name."""
+        """Return the names, so that `dict(result)` has the columns by name."""
         return self.names
 
     def __getitem__(self, name: str | tuple[str, ...] | list[str]) -> NDArray[np.float64]:
-        """A column (rows,) by its name, `time` included, or those of a pattern or of several (rows, columns) in their
-        order.
+        """Return a column (rows,) by its name, `time` included, or those of a pattern or of several (rows, columns) in
+        their order.
 
-        Raises InputError where nothing is called so, with the nearest names.
+        Raises InputError if nothing is called so, with the nearest names.
         """
         if not isinstance(name, str):
             return self.values[:, self._places(name)]
@@ -155,14 +156,14 @@ class Result:
         return self.time if name == "time" else self.values[:, self._places((name,))]
 
     def select(self, *patterns: str) -> Result:
-        """The same result with those columns alone that match a name or a pattern, in the order of these."""
+        """Return the same result with those columns alone that match a name or a pattern, in the order of these."""
         places = self._places(patterns)
         names = tuple(self.names[i] for i in places)
         units = {name: self.units[name] for name in names if name in self.units}
         return replace(self, names=names, units=units, values=self.values[:, places])
 
     def _places(self, patterns: Sequence[str]) -> list[int]:
-        """The columns called like the patterns, each once."""
+        """Return the columns called like the patterns, each once."""
         found: dict[int, None] = {}
         for pattern in patterns:
             fit = [i for i, name in enumerate(self.names) if name == pattern or fnmatchcase(name, pattern)]
@@ -177,7 +178,7 @@ class Result:
     # To look at --------------------------------------------------------------------------------------------------
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A table of pandas over the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
+        """Return a table of pandas over the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
         try:
             import pandas
         except ImportError:
@@ -189,8 +190,8 @@ class Result:
         return table
 
     def plot(self, names: Sequence[str] | str | None = None, *more: str) -> Figure:
-        """A figure of matplotlib over time, of names or patterns such as "link*.angle", in a list or one after the
-        other; see `alfmu.view.plot.figure`.
+        """Return a figure of matplotlib over time, of names or patterns such as "link*.angle", in a list or one after
+        the other; see `alfmu.view.plot.figure`.
 
         It shows itself in a notebook, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
         """
@@ -199,10 +200,11 @@ class Result:
         return figure
 
     def animate(self, path: str | Path | None = None, *, fps: float = 25.0, speed: float = 1.0) -> Film | None:
-        """A film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a notebook.
+        """Return a film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a
+        notebook.
 
-        `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError where it is
-        not known how the mechanism looks, as with a table or an FMU from elsewhere.
+        `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError if it is not
+        known how the mechanism looks, as with a table or an FMU from elsewhere.
         """
         film: Film | None = handed_in("animate")(self, path, fps, speed)
         return film
@@ -229,8 +231,8 @@ class Result:
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Result:
-        """A table with a column `time` and columns of numbers; with its units and its drawing, where alfmu wrote them
-        beside it. Nothing of what stands there is run."""
+        """Return a table with a column `time` and columns of numbers; with its units and its drawing, where alfmu wrote
+        them beside it. Nothing of what stands there is run."""
         names, table = _table(path)
         facts = facts_in(facts_beside(path))
         name, units = facts.get("name"), facts.get("units")
@@ -248,7 +250,7 @@ class Result:
         """Write time and all columns with 17 significant digits under a row of names, and beside it, in a file of the
         same name with the suffix `.json`, the units and what was run.
 
-        Raises WriteError, and InputError where a file of that name is there that alfmu did not write.
+        Raises WriteError, and InputError if a file of that name is there that alfmu did not write.
         """
         beside = facts_beside(path)
         if beside.exists() and not facts_in(beside):
@@ -264,7 +266,7 @@ class Result:
         write(beside, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
     def shown(self) -> Mechanism | None:
-        """The mechanism as it ran; InputError where it was changed since."""
+        """Return the mechanism as it ran; raise InputError if it was changed since."""
         if self.declared is not None and content(self.declared) != self._ran:
             raise InputError(
                 f"{self.mechanism} was changed since this run, so that its motion cannot be drawn any more"
@@ -287,19 +289,19 @@ class Film:
 
 
 def _as_json(value: object) -> object:
-    """What JSON has no form for: mappings as they are, numbers of NumPy, all else as a text."""
+    """Return a value that JSON can store: mappings, numbers of NumPy as numbers, everything else as text."""
     if isinstance(value, Mapping):
         return dict(value)
     return value.item() if isinstance(value, np.generic) else str(value)
 
 
 def facts_beside(table: str | Path) -> Path:
-    """The file with what was run, beside a table."""
+    """Return the file with what was run, beside a table."""
     return Path(table).with_suffix(".json")
 
 
 def facts_in(path: Path) -> dict[str, Any]:
-    """What stands beside a table; nothing where a file is missing, damaged or not by alfmu."""
+    """Return the facts stored beside a table; empty if the file is missing, damaged or not written by alfmu."""
     form = {"mechanism": str, "options": dict, "parameters": dict}
     try:
         found = json.loads(path.read_bytes())
@@ -310,7 +312,7 @@ def facts_in(path: Path) -> dict[str, Any]:
 
 
 def read_inputs(path: str | Path) -> dict[str, Signal]:
-    """Inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
+    """Return inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
     names, table = _table(path)
     for row, column in np.argwhere(~np.isfinite(table))[:1]:
         raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; inputs are finite")
@@ -318,7 +320,8 @@ def read_inputs(path: str | Path) -> dict[str, Signal]:
 
 
 def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
+    """Return names and numbers of a CSV file whose first column is time; InputError, with the line, where it is
+    none."""
     line, numbers = 0, array("d")
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -352,7 +355,7 @@ def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _check_names(path: str | Path, names: list[str]) -> None:
-    """InputError where a row of names cannot stand over a table."""
+    """Raise InputError if a row of names cannot stand over a table."""
     if names[:1] != ["time"]:
         raise InputError(
             f"{path} is not a table of numbers under names: its first column is {(names or [''])[0][:40]!r}; it must "

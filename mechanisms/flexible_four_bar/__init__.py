@@ -8,7 +8,7 @@
         O ========= ground ========== D              o-- x
 
     q = [th1 th2 beta th4]   angle of the crank; of the near half of the coupler from the crank; of the far half from
-                             the near one, 0 where the coupler is straight; angle of the rocker from the x axis
+                             the near one, 0 if the coupler is straight; angle of the rocker from the x axis
 
 The halves of the coupler, joined by a spring, are its lumped model (a pseudo-rigid body): beta oscillates fast about
 the rest angle while the linkage turns slowly. Crank-rocker with O at (0, 0), D at (l0, 0).
@@ -22,7 +22,7 @@ SKETCH = __doc__
 
 
 def flexible_four_bar() -> Mechanism:
-    """Four-bar linkage whose coupler bends at a stiff torsional spring-damper."""
+    """Return four-bar linkage whose coupler bends at a stiff torsional spring-damper."""
     m = Mechanism(
         "flexible_four_bar",
         "Four-bar linkage whose coupler bends at a stiff torsional spring-damper",

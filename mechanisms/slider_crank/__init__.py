@@ -94,7 +94,7 @@ def slider_crank(
 
 
 def _rod_pose(m: Mechanism, xB: ca.SX, yB: ca.SX, xC: ca.SX, angle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Coordinates of a torn-off rod from B to C on the guide."""
+    """Return coordinates of a torn-off rod from B to C on the guide."""
     return (
         m.coordinate("x2", "m", start=(xB + xC) / 2),
         m.coordinate("y2", "m", start=yB / 2),
