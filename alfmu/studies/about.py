@@ -21,7 +21,7 @@ from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.words import quantity
 from ..runtime import Instance
-from ..runtime.prepare import decided, prepared
+from ..runtime.pipeline import decided, prepared
 from ..simulation import Result
 from .cost import cost, described
 
