@@ -39,7 +39,8 @@ from .library import Scene
 from .probe import SINGULAR, Probe, survey
 
 __all__ = [
-    *("again", "braked", "chosen", "decided", "derive", "loaded", "prepared", "ready", "retraced", "with_defaults"),
+    *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "prepared", "ready"),
+    *("retraced", "with_defaults"),
 ]
 
 
@@ -142,7 +143,19 @@ def chosen(
 
 
 def decided(equations: Equations) -> Equations:
-    """The same equations with what their method of integration needs, and `auto` decided."""
+    """The same equations with their decision, and with the functions that its method needs."""
+    decision, stiffens = _decide(equations)
+    e = with_tangents(equations) if decision.method in RULES or stiffens else equations
+    return replace(e, decision=decision)
+
+
+def decision_of(equations: Equations) -> Decision:
+    """The method of integration of equations with their defaults."""
+    return _decide(equations)[0]
+
+
+def _decide(equations: Equations) -> tuple[Decision, bool]:
+    """The decision, and whether a run may go over to implicit steps on the way."""
     formulation, known = default_settings(equations).formulation, formulations(equations)
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
@@ -164,8 +177,7 @@ def decided(equations: Equations) -> Equations:
     if stiffens := _may_stiffen(equations, chosen):
         note = "; implicit steps where stability keeps these short" * undecided
         decision = replace(decision, reason=decision.reason + note)
-    e = with_tangents(equations) if chosen in RULES or stiffens else equations
-    return replace(e, decision=decision)
+    return decision, stiffens
 
 
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
@@ -200,11 +212,11 @@ def _automatic(equations: Equations) -> Decision:
     return Decision("explicit", f"explicit: {seen}")
 
 
-def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decision | None:
+def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decision:
     """The method that `auto` stands for where these values are set, and why."""
 
-    def choose() -> Decision | None:
-        return decided(with_defaults(equations, {**values, "solver.method": "auto"})).decision
+    def choose() -> Decision:
+        return decision_of(with_defaults(equations, {**values, "solver.method": "auto"}))
 
     return equations.kept.latest(_decision, choose, tuple(sorted(values.items())), _DECISIONS)
 
