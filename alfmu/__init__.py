@@ -37,7 +37,7 @@ _HOME = {
     "WriteError": "model.errors",
     "couple": "systems.coupling",
     "derivatives": "gradients",
-    "derive": "runtime.reuse",
+    "derive": "runtime.pipeline",
     "equilibrium": "analysis.equilibria",
     "export": "api",
     "fit": "gradients",
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     from .model.parts import Joint as Joint
     from .model.parts import Marker as Marker
     from .runtime import Instance as Instance
-    from .runtime.reuse import derive as derive
+    from .runtime.pipeline import derive as derive
     from .simulation import Result as Result
     from .sweeps.results import Sweep as Sweep
     from .sweeps.sweep import sweep as sweep

@@ -28,7 +28,7 @@ from alfmu.kernel import emit, stream
 from alfmu.kernel.tables import machine_code, packed
 from alfmu.runtime import build as runtime_build
 from alfmu.runtime import compiled as build
-from alfmu.runtime import reuse, shipped
+from alfmu.runtime import pipeline, shipped
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
@@ -78,7 +78,7 @@ class Functions:
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch) -> Path:
     """A cache folder that nobody else uses; nothing is known of scenes that runs before shared."""
-    monkeypatch.setattr(reuse, "_KEPT", OrderedDict())
+    monkeypatch.setattr(pipeline, "_KEPT", OrderedDict())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "alfmu"
 
@@ -293,7 +293,7 @@ def test_several_processes_may_build_at_once(own_cache):
 @pytest.mark.slow
 def test_without_a_compiler(monkeypatch, own_cache):
     monkeypatch.setattr(build, "compiler", lambda: None)
-    monkeypatch.setattr("alfmu.runtime.prepare.compiler", lambda: None)
+    monkeypatch.setattr("alfmu.runtime.pipeline.compiler", lambda: None)
     with pytest.raises(alfmu.ExportError, match=r"particle_on_circle: no C compiler found .* use --kernel vm"):
         alfmu.simulate("particle_on_circle", 0.1, 0.02, kernel="compiled")
     e = prepared(derived("particle_on_circle"), "auto")

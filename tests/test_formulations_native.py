@@ -22,7 +22,7 @@ from alfmu.kernel.memory import Layout
 from alfmu.kernel.tables import known_choices
 from alfmu.kernel.trace import Calls, Tracer
 from alfmu.model.settings import FORMULATIONS, Settings
-from alfmu.runtime import reuse
+from alfmu.runtime import pipeline
 from alfmu.simulation import oracle, prepared, run, with_defaults
 
 SCENES = ("slider_crank", "five_bar", "particle_on_circle", "four_bar")
@@ -287,7 +287,7 @@ def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
     refused = with_defaults(equations, {"solver.formulation": "dae"})
     native.checked(refused)
     monkeypatch.setattr(traced, "DENSE", equations.n - 1)
-    monkeypatch.setattr(reuse, "_KEPT", OrderedDict())  # scenes that were traced before
+    monkeypatch.setattr(pipeline, "_KEPT", OrderedDict())  # scenes that were traced before
     assert formulations(equations) == [*known_choices(equations)["solver.formulation"]] == [*FORMULATIONS][:4]
     assert not {*alternatives(equations)} & {*SYSTEMS}
     with pytest.raises(alfmu.ExportError, match=r"no solver\.formulation dae of more than 50 coordinates; use resi"):

@@ -14,7 +14,7 @@ import alfmu
 from alfmu import Mechanism
 from alfmu.cli import main
 from alfmu.model.errors import AlfmuError, DeclarationError, InputError
-from alfmu.runtime.prepare import with_defaults
+from alfmu.runtime.pipeline import with_defaults
 
 G = 9.81
 METHODS = ("auto", "rk4", "stiff")

@@ -15,7 +15,7 @@ from alfmu.equations import derivation
 from alfmu.kernel.tables import packed
 from alfmu.model.kept import MOST
 from alfmu.runtime import library as binding
-from alfmu.runtime import prepare, reuse
+from alfmu.runtime import pipeline
 
 FILE = """
 from alfmu import Mechanism
@@ -253,14 +253,14 @@ def test_a_setting_is_the_same_however_it_is_given(exported):
 @pytest.fixture
 def traces(monkeypatch) -> list[str]:
     """The names of the mechanisms that were traced, one for each time."""
-    traced, seen = prepare.traced, []
+    traced, seen = pipeline.traced, []
 
     def counted(equations, *arguments, **named):
         seen.append(equations.name)
         return traced(equations, *arguments, **named)
 
-    monkeypatch.setattr(prepare, "traced", counted)
-    monkeypatch.setattr(reuse, "_KEPT", type(reuse._KEPT)())
+    monkeypatch.setattr(pipeline, "traced", counted)
+    monkeypatch.setattr(pipeline, "_KEPT", type(pipeline._KEPT)())
     return seen
 
 
@@ -346,23 +346,23 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
         assert run["rod.angle"] == pytest.approx(
             fresh(m, parameters={"c": c, "solver.method": method})["rod.angle"][::2], abs=1e-5
         )
-        (equations,) = reuse._KEPT.values()
-        scene, left = reuse.ready(equations, {"c": c, "solver.method": "auto"}, None, None, "vm")
+        (equations,) = pipeline._KEPT.values()
+        scene, left = pipeline.ready(equations, {"c": c, "solver.method": "auto"}, None, None, "vm")
         assert scene.decision.method == method
         assert left == {"c": c}
-    assert len(equations.kept.of(reuse.ready)) == 2
+    assert len(equations.kept.of(pipeline.ready)) == 2
 
 
 def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
     """And their scene files are those of equations that share nothing."""
     m, heavier, finer = pendulum(), {"mass": 7.0}, {"solver.step_size": 1e-3, "solver.relative_tolerance": 1e-7}
     e = derivation.derive(m)
-    shared = [packed(prepare.prepared(prepare.with_defaults(e, values))) for values in ({}, heavier, finer)]
+    shared = [packed(pipeline.prepared(pipeline.with_defaults(e, values))) for values in ({}, heavier, finer)]
     assert len(traces) == 1
-    loose = packed(prepare.prepared(prepare.with_defaults(e, {"solver.relative_tolerance": 1e-3})))
+    loose = packed(pipeline.prepared(pipeline.with_defaults(e, {"solver.relative_tolerance": 1e-3})))
     assert len(traces) == 2, "loose tolerances take another pair"
     for values, scene in ((heavier, shared[1]), (finer, shared[2]), ({"solver.relative_tolerance": 1e-3}, loose)):
-        assert packed(prepare.prepared(prepare.with_defaults(derivation.derive(m), values))) == scene != shared[0]
+        assert packed(pipeline.prepared(pipeline.with_defaults(derivation.derive(m), values))) == scene != shared[0]
 
 
 @pytest.mark.slow
@@ -371,7 +371,7 @@ def test_only_the_latest_mechanisms_are_kept(traces):
         m = pendulum()
         m.gravity(0.0, -float(k))
         alfmu.simulate(m, 0.1, 0.05)
-    assert len(reuse._KEPT) == MOST
+    assert len(pipeline._KEPT) == MOST
 
 
 @pytest.mark.slow
@@ -379,8 +379,8 @@ def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
     m, count = pendulum(), MOST + 2
     for k in range(count):
         alfmu.simulate(m, 0.1, 0.05, parameters={"l": 1.0 + k}, freeze=["l"])
-    (equations,) = reuse._KEPT.values()
-    assert len(equations.kept.of(reuse.ready)) == MOST
+    (equations,) = pipeline._KEPT.values()
+    assert len(equations.kept.of(pipeline.ready)) == MOST
     assert len(traces) == count
     alfmu.simulate(m, 0.1, 0.05, parameters={"l": float(count)}, freeze=["l"])
     assert len(traces) == count

@@ -19,7 +19,7 @@ from scenes import made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
-from alfmu.runtime.prepare import with_defaults
+from alfmu.runtime.pipeline import with_defaults
 from alfmu.simulation import run
 
 G = 9.81

@@ -15,7 +15,7 @@ import alfmu
 from alfmu.equations.specialisation import specialised
 from alfmu.model import spatial
 from alfmu.model.parts import Joint
-from alfmu.runtime.prepare import with_defaults
+from alfmu.runtime.pipeline import with_defaults
 from alfmu.simulation import prepared
 
 COORDINATES = ("absolute", "joint", "mixed", "natural")

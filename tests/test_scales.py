@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu import Mechanism
-from alfmu.runtime.reuse import ready
+from alfmu.runtime.pipeline import ready
 
 STEPS = 30
 SIZES = ((1.0, 1.0), (1e-2, 1e6), (1e-4, 1e-9), (4e-6, 1.0), (1e4, 1e6))

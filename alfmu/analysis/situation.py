@@ -23,9 +23,8 @@ from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
 from ..model.words import there_is
 from ..runtime import Instance
-from ..runtime.prepare import with_defaults
+from ..runtime.pipeline import derive, with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
-from ..runtime.reuse import derive
 from ..simulation import by_name, signals_of
 from ..simulation.result import Signal
 

@@ -16,8 +16,7 @@ from ..model.doubts import tell, tell_of_gravity
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..runtime import Instance
-from ..runtime.prepare import with_defaults
-from ..runtime.reuse import derive, ready
+from ..runtime.pipeline import derive, ready, with_defaults
 from ..simulation import instance, run
 from ..simulation.result import Result, Signal
 from .equilibria import Equilibrium

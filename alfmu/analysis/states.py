@@ -14,7 +14,7 @@ from ..kernel import DEFAULT
 from ..model.errors import InputError
 from ..model.words import in_words
 from ..runtime import Instance
-from ..runtime.reuse import ready
+from ..runtime.pipeline import ready
 from ..simulation import instance, signals_of
 from ..simulation.result import Signal
 from .equilibria import Equilibrium, equilibria

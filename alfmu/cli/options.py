@@ -171,7 +171,7 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
     from ..equations.derivation import derive
     from ..model.checks import hint, perhaps_degrees, perhaps_millimetres
     from ..model.doubts import masses, perhaps_grams
-    from ..runtime.prepare import with_defaults
+    from ..runtime.pipeline import with_defaults
 
     equations = with_defaults(derive(mechanism), recipe.parameters)
     own = recipe.parameters

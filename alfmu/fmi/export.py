@@ -32,7 +32,7 @@ from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..runtime.reuse import chosen, derive
+from ..runtime.pipeline import chosen, derive
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native

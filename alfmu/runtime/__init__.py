@@ -1,6 +1,6 @@
 """What moves a scene: the C library, what builds it, and instances that it drives.
 
-Other rooms import `build`, `compiled`, `instance`, `library`, `prepare`, `probe`, `reuse`, `shipped`, `sweeps`.
+Other rooms import `build`, `compiled`, `instance`, `library`, `pipeline`, `probe`, `shipped`, `sweeps`.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -31,9 +31,8 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
 from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
-from .prepare import again, braked, loaded, retraced
+from .pipeline import again, braked, derive, loaded, ready, retraced
 from .probe import mobility, shared
-from .reuse import derive, ready
 
 __all__ = ["Instance"]
 

@@ -4,7 +4,7 @@ Other rooms import `oracle`, `result`.
 """
 
 from ..kernel import KERNELS
-from ..runtime.prepare import prepared, with_defaults
+from ..runtime.pipeline import prepared, with_defaults
 from .driver import (
     Progress,
     Unit,

@@ -17,7 +17,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import shown
 from ..runtime import Instance
-from ..runtime.prepare import prepared
+from ..runtime.pipeline import prepared
 from . import oracle
 from .result import OFF, Check, Result, Signal
 

@@ -21,7 +21,7 @@ from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.words import quantity
 from ..runtime import Instance
-from ..runtime.prepare import decided, prepared
+from ..runtime.pipeline import decision_of, prepared
 from ..simulation import Result
 from .cost import cost, described
 
@@ -80,13 +80,13 @@ class About:
     @property
     def method(self) -> str:
         """The method of integration, and why where it was chosen."""
-        decision = decided(self.equations).decision
+        decision = decision_of(self.equations)
         return decision.reason or decision.method
 
     @property
     def chosen(self) -> str:
         """The method of integration, and what it stands for where it is `auto`."""
-        given, stands_for = default_settings(self.equations).method, decided(self.equations).decision.method
+        given, stands_for = default_settings(self.equations).method, decision_of(self.equations).method
         return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:

@@ -24,8 +24,7 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.prepare import again, braked, with_defaults
-from ..runtime.reuse import derive, ready
+from ..runtime.pipeline import again, braked, derive, ready, with_defaults
 from ..simulation import by_name, communication_points, instance, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping

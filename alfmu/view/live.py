@@ -30,7 +30,7 @@ from ..model.mechanism import Mechanism
 from ..model.spatial import right_handed
 from ..runtime import Instance
 from ..runtime.build import WEB
-from ..runtime.prepare import prepared
+from ..runtime.pipeline import prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
 from ..simulation.result import Result

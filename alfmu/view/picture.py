@@ -29,8 +29,8 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Start
 from ..model.words import quantity, shown, there_is
 from ..runtime import Instance
+from ..runtime.pipeline import derive, ready
 from ..runtime.probe import Probe
-from ..runtime.reuse import derive, ready
 from ..simulation import Progress, instance, run, with_defaults
 from ..simulation.result import Result
 from . import faces, plane, space
