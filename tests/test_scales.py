@@ -3,9 +3,12 @@
 Right values are those of one equation of motion by DOP853, or in closed form.
 """
 
+from copy import deepcopy
+
 import casadi as ca
 import numpy as np
 import pytest
+import turned
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -232,3 +235,34 @@ def test_no_phase_of_a_slider_crank_with_equal_links_ends_by_default(coordinates
         values = {"g": 0.0, "l1": 1.0, "l2": 1.0, "start.angle": angle, "start.angular_velocity": w}
         off = angles(i, times, values, torque) - crank(1.0, 0.0, torque, (angle, w), times)
         assert np.abs(off).max() <= 1e-7, (angle, w, torque)
+
+
+SCALED = ((1e-6, 1.0), (1e-3, 1e-9), (1e4, 1e6))
+
+
+def sized(linkage: turned.Linkage, length: float, mass: float) -> Mechanism:
+    """A linkage in space of bodies with coordinates of their own, in proportion."""
+    scaled = deepcopy(linkage)
+    for link in scaled.links:
+        link.mass, link.center = mass * link.mass, length * link.center
+        link.inertia = mass * length**2 * link.inertia
+    for joint in scaled.joints:
+        joint.point = length * joint.point
+    scaled.rate /= np.sqrt(length)
+    return scaled.declared(absolute="lc")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*if millimetres were meant")
+def test_bodies_in_space_move_and_load_joints_in_proportion():
+    """Under the same gravity times go with the root of the length, and forces with the mass."""
+    linkage, found = turned.four_bar(np.random.default_rng(0)), []
+    for length, mass in ((1.0, 1.0), *SCALED):
+        time = np.sqrt(length)
+        tight = {"solver.relative_tolerance": 1e-9}
+        r = alfmu.simulate(sized(linkage, length, mass), 0.3 * time, 0.02 * time, parameters=tight)
+        places = np.array([r[f"{link.name}.{axis}"] for link in linkage.links for axis in "xyz"]) / length
+        found.append((places, np.array([r[f"J0.force.{axis}"] for axis in "xyz"]) / mass))
+    for places, forces in found[1:]:
+        assert np.abs(places - found[0][0]).max() <= 1e-9
+        assert np.abs(forces - found[0][1]).max() <= 1e-7 * np.abs(found[0][1]).max()

@@ -131,6 +131,9 @@ def carried_by(
     return carried, weights
 
 
+_SMALLEST = 1e-30
+"""Square of a length [m2] below which no mechanism is."""
+
 _PROBES = 2
 """Random values of parameters by which lengths that are always the same are told."""
 
@@ -154,7 +157,7 @@ def _square_of_size(m: Mechanism) -> ca.SX:
     random = np.random.default_rng(0)
     values = ca.Function("squares", [p], [stack(squares)])
     found = np.hstack([values(random.uniform(0.5, 2.0, p.numel())).full() for _ in range(_PROBES)])
-    _, first = np.unique(np.round(found, 9), axis=0, return_index=True)
+    _, first = np.unique(np.round(found / found.max(initial=_SMALLEST), 9), axis=0, return_index=True)
     largest = ca.mmax(stack([squares[i] for i in first])) if squares else ca.SX(0)
     return ca.if_else(largest > 0, largest, 1)
 

@@ -1,5 +1,3 @@
-/* Lists of operations, and the arrays and heaps that arranging needs. */
-
 #include "arrange_operations.h"
 
 #include <stddef.h>

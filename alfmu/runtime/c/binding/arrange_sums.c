@@ -1,5 +1,3 @@
-/* Finds sums of products in a function. */
-
 #include "arrange_sums.h"
 
 #include <stddef.h>

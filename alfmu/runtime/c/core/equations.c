@@ -1,5 +1,3 @@
-/* Constraints and energies of an instance at any position and velocity. */
-
 #include "equations.h"
 
 #include <math.h>

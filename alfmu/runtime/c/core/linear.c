@@ -1,5 +1,3 @@
-/* Linear algebra: small dense matrices, stored by columns, and sparse symmetric ones within an envelope. */
-
 #include "linear.h"
 
 #include <float.h>

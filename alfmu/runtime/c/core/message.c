@@ -1,5 +1,3 @@
-/* Messages of an instance: the reason of a failure, and warnings that are given once in a run. */
-
 #include "message.h"
 
 #include <math.h>

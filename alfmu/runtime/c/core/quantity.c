@@ -1,5 +1,3 @@
-/* A number with its unit, as a person reads it. */
-
 #include "quantity.h"
 
 #include <string.h>

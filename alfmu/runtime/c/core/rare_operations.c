@@ -1,5 +1,3 @@
-/* Values and partial derivatives of the operations that scenes seldom use. */
-
 #include "rare_operations.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Reads the functions of a scene file and checks every place in them. */
-
 #include "scene_functions.h"
 
 #include <stdarg.h>

@@ -1,5 +1,3 @@
-/* Reads the programs of a scene file and checks every place in them. */
-
 #include "scene_programs.h"
 
 #include <stddef.h>

@@ -1,5 +1,3 @@
-/* Reads the numbers and texts of a scene file; notes the first thing that is wrong. */
-
 #include "scene_reader.h"
 
 #include <stdarg.h>

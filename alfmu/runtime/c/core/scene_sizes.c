@@ -1,5 +1,3 @@
-/* Sizes that follow from the tables of a scene. */
-
 #include "scene_sizes.h"
 
 #include <stddef.h>

@@ -1,5 +1,3 @@
-/* Reads the tables of a scene file: variables, switches, patterns of matrices, orders of unknowns. */
-
 #include "scene_tables.h"
 
 #include <math.h>

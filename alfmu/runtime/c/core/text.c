@@ -1,5 +1,3 @@
-/* Text whose numbers have a decimal point in every locale of the host. */
-
 #include "text.h"
 
 #include <stdarg.h>

@@ -1,5 +1,3 @@
-/* Adjoints back through one function of a scene. */
-
 #include "function_adjoints.h"
 
 #include <stdint.h>

@@ -1,5 +1,3 @@
-/* Tangents through one function of a scene. */
-
 #include "function_tangents.h"
 
 #include <stdint.h>

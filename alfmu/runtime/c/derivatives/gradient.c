@@ -1,5 +1,3 @@
-/* What derivatives of an instance need beside it: tangents, adjoints, and functions as flat lists of operations. */
-
 #include "gradient.h"
 
 #include <stddef.h>

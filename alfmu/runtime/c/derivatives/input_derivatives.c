@@ -1,5 +1,3 @@
-/* Derivatives of the course of inputs that move something. */
-
 #include "input_derivatives.h"
 
 #include <stddef.h>

@@ -1,5 +1,3 @@
-/* Values and derivatives of a component, by arrays of references. */
-
 #include "component_values.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Finds the scene among the resources of an FMU. */
-
 #include "resources.h"
 
 #include <stddef.h>

@@ -1,5 +1,3 @@
-/* Finds redundant constraints that contradict each other. */
-
 #include "agreement.h"
 
 #include <math.h>

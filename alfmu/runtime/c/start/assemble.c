@@ -1,5 +1,3 @@
-/* Closes the loops from the start values, and looks for other assemblies near them. */
-
 #include "assemble.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Start values that the assembly missed or that were given in degrees, and assemblies beyond the limits of stops. */
-
 #include "guesses.h"
 
 #include <math.h>

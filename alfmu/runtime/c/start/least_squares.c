@@ -1,5 +1,3 @@
-/* The matrix of the assembly, and corrections of least norm by it. */
-
 #include "least_squares.h"
 
 #include <float.h>

@@ -1,5 +1,3 @@
-/* The residue of an assembly, and Gauss-Newton steps that close its loops. */
-
 #include "loops.h"
 
 #include <math.h>

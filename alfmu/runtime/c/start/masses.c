@@ -1,5 +1,3 @@
-/* Finds massless bodies that no constraint holds. */
-
 #include "masses.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Penalties in proportion to the masses that each constraint holds. */
-
 #include "penalties.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Ranks of the constraints: degrees of freedom, redundancy, scales of pivots, and the rank that a step freezes. */
-
 #include "rank.h"
 
 #include <float.h>

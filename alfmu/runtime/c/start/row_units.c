@@ -1,5 +1,3 @@
-/* The length of a mechanism and the units of its constraints, found from their coefficients. */
-
 #include "row_units.h"
 
 #include <math.h>

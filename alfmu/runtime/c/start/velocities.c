@@ -1,5 +1,3 @@
-/* Makes the start velocities consistent with the constraints. */
-
 #include "velocities.h"
 
 #include <math.h>

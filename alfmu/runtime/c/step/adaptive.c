@@ -1,5 +1,3 @@
-/* Internal steps of an integrator with error control. */
-
 #include "adaptive.h"
 
 #include <float.h>
@@ -16,8 +14,8 @@
 /* Shortest step, in units of the last digit of the time. */
 #define LEAST_DIGITS 16
 
-/* Number of consecutive jumps that steps of the least length may cross before a step that is CROSSINGS times as
-   long. */
+/* Number of jumps that steps of the least length may cross one after the other; a step that is AWAY_FROM_IT times as
+   long as the least one ends such a sequence. */
 #define CROSSINGS 4
 #define AWAY_FROM_IT 1e3
 
@@ -77,7 +75,7 @@ static int try_short_step(Instance *i)
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
-        i->shared += s->short_cost; /* All of these evaluations are reused. */
+        i->shared += s->short_cost; /* The tally counts these evaluations; none of them is made. */
     else {
         program_run(i, onward ? s->short_onward : s->short_step);
         i->shared += onward;
@@ -121,9 +119,9 @@ static int try_explicit_step(Instance *i, const double *kept, int regular)
 }
 
 /* Try a step on the branch in place of a step that could not be judged. An implicit step is replaced by another
-   explicit step, because only its constraints tell whether it is near a singular position. If the masses are regular
-   without the constraints, the explicit step comes first; otherwise it follows if the step on the branch cannot be
-   judged or has too large an error. */
+   explicit step, because only its constraints tell whether it is near a singular position. If the constraints are
+   regular here, the explicit step comes first; otherwise it follows if the step on the branch cannot be judged or has
+   too large an error. */
 static void try_branch_step(Instance *i)
 {
     const Scene *s = i->scene;

@@ -1,5 +1,3 @@
-/* The energy balance of a run and the warnings that follow from it. */
-
 #include "balance.h"
 
 #include <math.h>

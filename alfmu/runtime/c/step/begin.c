@@ -1,5 +1,3 @@
-/* The start of a run: assembly, penalties, settings, and Boolean inputs that take effect. */
-
 #include "begin.h"
 
 #include <float.h>

@@ -1,5 +1,3 @@
-/* Finds the reason why a step or an evaluation failed. */
-
 #include "diagnosis.h"
 
 #include <float.h>

@@ -1,5 +1,3 @@
-/* Internal RK4 steps of fixed length, by the tiers quick, careful and branch. */
-
 #include "fixed.h"
 
 #include <math.h>

@@ -1,5 +1,3 @@
-/* Steps up to the events of dry friction. */
-
 #include "friction_events.h"
 
 #include <float.h>

@@ -1,5 +1,3 @@
-/* Makes, resets and frees instances, and lays out their memory. */
-
 #include "lifetime.h"
 
 #include <math.h>

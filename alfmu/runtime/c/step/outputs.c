@@ -1,5 +1,3 @@
-/* Evaluates the outputs at this instant, by the first of several tiers that can. */
-
 #include "outputs.h"
 
 #include <math.h>

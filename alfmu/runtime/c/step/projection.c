@@ -1,5 +1,3 @@
-/* Projections (10) onto the constraints, by loops that stop on convergence. */
-
 #include "projection.h"
 
 #include <math.h>

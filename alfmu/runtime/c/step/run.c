@@ -1,5 +1,3 @@
-/* Communication steps, from the checks before a step to the outputs after it. */
-
 #include "run.h"
 
 #include <float.h>

@@ -1,5 +1,3 @@
-/* Changes of the constraints in force: ranks, impacts, penalties. */
-
 #include "topology.h"
 
 #include <math.h>
