@@ -445,7 +445,7 @@ class Scene:
         return lam + self.scale * ca.if_else(found, d, math.nan)
 
     def _sizes(self, P: SX, C: SX, carried: Sequence[int]) -> SX:
-        """The size (l,) of each row of P; of rows that no joint carries, the one that their columns of C have in others.
+        """Return the size (l,) of each row of P; of rows that no joint carries, by their columns of C in others.
 
         So multipliers of all rows compare, in whatever unit each is.
         """
