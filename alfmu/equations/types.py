@@ -218,7 +218,7 @@ class Equations:
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
     instants(p)                      times that are declared as events, s
-    stops(q, p)                      how far displacements are beyond each limit of a stop, m or rad
+    stops(q, p)                      how far each limit of a stop is passed, m or rad
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
