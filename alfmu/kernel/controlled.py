@@ -57,7 +57,7 @@ RETURNS = 4
 """Projections of q and v after them."""
 
 
-def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
+def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     """The programs of the method of a scene; none where RK4 makes its steps.
 
     `quick` is the plan of a quick step, which short steps of `auto` share.

@@ -56,7 +56,7 @@ def traced(
 ) -> Equations:
     """The same equations with the functions of the kernel.
 
-    `controlled` traces the method of the scene (`alfmu.kernel.controlled`).
+    `controlled` traces the method of the scene (`alfmu.kernel.controlled.programs`).
     """
     e = replace(untraced(equations), survey=equations.survey)
     survey, mobility = e.survey, e.survey.mobility

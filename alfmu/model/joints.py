@@ -110,7 +110,7 @@ class Joints(Quantities):
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
         """Set the acceleration of gravity [m/s2] in ground axes; (0, 0) declares that there is none."""
         self._weighs = True
-        self.gravity_vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
+        self.gravity_vector: Vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
 
     def spatial_body(
         self,

@@ -19,9 +19,8 @@ from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..equations.specialisation import ALL, specialised
 from ..equations.types import Decision
-from ..kernel import DEFAULT, KERNELS
+from ..kernel import DEFAULT, KERNELS, controlled
 from ..kernel.alternatives import formulations
-from ..kernel.controlled import controlled
 from ..kernel.kinks import kinks_of_rates
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
@@ -283,7 +282,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
 
     def trace() -> tuple[object, Equations]:
         # The functions are kept, so that no others get their place.
-        return declared, traced(e, controlled)
+        return declared, traced(e, controlled.programs)
 
     if e.n > DENSE:
         return trace()[1]
