@@ -82,14 +82,11 @@ def test_a_scene_from_the_cache_has_the_same_bytes_programs_and_functions(folder
 
 @pytest.mark.slow
 def test_processes_share_the_cache(folder):
-    code = (
-        "import alfmu, time; begin = time.perf_counter(); r = alfmu.simulate('five_bar', 0.2, 0.02); "
-        "print(r.values.tobytes().hex())"
-    )
+    code = "import alfmu; r = alfmu.simulate('five_bar', 0.2, 0.02); print(r.values.tobytes().hex())"
     running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
     said = {process.communicate(timeout=120)[0] for process in running}
     assert [process.returncode for process in running] == [0] * 3
-    assert sorted(path.name.partition("_")[0] for path, _ in cache.entries()) == ["scene", "start"]
+    assert {path.name.partition("_")[0] for path, _ in cache.entries()} >= {"scene", "start"}
     assert {alfmu.simulate(fresh("five_bar"), 0.2, 0.02).values.tobytes().hex() + "\n"} == said
 
 
@@ -151,6 +148,7 @@ def test_the_cache_is_bounded_and_files_that_were_used_stay(folder, monkeypatch)
         os.utime(path, (i, i))
     assert cache.kept(f"scene_{0:032x}", ".z") == paths[0]
     monkeypatch.setattr(cache, "LIMIT", 300)
+    monkeypatch.setattr(cache, "LEAST", 0)
     other = folder / "mine.txt"
     other.write_bytes(bytes(1000))
     last = cache.keep(f"scene_{9:032x}", ".z", bytes(100))
@@ -173,7 +171,7 @@ def test_the_command_shows_and_clears_the_cache(folder, capsys, monkeypatch):
     alfmu.simulate(fresh(), 0.1, 0.02)
     (folder / "mine.txt").write_text("mine")
     assert main(["cache"]) == 0
-    assert f"{folder}: 2 files, 0.0 MB" in capsys.readouterr().out
+    assert f"{folder}: 3 files, 0.0 MB" in capsys.readouterr().out
     assert main(["cache", "--clear"]) == 0
     assert [path.name for path in folder.iterdir()] == ["mine.txt"]
     monkeypatch.setenv(cache.VARIABLE, "off")

@@ -28,11 +28,14 @@ VARIABLE = "ALFMU_CACHE"
 LIMIT = 500_000_000
 """Size of the cache [bytes] above which files go: some 3000 scenes of mechanisms such as the five-bar."""
 
+LEAST = 50_000
+"""Size [bytes] that a file counts for at least, so that there are at most LIMIT / LEAST of them."""
+
 _OFF = ("off", "0")
 
 _LOGGER = logging.getLogger("alfmu")
 
-_OWN = re.compile(r"(kernel|runtime|scene|start)_[0-9a-f]{32}_[0-9a-f]{32}\.[a-z]+")
+_OWN = re.compile(r"(decision|kernel|runtime|scene|start)_[0-9a-f]{32}_[0-9a-f]{32}\.[a-z]+")
 """Names of the files that alfmu keeps; it touches no others."""
 
 
@@ -117,15 +120,15 @@ def clear() -> None:
 
 def _bounded(last: Path) -> None:
     """Remove files that were not used for longest until the rest is within the limit; the last one stays."""
-    known = entries()
-    excess = sum(about.st_size for _, about in known) - LIMIT
-    for path, about in known:
+    known = [(path, max(about.st_size, LEAST)) for path, about in entries()]
+    excess = sum(size for _, size in known) - LIMIT
+    for path, size in known:
         if excess <= 0:
             return
         if path != last:
             with suppress(OSError):  # on Windows, a library that is in use
                 path.unlink()
-                excess -= about.st_size
+                excess -= size
 
 
 def _hash(content: bytes) -> str:

@@ -35,7 +35,7 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
-from .stored import Start, stored_scene, stored_start
+from .stored import Start, stored_decision, stored_scene, stored_start
 
 __all__ = [
     *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "packed", "prepared", "ready"),
@@ -215,7 +215,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
     """The method that `auto` stands for where these values are set, and why."""
 
     def choose() -> Decision:
-        return decision_of(with_defaults(equations, {**values, "solver.method": "auto"}))
+        e = with_defaults(equations, {**values, "solver.method": "auto"})
+        return stored_decision(e, lambda: decision_of(e))
 
     return equations.kept.latest(_decision, choose, tuple(sorted(values.items())), _DECISIONS)
 

@@ -1,7 +1,7 @@
 """Scenes in the cache folder: what starts and runs a mechanism without tracing its equations again.
 
-Two files belong to equations: what tracing decides and finds (`Start`), and the bytes of the scene. The name of each is
-a fingerprint of everything that it depends on, so that nothing ever has to be declared out of date.
+Three files belong to equations: the method of integration, what else tracing finds (`Start`), and the bytes of the
+scene. The name of each is a fingerprint of everything that it depends on, so that none is ever out of date.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..kernel.form import Plan, Program
 from ..model.cache import is_off, kept, remember
 from ..model.content import told
 
-__all__ = ["Start", "fingerprint", "stored_scene", "stored_start"]
+__all__ = ["Start", "fingerprint", "stored_decision", "stored_scene", "stored_start"]
 
 _Made = TypeVar("_Made")
 
@@ -83,6 +83,14 @@ class Start:
 
 def _head(program: Program) -> tuple[Any, ...]:
     return program.plan, program.rule, program.evaluations, program.nodes, program.history
+
+
+def stored_decision(equations: Equations, make: Callable[[], Decision]) -> Decision:
+    """Return the method of integration of equations with their defaults, from the cache or decided now."""
+    return _stored(
+        *("decision", equations, make),
+        *(lambda made: json.dumps(asdict(made)).encode(), lambda content: Decision(**json.loads(content))),
+    )
 
 
 def stored_start(equations: Equations, make: Callable[[], Start]) -> Start:
