@@ -1,6 +1,7 @@
 """Compiled kernels: the C and its numbers, the cache, FMUs that need no package, what happens without a compiler."""
 
 import ctypes
+import hashlib
 import os
 import shutil
 import subprocess
@@ -61,7 +62,8 @@ class Functions:
 
     def __init__(self, equations: Equations, kept: Mapping[str, dict[int, int]] | None = None):
         self.files = emit.compiled_code(equations, kept or {}, "a scene")
-        self.path = build._library(equations.name, build.compiler(), self.files, "no other way")
+        name = f"kernel_{hashlib.sha256(repr(self.files).encode()).hexdigest()[:32]}"
+        self.path = build._built(equations.name, build.compiler(), self.files, name)
         library = ctypes.CDLL(str(self.path))
         count, self.spare = spare(self.path, "function_count"), spare(self.path)
         table = (ctypes.c_void_p * count).in_dll(library, "alfmu_functions")
