@@ -711,7 +711,7 @@ def test_what_an_fmu_says_of_its_mechanism_is_not_believed(options, native, here
 def test_a_compiler_that_is_none_is_said(command, words, here, capsys, monkeypatch):
     monkeypatch.setenv("CC", command)
     monkeypatch.setenv("XDG_CACHE_HOME", str(here / "cache"))
-    for arguments in (RUN, ["export", "particle_on_circle"]):
+    for arguments in (RUN, ["export", "particle_on_circle", "--kind", "python"]):
         assert main([*arguments, "--kernel", "compiled"]) == 1
         err = capsys.readouterr().err
         assert words in err
