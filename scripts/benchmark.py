@@ -42,9 +42,11 @@ from alfmu.equations.arrays import ArrayFunctions
 from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
 from alfmu.gradients.run import Runs
+from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import called
 from alfmu.kernel.joined import joined
 from alfmu.kernel.memory import TIERS as KINDS
+from alfmu.model.cache import VARIABLE
 from alfmu.model.settings import Settings
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
 from alfmu.simulation import oracle, prepared, with_defaults
@@ -216,12 +218,12 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
 
     The runtime has no way to time parts; CasADi makes the same operations in the same order.
     """
-    e, memory, program = instance.equations, instance.memory, instance.equations.kernel["quick"]
+    e, memory = whole(instance.equations), instance.memory
     memory["dt"][:] = SHORT
     state = [instance.q, instance.v, memory["u"], memory["p"], [instance.time], memory["k"]]
     x = ca.SX.sym("x")
     bound = {"empty call": (ca.Function("empty", [x], [x]), [[0.0]])}
-    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program.plan)[0].values(), strict=True)}
+    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, e.kernel["quick"].plan)[0].values(), strict=True)}
     together = joined(e, ["quick"])
     [step] = together.kernel["quick"].steps
     bound["step, function alone"] = together.functions[step.function], [memory[name] for name in step.arguments]
@@ -560,7 +562,7 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
     laps = in_turns({"solve": solve_call(), **calls}, math.ceil(effort.rounds / effort.builds), effort.lap)
     row |= {f"{kernel} quick steps [%]": quick_share(instance) for kernel, instance in instances.items()}
     row |= {"n": derived.n, "l": derived.l, "steps in a call": STRETCH}
-    traced = scene["vm"]
+    traced = whole(scene["vm"])
     return row | {
         "operations": sum(operations(traced.functions[name]) for name in called(traced.kernel["quick"]))
     }, laps
@@ -826,6 +828,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     size.add_argument("--quick", action="store_true", help="few repeats, up to 10 loops: less than a minute")
     size.add_argument("--full", action="store_true", help="up to 1000 loops: many minutes")
     chosen = line.parse_args(arguments)
+    os.environ[VARIABLE] = "off"  # preparation is measured, too
     effort = QUICK if chosen.quick else FULL if chosen.full else USUAL
 
     def write(studies: list[str], command: str) -> None:

@@ -251,7 +251,7 @@ def test_a_setting_is_the_same_however_it_is_given(exported):
 
 
 @pytest.fixture
-def traces(monkeypatch) -> list[str]:
+def traces(monkeypatch, uncached) -> list[str]:
     """The names of the mechanisms that were traced, one for each time."""
     traced, seen = pipeline.traced, []
 

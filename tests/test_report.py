@@ -484,7 +484,7 @@ def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
     study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
     study._units, study._ways = {}, study._makers(tmp_path)
     with pytest.MonkeyPatch.context() as patch, ExitStack() as study._stack:
-        patch.setattr("alfmu.runtime.compiled.cache", lambda: tmp_path / "cache")
+        patch.setenv("ALFMU_CACHE", str(tmp_path / "cache"))
         for way in study._ways:
             study._run(study._setting("residual", "rk4", way), 0.02, np.inf)
     assert {row["way"] for row in study.files["errors"]} == {"vm", "oracle"}

@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
-from ..kernel.tables import identified, interface, known_choices, packed
+from ..kernel.tables import identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -30,7 +30,7 @@ from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..runtime.pipeline import chosen, derive
+from ..runtime.pipeline import chosen, derive, packed
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native

@@ -8,10 +8,11 @@ from typing import Any
 
 from ..equations import Equations
 from ..kernel.form import called
-from ..kernel.tables import alone, function_sizes, packed
+from ..kernel.tables import alone, function_sizes
 from ..model.errors import ExportError
 from ..model.files import scratch
 from ..model.mechanism import Mechanism
+from ..runtime.pipeline import packed
 from . import native
 from .export import export, packed_scene
 from .recipe import KINDS, Recipe

@@ -29,7 +29,6 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
-from ..model.kept import once
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
@@ -37,6 +36,7 @@ from ..model.units import rate_of
 from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
+from .controlled import whole
 from .emit import compiled_code
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, called
 from .joined import joined
@@ -270,7 +270,7 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    own = equations.kept.scene.latest(alone, lambda: _alone(equations))
+    own = equations.kept.scene.latest(alone, lambda: _alone(whole(equations)))
     given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
     return replace(equations, **given)
 
@@ -313,9 +313,8 @@ def function_sizes(equations: Equations) -> dict[str, int]:
     return found
 
 
-@once
 def packed(equations: Equations) -> bytes:
-    """The scene file of traced equations, written once."""
+    """The scene file of traced equations."""
     with getting_ready():
         return _file(equations, alone(equations))
 

@@ -88,7 +88,8 @@ def untraced(equations: Equations) -> Equations:
         return e
     names = {name for program in e.kernel.values() for name in called(program)} - set(EVALUATED)
     functions, signatures = (
-        {name: x for name, x in each.items() if name not in names} for each in (e.functions, e.signatures)
+        {name: x for name, x in each.items() if name in e.functions and name not in names}
+        for each in (e.functions, e.signatures)
     )
     return replace(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere, kernel={}, library=None)
 

@@ -18,11 +18,10 @@ from ..equations import Equations, derivation
 from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..equations.specialisation import ALL, specialised
-from ..equations.types import Decision
-from ..kernel import DEFAULT, KERNELS, controlled
+from ..equations.types import Decision, Survey
+from ..kernel import DEFAULT, KERNELS, controlled, tables
 from ..kernel.alternatives import formulations
 from ..kernel.kinks import kinks_of_rates
-from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..method.stepping import explicit_rule
@@ -36,9 +35,10 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
+from .stored import Start, stored_decision, stored_scene, stored_start
 
 __all__ = [
-    *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "prepared", "ready"),
+    *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "packed", "prepared", "ready"),
     *("retraced", "with_defaults"),
 ]
 
@@ -145,7 +145,7 @@ def decided(equations: Equations) -> Equations:
     """The same equations with their decision, and with the functions that its method needs."""
     decision, stiffens = _decide(equations)
     e = with_tangents(equations) if decision.method in RULES or stiffens else equations
-    return replace(e, decision=decision)
+    return e if decision == e.decision else replace(e, decision=decision)
 
 
 def decision_of(equations: Equations) -> Decision:
@@ -215,7 +215,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
     """The method that `auto` stands for where these values are set, and why."""
 
     def choose() -> Decision:
-        return decision_of(with_defaults(equations, {**values, "solver.method": "auto"}))
+        e = with_defaults(equations, {**values, "solver.method": "auto"})
+        return stored_decision(e, lambda: decision_of(e))
 
     return equations.kept.latest(_decision, choose, tuple(sorted(values.items())), _DECISIONS)
 
@@ -223,9 +224,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
 # Survey ---------------------------------------------------------------------------------------------------------------
 
 
-def _surveyed(equations: Equations) -> Equations:
+def _surveyed(equations: Equations, found: Survey) -> Equations:
     """The same equations with their survey; descriptions of outputs say where redundant constraints share a load."""
-    found = survey(equations)
     if equations.survey.shared is not None:
         return replace(equations, survey=found)
     note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
@@ -243,7 +243,8 @@ def braked(equations: Equations) -> Equations:
 
 
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs, traced once; InputError where there is no such kernel.
+    """The equations with what the chosen kernel runs, traced once, or by the cache; InputError where there is no such
+    kernel. `alfmu.kernel.controlled.whole` has all steps of the programs.
 
     The oracle starts and keeps its values as `vm` does, so that it takes the same.
     """
@@ -258,11 +259,28 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
 
 @once
 def _interpreted(equations: Equations) -> Equations:
-    declared = equations.functions
     with getting_ready():
-        equations = decided(equations)
-        e = equations if equations.kernel else _traced(_surveyed(equations), declared)
+        e = decided(equations) if equations.kernel else _started(equations)
         return replace(e, library=None) if e.library else e
+
+
+def _started(equations: Equations) -> Equations:
+    """The same equations traced; with the heads of their programs alone where the cache knows them."""
+    made: list[Equations] = []
+
+    def start() -> Start:
+        e = decided(equations)
+        made.append(_traced(_surveyed(e, survey(e)), equations.functions))
+        return Start.of(made[0])
+
+    found = stored_start(equations, start)
+    if made:
+        return made[0]
+    e = _surveyed(equations, found.survey)
+    signatures = {**e.signatures, "seen": {"inputs": [], "outputs": [[found.seen, 1]], "matrices": 0}}
+    if found.tangents:
+        signatures["tangents"] = {"inputs": [], "outputs": [], "matrices": 0}
+    return replace(e, decision=found.decision, signatures=signatures, kernel=found.programs)
 
 
 def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
@@ -336,6 +354,12 @@ def again(equations: Equations) -> Equations:
 
 
 # Load -----------------------------------------------------------------------------------------------------------------
+
+
+@once
+def packed(equations: Equations) -> bytes:
+    """The scene file of traced equations, written once."""
+    return stored_scene(equations, lambda: tables.packed(equations))
 
 
 @once

@@ -13,6 +13,7 @@ from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
 from ..equations.types import Survey
+from ..kernel.controlled import whole
 from ..kernel.form import Plan, called
 from ..kernel.joined import joined
 from ..kernel.symbolic import Scene, lengths_of
@@ -43,7 +44,7 @@ class Cost:
 
 def cost(equations: Equations) -> Cost:
     """Operations of a traced scene."""
-    e = equations
+    e = whole(equations)
     quick = e.kernel["quick"]
     step = _whole(e, "quick")
     evaluation, nonzeros = parts(e, quick.plan)
@@ -96,7 +97,7 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     `everything` is the same mechanism with all outputs and parameters, `mobility` what is known of both. Each thing
     left out is put back alone to see what that saves.
     """
-    prepared_scene = prepared(scene)
+    prepared_scene = whole(prepared(scene))
     now, full = cost(prepared_scene), _with_all_passes(everything, mobility, prepared_scene)
     text = [
         f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
