@@ -25,6 +25,7 @@ from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
 from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import emit, stream
+from alfmu.kernel.form import Traced
 from alfmu.kernel.tables import machine_code, packed
 from alfmu.runtime import build as runtime_build
 from alfmu.runtime import compiled as build
@@ -110,7 +111,7 @@ def test_every_operation_means_the_same_in_c(tmp_path):
     assert used == (set(stream.BINARY) | set(stream.UNARY)) - {ca.OP_ASSIGN}
     e = derived("particle_on_circle")
     signature = {"inputs": [2], "outputs": [[len(results), 1]], "matrices": 0}
-    library = Functions(replace(e, functions={"f": f}, signatures={"f": signature}, kernel={}))
+    library = Functions(Traced.of(e, functions={"f": f}, signatures={"f": signature}))
     values, y = np.zeros(2), np.zeros(len(results))
     call = library.bind("f", [values], [y])
     for values[:] in ((0.3, 0.7), (0.7, 0.3), (0.5, 0.5), (0.9, -0.4)):

@@ -1,14 +1,12 @@
 """The kernel against the oracle, stage by stage and on random states; and when it must hand over to it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scenes import by_rk4 as derived
 from scenes import made
 
 import alfmu
-from alfmu.equations import Mobility
+from alfmu.equations import Configuration, Mobility
 from alfmu.equations.types import Survey
 from alfmu.kernel.trace import traced
 from alfmu.model.settings import Settings
@@ -295,7 +293,7 @@ def test_only_what_the_scene_needs_is_traced():
     """Fewer operations without redundant rows to clear, without constraints, without work."""
     five = derived("five_bar")
     surveys = (Survey(Mobility(1, redundant, 1)) for redundant in (1, 0))
-    with_rows, without = (cost(traced(replace(five, survey=survey))).outputs for survey in surveys)
+    with_rows, without = (cost(traced(Configuration.of(five, survey=survey))).outputs for survey in surveys)
     assert with_rows > without
     pendulum = alfmu.Mechanism("pendulum")
     th = pendulum.coordinate("th", "rad", start=0.5, independent=True)

@@ -1,7 +1,6 @@
 """Repetition in long functions: that it is found, becomes loops in C, and changes no bit of any number."""
 
 import subprocess
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,6 +13,7 @@ from alfmu.equations.arrays import ArrayFunction, ArrayFunctions
 from alfmu.equations.evaluation import elimination, with_functions
 from alfmu.kernel import emit, loops
 from alfmu.kernel.controlled import whole
+from alfmu.kernel.form import Traced
 from alfmu.kernel.repeat import Repeat, repeats
 from alfmu.kernel.stream import Instructions, Operations
 from alfmu.runtime import compiled as build
@@ -35,7 +35,7 @@ def source(f: ca.Function) -> str:
 
 def scene(*functions: ca.Function) -> Equations:
     """Equations with these functions alone."""
-    empty = replace(derived("particle_on_circle"), functions={}, signatures={}, kernel={})
+    empty = Traced.of(derived("particle_on_circle"), functions={}, signatures={})
     return with_functions(empty, {f.name(): f for f in functions})
 
 

@@ -71,6 +71,7 @@ def prepare(
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
+    scene: Equations
     scene, left = ready(equations, given, outputs, freeze, kernel)
     if start not in (None, "declared"):
         found = rest(with_defaults(equations, given), start, inputs)

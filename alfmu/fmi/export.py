@@ -21,6 +21,7 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
+from ..kernel.form import Traced
 from ..kernel.tables import identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
@@ -152,12 +153,12 @@ def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dic
     return ET.fromstring(text), _resources(recipe, equations, scene, guid)
 
 
-def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Equations]:
+def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Traced]:
     r = recipe
     return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, rest)
 
 
-def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
+def _resources(recipe: Recipe, equations: Traced, scene: bytes, guid: str) -> dict[str, bytes]:
     """The files of a scene by name, with compiled functions where there are any."""
     files = {SCENE: identified(scene, guid), OPTIONS: _options(recipe, equations)}
     if equations.library:
@@ -178,7 +179,7 @@ def packed_scene(
     freeze: Sequence[str] | None,
     kernel: str | None,
     rest: Rest | None = None,
-) -> tuple[Equations, Equations]:
+) -> tuple[Equations, Traced]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
     position of rest that becomes the start values."""
     every = derive(declared)
@@ -186,16 +187,15 @@ def packed_scene(
     equations = chosen(every, parameters or {}, outputs, freeze)
     if rest is not None:
         begun = with_defaults(every, parameters or {})
-        every, equations = (starting_at(e, rest.q, rest.states, rest.kept) for e in (begun, equations))
+        every = starting_at(begun, rest.q, rest.states, rest.kept)
+        equations = starting_at(equations, rest.q, rest.states, rest.kept)
     native.checked(equations)
-    equations = prepared(equations, kernel or DEFAULT)
-    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
-    return every, equations
+    scene = prepared(equations, kernel or DEFAULT)
+    Instance(scene).initialize()  # an FMU that cannot start is not worth writing
+    return every, scene
 
 
-def _native(
-    recipe: Recipe, equations: Equations, declared: Mechanism, version: str, picture: bytes
-) -> dict[str, bytes]:
+def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
     """The files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)

@@ -16,7 +16,6 @@ from functools import reduce
 import casadi as ca
 from casadi import SX
 
-from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import default_settings, integrator
 from ..method import formulations as method
@@ -40,7 +39,7 @@ from ..method.stepping import (
 from ..model.kept import once
 from ..model.settings import FIXED
 from . import rubbing
-from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
+from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, Traced, rewritten
 from .memory import PACE
 from .trace import CAREFUL, Calls, Tracer, spaced, traced, untraced
 
@@ -59,13 +58,13 @@ RETURNS = 4
 """Projections of q and v after them."""
 
 
-def whole(equations: Equations) -> Equations:
+def whole(equations: Traced) -> Traced:
     """Traced equations with the steps of their programs; those of a scene from the cache are traced now."""
-    return equations if "seen" in equations.functions or not equations.kernel else _whole(equations)
+    return equations if "seen" in equations.functions else _whole(equations)
 
 
 @once
-def _whole(equations: Equations) -> Equations:
+def _whole(equations: Traced) -> Traced:
     e = replace(untraced(equations), survey=equations.survey)
     return traced(with_tangents(e) if "tangents" in equations.signatures else e, programs)
 

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration, Equations
 from ..equations.evaluation import DENSE, symbols
 from ..method import formulations as method
 from ..method import implicit
@@ -149,7 +149,7 @@ class Watch(NamedTuple):
 class Scene:
     """The method of a scene, with a symbol for each named value."""
 
-    def __init__(self, equations: Equations, weighted: bool, lengths: dict[str, int]):
+    def __init__(self, equations: Configuration, weighted: bool, lengths: dict[str, int]):
         self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
         self._symbols: dict[str, SX] = {}
         self._factorisations: dict[tuple[int, ...], ca.Function] = {}

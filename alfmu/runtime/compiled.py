@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ..equations import Equations
+from ..kernel.form import Traced
 from ..kernel.tables import machine_code
 from ..model.cache import keep, kept, whole
 from ..model.errors import ExportError
@@ -29,7 +29,7 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Of shared libraries here."""
 
 
-def compiled_scene(equations: Equations, scene: bytes) -> Path:
+def compiled_scene(equations: Traced, scene: bytes) -> Path:
     """The functions of a scene file of these equations as a library, from the cache or built now.
 
     Raises ExportError where there is no compiler, or where it fails.

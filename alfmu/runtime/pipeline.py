@@ -1,7 +1,8 @@
 """From a mechanism to a loaded scene: derive, configure, survey, trace, load.
 
-Each stage gives new equations and changes none, and keeps its results: runs of one mechanism that differ in numbers
-alone share them. One arrow points back: `survey` starts the runtime before the programs of a scene are traced.
+`Mechanism` - derive -> `Equations` - decided, surveyed -> `Configuration` - trace -> `Traced` - loaded -> `Scene`. No
+stage changes what it is given, and each keeps its results: runs of one mechanism that differ in numbers alone share
+them. One arrow points back: `survey` starts the runtime before the programs of a scene are traced.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ..equations import Equations, derivation
+from ..equations import Configuration, Equations, derivation
 from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..equations.specialisation import ALL, specialised
 from ..equations.types import Decision, Survey
 from ..kernel import DEFAULT, KERNELS, controlled, tables
 from ..kernel.alternatives import formulations
+from ..kernel.form import Traced
 from ..kernel.kinks import kinks_of_rates
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
@@ -38,8 +40,8 @@ from .probe import SINGULAR, Probe, survey
 from .stored import Start, stored_decision, stored_scene, stored_start
 
 __all__ = [
-    *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "packed", "prepared", "ready"),
-    *("retraced", "with_defaults"),
+    *("chosen", "decision_of", "derive", "loaded", "packed", "prepared", "ready", "retraced"),
+    *("with_brakes", "with_defaults"),
 ]
 
 
@@ -65,7 +67,7 @@ _TRACED = ("method", "input_order")
 
 _KEPT: OrderedDict[str, Equations] = OrderedDict()
 
-_SCENES: OrderedDict[tuple[object, ...], tuple[object, Equations]] = OrderedDict()
+_SCENES: OrderedDict[tuple[object, ...], tuple[object, Traced]] = OrderedDict()
 
 # Derive ---------------------------------------------------------------------------------------------------------------
 
@@ -123,8 +125,9 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
     if same:
         return e
-    e = replace(e, decision=None, survey=e.survey.elsewhere)
-    return untraced(e)
+    if not isinstance(e, Configuration):
+        return e
+    return Configuration.of(untraced(e), decision=None, survey=e.survey.elsewhere)
 
 
 def chosen(
@@ -141,10 +144,11 @@ def chosen(
     return equations.kept.latest(chosen, lambda: specialised(with_defaults(equations, values), outputs, freeze), key)
 
 
-def decided(equations: Equations) -> Equations:
-    """The same equations with their decision, and with the functions that its method needs."""
-    decision, stiffens = _decide(equations)
-    e = with_tangents(equations) if decision.method in RULES or stiffens else equations
+def decided(equations: Equations) -> Configuration:
+    """The configuration of equations with their decision, and with the functions that its method needs."""
+    e = equations if isinstance(equations, Configuration) else Configuration.of(equations)
+    decision, stiffens = _decide(e)
+    e = with_tangents(e) if decision.method in RULES or stiffens else e
     return e if decision == e.decision else replace(e, decision=decision)
 
 
@@ -161,7 +165,7 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
         if equations.slips:
             limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
-    chosen, decision = integrator(equations), equations.decision
+    chosen, decision = integrator(equations), _known(equations)
     undecided = chosen == "auto"
     if undecided:
         decision = _automatic(equations)
@@ -177,6 +181,11 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
         note = "; implicit steps where stability keeps these short" * undecided
         decision = replace(decision, reason=decision.reason + note)
     return decision, stiffens
+
+
+def _known(equations: Equations) -> Decision | None:
+    """The decision of a configuration, if there is one."""
+    return equations.decision if isinstance(equations, Configuration) else None
 
 
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
@@ -224,8 +233,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
 # Survey ---------------------------------------------------------------------------------------------------------------
 
 
-def _surveyed(equations: Equations, found: Survey) -> Equations:
-    """The same equations with their survey; descriptions of outputs say where redundant constraints share a load."""
+def _surveyed(equations: Configuration, found: Survey) -> Configuration:
+    """A configuration with its survey; descriptions of outputs say where redundant constraints share a load."""
     if equations.survey.shared is not None:
         return replace(equations, survey=found)
     note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
@@ -234,16 +243,11 @@ def _surveyed(equations: Equations, found: Survey) -> Equations:
     return replace(equations, outputs=outputs, survey=found)
 
 
-def braked(equations: Equations) -> Equations:
-    """The same equations, in which redundant constraints brake the motion."""
-    return replace(equations, survey=replace(equations.survey, brakes=True))
-
-
 # Trace ----------------------------------------------------------------------------------------------------------------
 
 
-def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs, traced once, or by the cache; InputError where there is no such
+def prepared(equations: Equations, kernel: str = DEFAULT) -> Traced:
+    """Equations with what the chosen kernel runs, traced once, or by the cache; InputError where there is no such
     kernel. `alfmu.kernel.controlled.whole` has all steps of the programs.
 
     The oracle starts and keeps its values as `vm` does, so that it takes the same.
@@ -253,20 +257,23 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
-    library = equations.library or compiled_scene(e, packed(e))
+    known = equations.library if isinstance(equations, Traced) else None
+    library = known or compiled_scene(e, packed(e))
     return equations.kept.latest(prepared, lambda: replace(e, library=library), library)
 
 
 @once
-def _interpreted(equations: Equations) -> Equations:
+def _interpreted(equations: Equations) -> Traced:
     with getting_ready():
-        e = decided(equations) if equations.kernel else _started(equations)
-        return replace(e, library=None) if e.library else e
+        if not isinstance(equations, Traced):
+            return _started(equations)
+        decided(equations)  # which refuses settings that this scene has not
+        return replace(equations, library=None) if equations.library else equations
 
 
-def _started(equations: Equations) -> Equations:
-    """The same equations traced; with the heads of their programs alone where the cache knows them."""
-    made: list[Equations] = []
+def _started(equations: Equations) -> Traced:
+    """Equations traced; with the heads of their programs alone where the cache knows them."""
+    made: list[Traced] = []
 
     def start() -> Start:
         e = decided(equations)
@@ -276,18 +283,17 @@ def _started(equations: Equations) -> Equations:
     found = stored_start(equations, start)
     if made:
         return made[0]
-    e = _surveyed(equations, found.survey)
+    e = _surveyed(Configuration.of(equations, decision=found.decision), found.survey)
     signatures = {**e.signatures, "seen": {"inputs": [], "outputs": [[found.seen, 1]], "matrices": 0}}
     if found.tangents:
         signatures["tangents"] = {"inputs": [], "outputs": [], "matrices": 0}
-    return replace(e, decision=found.decision, signatures=signatures, kernel=found.programs)
+    return Traced.of(e, signatures=signatures, kernel=found.programs)
 
 
-def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
-    """The same equations traced; those of the same functions that differ in numbers alone share what is traced."""
-    settings = default_settings(equations)
+def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced:
+    """A configuration traced; those of the same functions that differ in numbers alone share what is traced."""
+    e, settings = configuration, default_settings(configuration)
     rule = explicit_rule("explicit", settings.relative_tolerance)
-    e = equations
     key = (
         id(declared),
         integrator(e),
@@ -298,7 +304,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
         e.survey,
     )
 
-    def trace() -> tuple[object, Equations]:
+    def trace() -> tuple[object, Traced]:
         # The functions are kept, so that no others get their place.
         return declared, traced(e, controlled.programs)
 
@@ -306,7 +312,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
         return trace()[1]
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
     same = "functions", "signatures", "kernel", "order", "telling"
-    found = replace(e, **{field: getattr(scene, field) for field in same})
+    found = Traced.of(e, **{field: getattr(scene, field) for field in same})
     found.kept.scene = scene.kept
     return found
 
@@ -317,7 +323,7 @@ def ready(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str,
-) -> tuple[Equations, dict[str, float | str]]:
+) -> tuple[Traced, dict[str, float | str]]:
     """The equations traced for a run with these values, and those of them that are left to set on an instance.
 
     What a scene is traced with is in it: outputs, frozen parameters, the method of integration. All else is a number
@@ -329,41 +335,51 @@ def ready(
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = with_defaults(equations, {**folded, "solver.method": method})
     if method == "auto":
-        e = replace(e, decision=_decision(equations, own | folded))
+        decision, known = _decision(equations, own | folded), _known(e)
+        if known is None or known.method != decision.method:
+            e = Configuration.of(untraced(e), decision=decision)
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
     key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
     return equations.kept.latest(ready, lambda: prepared(specialised(e, outputs, freeze), kernel), key), own
 
 
-def retraced(equations: Equations, settings: Settings) -> Equations:
-    """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
+def retraced(equations: Equations, settings: Settings) -> Traced:
+    """Equations traced with the method of integration and the order of inputs that settings ask for."""
     e, before = equations, default_settings(equations)
     wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
-    if e.kernel and not wanted:
+    if isinstance(e, Traced) and not wanted:
         return e
 
-    def trace() -> Equations:
-        return again(replace(e, solver={**e.solver, **wanted}, decision=None) if wanted else e)
+    def trace() -> Traced:
+        if not wanted:
+            return prepared(e)
+        return prepared(Configuration.of(untraced(e), solver={**e.solver, **wanted}, decision=None), _kernel(e))
 
     return e.kept.latest(retraced, trace, tuple(sorted(wanted.items())))
 
 
-def again(equations: Equations) -> Equations:
-    """The same equations traced again, for the kernel that they were prepared for."""
-    return prepared(untraced(equations), "compiled" if equations.library else DEFAULT)
+def with_brakes(equations: Traced) -> Traced:
+    """A scene traced again for its kernel, in which redundant constraints brake the motion."""
+    e = untraced(equations)
+    return prepared(replace(e, survey=replace(e.survey, brakes=True)), _kernel(equations))
+
+
+def _kernel(equations: Equations) -> str:
+    """The kernel that equations are prepared for."""
+    return "compiled" if isinstance(equations, Traced) and equations.library else DEFAULT
 
 
 # Load -----------------------------------------------------------------------------------------------------------------
 
 
 @once
-def packed(equations: Equations) -> bytes:
+def packed(equations: Traced) -> bytes:
     """The scene file of traced equations, written once."""
     return stored_scene(equations, lambda: tables.packed(equations))
 
 
 @once
-def loaded(equations: Equations) -> Scene:
+def loaded(equations: Traced) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
     scene = Scene(packed(equations))
     if equations.library:

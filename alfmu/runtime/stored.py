@@ -19,10 +19,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-from ..equations import Equations, Mobility
+from ..equations import Configuration, Equations, Mobility
 from ..equations.evaluation import ARGUMENTS, EVALUATED
 from ..equations.types import Decision, Survey
-from ..kernel.form import Plan, Program
+from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
 from ..model.content import told
 
@@ -39,8 +39,10 @@ _MOST = 2**30
 _ROOMS = ("equations", "kernel", "method", "model", "runtime")
 """Rooms whose code scenes depend on."""
 
-_LATER = ("functions", "signatures", "kernel", "library", "kept")
-"""Fields of equations that a fingerprint leaves out: functions are added one by one, the rest follows from them."""
+_LATER = ("functions", "signatures", "kept")
+"""Fields that a fingerprint leaves out: functions are added one by one, the rest follows from them."""
+
+_FIELDS = [field.name for field in fields(Configuration) if field.name not in _LATER]
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -59,7 +61,7 @@ class Start:
     """Whether the scene has the derivatives that implicit methods need."""
 
     @classmethod
-    def of(cls, e: Equations) -> Self:
+    def of(cls, e: Traced) -> Self:
         """Return that of traced equations."""
         programs = {name: Program((), *_head(program)) for name, program in e.kernel.items()}
         seen = e.signatures["seen"]["outputs"][0][0]
@@ -67,7 +69,7 @@ class Start:
 
     def written(self) -> bytes:
         """Return it as bytes; see `read`."""
-        programs = {name: [p.plan and asdict(p.plan), *_head(p)[1:]] for name, p in self.programs.items()}
+        programs = {name: [asdict(p.plan), *_head(p)[1:]] for name, p in self.programs.items()}
         return json.dumps({**asdict(self), "programs": programs}).encode()
 
     @classmethod
@@ -77,7 +79,7 @@ class Start:
         survey = data["survey"]
         survey["mobility"] = survey["mobility"] and Mobility(**survey["mobility"])
         survey["shared"] = None if survey["shared"] is None else tuple(survey["shared"])
-        programs = {name: Program((), plan and Plan(**plan), *more) for name, (plan, *more) in data["programs"].items()}
+        programs = {name: Program((), Plan(**plan), *more) for name, (plan, *more) in data["programs"].items()}
         return cls(Decision(**data["decision"]), Survey(**survey), programs, int(data["seen"]), bool(data["tangents"]))
 
 
@@ -98,7 +100,7 @@ def stored_start(equations: Equations, make: Callable[[], Start]) -> Start:
     return _stored("start", equations, make, Start.written, Start.read)
 
 
-def stored_scene(equations: Equations, make: Callable[[], bytes]) -> bytes:
+def stored_scene(equations: Traced, make: Callable[[], bytes]) -> bytes:
     """Return the scene file of traced equations, from the cache or made now."""
     return _stored("scene", equations, make, bytes, bytes)
 
@@ -144,7 +146,7 @@ def fingerprint(equations: Equations) -> str | None:
     e = equations
     known = [name for name in dict.fromkeys([*ARGUMENTS, *EVALUATED]) if name in e.functions and name != "tangents"]
     try:
-        said = [told(getattr(e, field.name)) for field in fields(e) if field.name not in _LATER]
+        said = [told(getattr(e, name)) for name in _FIELDS if hasattr(e, name)]
         said += [f"{name} {e.functions[name].serialize()}" for name in known]
     except (TypeError, RuntimeError):
         return None

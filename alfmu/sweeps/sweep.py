@@ -23,7 +23,7 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.pipeline import again, braked, derive, packed, ready, with_defaults
+from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
 from ..simulation import by_name, communication_points, instance, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
@@ -326,7 +326,7 @@ def _scene(
     )
 
     def braking() -> SceneJob:
-        other = instance(again(braked(unit.equations)), own)
+        other = instance(with_brakes(unit.equations), own)
         return replace(job, braking=_packed(other))
 
     def compiled() -> SceneJob:
