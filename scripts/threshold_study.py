@@ -128,7 +128,7 @@ STARTS, FIVE_BAR = 50, {"A.torque": 3.0, "D.torque": -1.0}
 
 
 def _equations(mechanism: Any, **wanted: float | str) -> Any:
-    """A mechanism, or one of this name, ready to be interpreted, with these variables of the solver (RK4 by default)."""
+    """A mechanism, or one of this name, made ready for the interpreter with these variables of the solver."""
     import alfmu
     from alfmu.simulation import prepared, with_defaults
 
