@@ -484,15 +484,17 @@ LOOSE = 1e-4
 """Tolerance of a run above which the pair of order 5 serves better than that of order 8."""
 
 
+EXPLICIT_METHODS = {"order8": EXPLICIT8}
+"""Explicit methods that are the same at every tolerance, by the name of `solver.method`."""
+
+
 def explicit_rule(method: str, run: float, carried: str | None = None) -> Explicit | None:
     """Return the explicit method that `solver.method` stands for at the tolerance of a run, None if it is another one.
 
     `carried` is the name of the one that is in the kernel: it is taken whatever the tolerance.
     """
-    if method == "order8":
-        return EXPLICIT8
     if method != "explicit":
-        return None
+        return EXPLICIT_METHODS.get(method)
     wanted = EXPLICIT5 if run > LOOSE else EXPLICIT8
     return next((rule for rule in (EXPLICIT5, EXPLICIT8) if rule.name == carried), wanted)
 

@@ -366,6 +366,7 @@ def begin(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     chosen = str(names[0]) if len(names) == 1 else "all"
-    command = shlex.join(["alfmu", kind, chosen, *["--quick"] * quick])
+    name, *profile = kind.split()
+    command = shlex.join(["alfmu", name, chosen, *profile, *["--quick"] * quick])
     bounds = {"wall time for all mechanisms [s]": effort.total, **bounds}
     return Begun(studies, folder, tables.where(command, packages, bounds), effort.total)
