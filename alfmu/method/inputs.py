@@ -45,8 +45,7 @@ def reached(
 def extrapolated(
     known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, order: int, where: Where
 ) -> Array:
-    """Return inputs at t by the polynomial of this order through the newest points, or of lower order if there are few.
-    """
+    """Return inputs at t by the polynomial of this order through the newest points, of lower order if there are few."""
     total = 0.0
     for i in range(order + 1):
         weight = where(known > i, 1.0, 0.0)

@@ -128,8 +128,7 @@ TINY = 1e-300
 
 
 def weights(m: int) -> dict[int, float]:
-    """S4: return weights of m positions before and m after, evenly spaced, with an error of order 2 m in the spacing.
-    """
+    """S4: return weights of m evenly spaced positions before and after, with an error of order 2 m in the spacing."""
     return {
         k * side: (-1) ** (k + 1) * math.comb(2 * m, m + k) / math.comb(2 * m, m)
         for side in (-1, 1)
