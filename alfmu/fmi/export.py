@@ -101,9 +101,7 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     return path
 
 
-def _python(
-    recipe: Recipe, equations: Equations, declared: Mechanism, version: str, picture: bytes
-) -> dict[str, bytes]:
+def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
     """The files of an FMU of kind python."""
     from pythonfmu.builder import FmuBuilder
 
