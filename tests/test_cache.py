@@ -81,6 +81,16 @@ def test_a_scene_from_the_cache_has_the_same_bytes_programs_and_functions(folder
 
 
 @pytest.mark.slow
+def test_a_compiled_kernel_from_the_cache_is_not_traced(folder, traces):
+    made = prepared(fresh(), "compiled")
+    expected, before = run(made, kernel="compiled"), len(traces)
+    found = prepared(fresh(), "compiled")
+    assert run(found, kernel="compiled") == expected
+    assert found.library == made.library
+    assert len(traces) == before
+
+
+@pytest.mark.slow
 def test_processes_share_the_cache(folder):
     code = "import alfmu; r = alfmu.simulate('five_bar', 0.2, 0.02); print(r.values.tobytes().hex())"
     running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
@@ -126,7 +136,7 @@ def test_what_a_scene_depends_on_is_in_its_fingerprint(monkeypatch):
             pipeline.specialised(e, None, ["m"]),
         )
     ]
-    monkeypatch.setattr(stored, "_software", lambda: "another version")
+    monkeypatch.setattr(stored, "software", lambda: "another version")
     prints.append(stored.fingerprint(e))
     assert None not in prints
     assert len({*prints}) == len(prints)

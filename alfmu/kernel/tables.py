@@ -48,6 +48,7 @@ from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
 __all__ = [
+    "HEAD",
     "alone",
     "function_sizes",
     "identified",

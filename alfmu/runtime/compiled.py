@@ -11,11 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..kernel.form import Traced
-from ..kernel.tables import machine_code
+from ..kernel.tables import HEAD, machine_code
 from ..model.cache import keep, kept, whole
 from ..model.errors import ExportError
 from ..model.files import scratch
 from .build import compiler
+from .stored import software
 
 __all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
@@ -39,18 +40,20 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
             f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    return _library(equations.name, command, machine_code(equations, scene), "use --kernel vm")
+    # The C follows from the scene: it is written, and its functions traced, only where it has to be compiled.
+    digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
+    digest.update(scene[HEAD:])
+    name = f"kernel_{digest.hexdigest()[:32]}"
+    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(equations, scene), name)
 
 
-def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
+def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
     """C of a scene as a library in the cache."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
-    baseline = _BASELINE.read_text(encoding="ascii")
-    identity = "\0".join([*files, baseline, *command, version(command), *flags])
-    name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
-    named = {_BASELINE.name: baseline, **{f"kernel{i}.c": text for i, text in enumerate(files)}}
-    return kept(name, SUFFIX) or build(scene, [*command, *flags], named, name, SUFFIX, otherwise)
+    named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
+    named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
+    return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")
 
 
 def verified(scene: str, path: Path) -> bytes:

@@ -202,7 +202,7 @@ def _automatic(equations: Equations) -> Decision:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
         return Decision("explicit", f"explicit: more than {DENSE} coordinates")
-    probe = Probe.of(untraced(equations))
+    probe = Probe.of(equations)
     if probe is None:
         return Decision("explicit", "explicit: the defaults have no start")
     try:
@@ -333,14 +333,17 @@ def ready(
     method = own.pop("solver.method", equations.solver.get("method", Settings.method))
     frozen = {p.name for p in equations.parameters if freeze and (list(freeze) == [ALL] or p.name in freeze)}
     folded = {name: own.pop(name) for name in frozen & own.keys()}
-    e = with_defaults(equations, {**folded, "solver.method": method})
-    if method == "auto":
-        decision, known = _decision(equations, own | folded), _known(e)
-        if known is None or known.method != decision.method:
-            e = Configuration.of(untraced(e), decision=decision)
-    asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
-    return equations.kept.latest(ready, lambda: prepared(specialised(e, outputs, freeze), kernel), key), own
+    e = chosen(equations, {**folded, "solver.method": method}, outputs, freeze)
+    if method != "auto":
+        return prepared(e, kernel), own
+    decision, known = _decision(e, own), _known(e)
+    if known is not None and known.method == decision.method:
+        return prepared(e, kernel), own
+
+    def by_decision() -> Traced:
+        return prepared(Configuration.of(untraced(e), decision=decision), kernel)
+
+    return e.kept.latest(ready, by_decision, (kernel, decision.method)), own
 
 
 def retraced(equations: Equations, settings: Settings) -> Traced:

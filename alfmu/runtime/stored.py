@@ -26,7 +26,7 @@ from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
 from ..model.content import told
 
-__all__ = ["Start", "fingerprint", "stored_decision", "stored_scene", "stored_start"]
+__all__ = ["Start", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
 
 _Made = TypeVar("_Made")
 
@@ -150,15 +150,15 @@ def fingerprint(equations: Equations) -> str | None:
         said += [f"{name} {e.functions[name].serialize()}" for name in known]
     except (TypeError, RuntimeError):
         return None
-    return hashlib.sha256("\0".join([_software(), *said]).encode("utf-8", "surrogatepass")).hexdigest()[:32]
+    return hashlib.sha256("\0".join([software(), *said]).encode("utf-8", "surrogatepass")).hexdigest()[:32]
 
 
 @cache
-def _software() -> str:
+def software() -> str:
     """Return a digest of the code that makes scenes, with what it builds on and the kind of the machine."""
     package = Path(__file__).parent.parent
     files = [path for room in _ROOMS for path in sorted((package / room).rglob("*.py"))]
-    files += sorted(Path(__file__).parent.glob("alfmu-*"))
+    files += [*sorted(Path(__file__).parent.glob("alfmu-*")), *sorted(Path(__file__).parent.rglob("*.h"))]
     about = [version("casadi"), version("numpy"), platform.machine(), platform.system()]
     digest = hashlib.sha256(" ".join(about).encode())
     for path in files:
