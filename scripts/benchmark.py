@@ -342,7 +342,9 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> Results:
         script.write_text(EMPTY_SLAVE, encoding="utf-8")
         paths = {"empty": FmuBuilder.build_FMU(script, dest=folder)}
         for kernel in tqdm(kernels, "dostep", unit="FMU"):
-            paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel, parameters=RK4)
+            paths[kernel] = alfmu.export(
+                "five_bar", Path(folder) / f"{kernel}.fmu", kind="python", kernel=kernel, parameters=RK4
+            )
         motions = {(slave, name): start for slave in paths for name, start in MOTIONS.items()}
         del motions["empty", REGULAR]
         fmus = {motion: stack.enter_context(Fmu(paths[motion[0]])) for motion in motions}

@@ -493,7 +493,8 @@ def test_lost_comparisons_are_listed(written):
 def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     study = Study("particle_on_circle", SMALL)
-    study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
+    study.equations = prepared(study.derived)
+    study.times, study.judge = TIMES, Judge(study.equations, None)
     study._units, study._ways = {}, study._makers(tmp_path)
     with pytest.MonkeyPatch.context() as patch, ExitStack() as study._stack:
         patch.setenv("ALFMU_CACHE", str(tmp_path / "cache"))
@@ -508,7 +509,7 @@ def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
 def test_what_would_take_too_long_is_skipped_with_its_estimate():
     study = Study("particle_on_circle", SMALL)
     study.times = TIMES
-    study.judge = Judge(study.derived, None)
+    study.judge = Judge(prepared(study.derived), None)
     unit = oracle.Instance(prepared(study.derived, "oracle"))
     restart = restarting(unit)
 
@@ -574,7 +575,8 @@ def test_other_codes_run_the_same_mechanism_from_the_same_start(name):
 def test_a_code_that_is_not_there_is_listed(monkeypatch):
     monkeypatch.setattr("alfmu.studies.report.RIVALS", [replace(r, missing="not installed") for r in RIVALS])
     study = Study("five_bar", SMALL)
-    study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
+    study.equations = prepared(study.derived)
+    study.times, study.judge = TIMES, Judge(study.equations, None)
     study._ways = {}
     for setting in study._settings()[0]:
         study._run(setting, setting.values[0], np.inf)

@@ -367,7 +367,7 @@ class Study(cases.Study):
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
-        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given))
+        return Fmu(export(self.mechanism, path, kind="python", kernel=kernel, parameters=given))
 
     def _unit(self, way: str, method: str) -> _Open:
         """A unit of a way to run that carries a method, made when it is first wanted."""
