@@ -93,7 +93,9 @@ def libraries(cache: Path) -> list[Path]:
 @pytest.fixture(scope="module")
 def five_bar(tmp_path_factory) -> Path:
     """The FMU of the five-bar with a compiled kernel."""
-    return alfmu.export("five_bar", tmp_path_factory.mktemp("compiled") / "five_bar.fmu", kernel="compiled")
+    return alfmu.export(
+        "five_bar", tmp_path_factory.mktemp("compiled") / "five_bar.fmu", kind="python", kernel="compiled"
+    )
 
 
 def test_every_operation_means_the_same_in_c(tmp_path):
@@ -280,7 +282,7 @@ def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, t
 
     monkeypatch.setattr(export, "compiled_scene", damaged)
     with pytest.raises(alfmu.ExportError, match=r"particle_on_circle: the library .* was damaged"):
-        alfmu.export("particle_on_circle", tmp_path / "it.fmu", kernel="compiled", parameters=RK4)
+        alfmu.export("particle_on_circle", tmp_path / "it.fmu", kind="python", kernel="compiled", parameters=RK4)
     assert not (tmp_path / "it.fmu").exists()
 
 
@@ -439,13 +441,16 @@ def test_a_compiled_fmu_validates_saves_and_restores(five_bar):
 
 @pytest.mark.slow
 def test_the_same_export_gives_the_same_bytes(five_bar, tmp_path):
-    assert alfmu.export("five_bar", tmp_path / "five_bar.fmu", kernel="compiled").read_bytes() == five_bar.read_bytes()
+    assert (
+        alfmu.export("five_bar", tmp_path / "five_bar.fmu", kind="python", kernel="compiled").read_bytes()
+        == five_bar.read_bytes()
+    )
 
 
 @pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["export", "five_bar", "--kernel", "compiled"]) == 0
+    assert main(["export", "five_bar", "--kind", "python", "--kernel", "compiled"]) == 0
     assert main(["simulate", "five_bar.fmu", "--stop-time", "0.1"]) == 0
     assert main(["simulate", "five_bar", "--stop-time", "0.1", "--kernel", "auto", "-o", "auto.csv"]) == 0
     assert main(["simulate", "five_bar.fmu", "--kernel", "compiled"]) == 1

@@ -416,7 +416,7 @@ def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method):
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_an_fmu_gives_the_numbers_of_the_library(tmp_path, kernel, method):
     given = {"solver.method": method, "start.angle": 0.4}
-    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters=given, kernel=kernel)
+    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters=given, kind="python", kernel=kernel)
     assert validate(path) == []
     with Fmu(path) as fmu:
         through_fmi = run(fmu, 0.6, 0.1, {"A.torque": 0.5})

@@ -345,7 +345,7 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
     from alfmu.fmi.drive import Fmu
     from alfmu.simulation import run
 
-    fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kernel="compiled")
+    fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kind="python", kernel="compiled")
     for path, kernel in ((exported("five_bar"), "vm"), (fast, "compiled")):
         with Fmu(path) as fmu:
             result = run(fmu, 0.5, 0.02, parameters={"start.angle": 0.4})

@@ -1,4 +1,4 @@
-"""Export: equations and the run side of alfmu packed as an FMU by pythonfmu, reproducible to the byte."""
+"""Export: equations and the run side of alfmu packed as an FMU, reproducible to the byte."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 from xml.etree import ElementTree as ET
-
-from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
 from ..equations.specialisation import starting_at
@@ -98,9 +96,15 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = record_files(equations) if recipe.reference else {}
-    if recipe.kind == "native":
-        archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
-        return path
+    files_of = _native if recipe.kind == "native" else _python
+    archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})
+    return path
+
+
+def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
+    """The files of an FMU of kind python."""
+    from pythonfmu.builder import FmuBuilder
+
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
     hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
     libraries = {native.file_name(each): data for each, data in native.libraries(name, hosts).items()}
@@ -129,14 +133,10 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
         made = top / f"{name}.fmu"
         with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
-        described = {
-            "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
-            _PICTURE[2]: picture,
-        }
+        description = model_description(equations, version, generator, guid, credits=_credits(declared))
         with zipfile.ZipFile(made) as built:
             files = {info.filename: built.read(info) for info in built.infolist() if not info.is_dir()}
-        archive(path, {**files, **described, **results})
-    return path
+        return {**files, "modelDescription.xml": description, _PICTURE[2]: picture}
 
 
 def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dict[str, bytes]]:
