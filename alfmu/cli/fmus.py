@@ -32,11 +32,10 @@ not forbid and what hides mistakes of importers; a note is worth knowing. Exit c
 3: nothing did, and most could not be judged."""
 
 NOT_JUDGED = 3
-"""Exit code where an FMU could not be judged."""
+"""Exit code if an FMU could not be judged."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
     add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
@@ -125,7 +124,7 @@ def _export(chosen: argparse.Namespace) -> None:
         communication_step=chosen.step,
         reference=chosen.reference,
     )
-    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
+    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # empty if -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
     glibc = libraries_in(path, recipe.kind)
