@@ -197,7 +197,7 @@ def _native(
     """The files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi), packed(e)
+    files, scene = native.sources(recipe.fmi, native.left_out(e)), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]

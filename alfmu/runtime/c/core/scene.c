@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "layout.h"
+#include "scene_features.h"
 #include "scene_functions.h"
 #include "scene_programs.h"
 #include "scene_reader.h"
@@ -94,6 +95,22 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     return sum;
 }
 
+/* A library for one scene has what that scene needs. */
+static void check_features(Reader *r)
+{
+    const Scene *s = r->scene;
+    const struct {
+        int has, needed;
+        const char *what;
+    } features[] = {{HAS_FRICTION, s->frictions, "dry friction"}, {HAS_MOVING_INPUTS, s->followed_count, "inputs that move something"},
+        {HAS_SWITCHES, s->switches, "Boolean inputs"}, {HAS_BREAKS, s->break_count, "forces that jump"},
+        {HAS_LAWS, s->leap_count, "laws of motion"}, {HAS_PEAKS, s->peaks, "peaks"},
+        {HAS_ERROR_CONTROL, s->method, "this solver.method"}, {HAS_INTERFACE_JACOBIAN, s->entries, "an interface Jacobian"}};
+    for (size_t k = 0; k < sizeof features / sizeof *features; k++)
+        if (features[k].needed && !features[k].has)
+            reader_spoil(r, "this library was compiled for a scene without %s", features[k].what);
+}
+
 static void read_body(Reader *r)
 {
     Scene *s = r->scene;
@@ -142,6 +159,7 @@ static void read_body(Reader *r)
         tables_read_jacobian(r);
     if (!r->bad && r->at != r->end)
         reader_spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+    check_features(r);
 }
 
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)

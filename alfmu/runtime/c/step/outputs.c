@@ -162,8 +162,7 @@ Outcome instance_read(Instance *i)
     if (i->flags.known)
         return DONE;
     arena_reset(i);
-    if (i->tape)
-        i->tape->reading = i->tape->used;
+    tape_begin_reading(i);
     settings_upload_arguments(i);
     if (i->flags.brakes)
         rank_freeze(i);

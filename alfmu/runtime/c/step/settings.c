@@ -10,6 +10,7 @@
 #include "interpret.h"
 #include "layout.h"
 #include "linear.h"
+#include "message.h"
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
@@ -249,4 +250,25 @@ double settings_margin(Instance *i)
     function_call(i, s->pivots, x, y);
     arena_release(i, arena);
     return found;
+}
+
+/* Determine ranks and scales of the constraints in force at q and v. */
+Outcome settings_update_rank(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    Outcome outcome = DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    *i->freedom = s->n;
+    *i->masses = 0.0;
+    if (s->l)
+        rank_calibrate(i, q, v, held, settings_usual(i));
+    if (i->flags.brakes && !s->brakes)
+        outcome = instance_say(i, RANK_CHANGES,
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            s->name);
+    arena_release(i, arena);
+    return outcome;
 }
