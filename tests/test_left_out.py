@@ -35,7 +35,7 @@ def led() -> alfmu.Mechanism:
     """A crank that an input turns, and a pendulum on it that a lock holds."""
     m = alfmu.Mechanism("led")
     turned, swung = (m.coordinate(name, "rad") for name in ("turned", "swung"))
-    crank, bar = (m.bar(name, mass=1.0, length=1.0, inertia=0.1) for name in ("crank", "bar"))
+    crank, bar = (m.bar(name, mass=1.0, length=1.0) for name in ("crank", "bar"))
     motor = m.revolute("motor", m.ground.at(0, 0), crank.start, coordinate=turned)
     m.motion(motor, m.input("angle", "rad"))
     m.revolute("hinge", crank.end, bar.start, coordinate=swung)
@@ -57,8 +57,9 @@ CASES = {
         {"ERROR_CONTROL", "INTERFACE_JACOBIAN"},
     ),
     "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"ERROR_CONTROL", "PEAKS"}),
-    "rubbing": (block, {}, {"FRICTION", "BREAKS"}),
-    "led and locked": (led, {}, {"MOVING_INPUTS", "SWITCHES"}),
+    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
+    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
+    "led and locked": (led, {}, {"MOVING_INPUTS", "SWITCHES", "ERROR_CONTROL"}),
 }
 each_case = pytest.mark.parametrize("case", CASES)
 
@@ -108,29 +109,29 @@ def test_the_sources_that_a_scene_uses_give_its_numbers(fmu_of, tmp_path, case):
 def test_what_a_scene_does_not_use_is_left_out(fmu_of, case):
     mechanism, given, needed = CASES[case]
     files = sources_of(fmu_of(mechanism(), kind="native", reference=False, **given))
-    assert files == native.sources(2, native.FEATURES.keys() - needed)
+    asked = {"DERIVATIVES"} if given.get("derivatives", True) else set()
+    assert files == native.sources(2, native.FEATURES.keys() - needed - asked)
     assert (
         "friction_cover(Instance *i, double start, double h, double dt)\n{\n    const Scene" in files["step.c"]
     ) == ("FRICTION" in needed)
     assert sum(map(len, files.values())) < sum(map(len, native.sources(2).values()))
 
 
-def test_features_are_files_of_the_runtime():
+def test_features_are_files_of_the_runtime_with_headers_for_others():
     known = {path.name: path for path in build.sources()}
+    texts = [path.read_text() for path in known.values() if path.suffix == ".h"]
     for name, feature in native.FEATURES.items():
-        for file in feature.files:
-            header = known[file].with_suffix(".h").read_text()
-            assert f"#if HAS_{name}\n" in header
-            assert "\n#else\n" in header
-    declared = (known["scene_features.h"]).read_text()
-    assert declared.count("#ifndef HAS_") == len(native.FEATURES)
+        assert known.keys() >= {*feature.files}
+        assert [text for text in texts if f"\n#if HAS_{name}\n" in text and "\n#else\n" in text]
+    assert known["scene_features.h"].read_text().count("#ifndef HAS_") == len(native.FEATURES)
 
 
 @pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("name", native.FEATURES)
 def test_each_feature_can_be_left_out_alone(tmp_path, name):
-    compiled(native.sources(3, {name}), tmp_path / "library.so")
+    more = {"INTERFACE_JACOBIAN"} if name == "DERIVATIVES" else set()
+    compiled(native.sources(3, {name, *more}), tmp_path / "library.so")
 
 
 @by_a_compiler

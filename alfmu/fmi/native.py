@@ -38,9 +38,12 @@ class Feature:
 
     what: str
     files: tuple[str, ...]
-    """Its C files. Without it, their headers declare functions that do nothing."""
+    """Its own files. Without it, headers that others include declare functions that do nothing."""
     needed: Callable[[Equations], object]
 
+
+_KEPT = {"gradient.h", "interface_jacobian.h"}
+"""Headers of `derivatives` that say what there is without them."""
 
 FEATURES = {
     "FRICTION": Feature(
@@ -55,14 +58,19 @@ FEATURES = {
     "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),
     "ERROR_CONTROL": Feature("integrators with error control", ("adaptive.c",), lambda e: "method" in e.kernel),
     "INTERFACE_JACOBIAN": Feature("the interface Jacobian", ("interface_jacobian.c",), lambda e: e.jacobian),
+    "DERIVATIVES": Feature(
+        "directional derivatives",
+        ("record.c", "instant_derivatives.c", *sorted({path.name for path in build.sources(["derivatives"])} - _KEPT)),
+        lambda e: e.jacobian,
+    ),
 }
 """Parts of the runtime that a native FMU leaves out where its scene does not need them, by their names in C."""
 
 
-def left_out(equations: Equations) -> list[str]:
-    """Names of the features that traced equations do not need."""
-    scene = alone(equations)
-    return [name for name, feature in FEATURES.items() if not feature.needed(scene)]
+def left_out(equations: Equations, derivatives: bool = True) -> list[str]:
+    """Names of the features that traced equations do not need, or that nobody asks for."""
+    scene, asked = alone(equations), {"DERIVATIVES"} if derivatives else ()
+    return [name for name, feature in FEATURES.items() if name not in asked and not feature.needed(scene)]
 
 
 def checked(equations: Equations) -> None:

@@ -45,10 +45,13 @@ static void check_memory(Reader *r)
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
         {s->k, scene_settings_length(s)}, {s->dt, 1}, {s->control, CONTROL}, {s->tally, TALLY}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
-      handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
+      handed[] = {{s->most, 1}, {s->patient, 1}, {s->slopes, s->inputs + 1}, {s->within, 1},
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
           {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
-          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
+          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->of_least_norm, 1}, {s->on_branch, 1}, {s->onward, 1},
+#define CHOSEN(name) {s->name, 1},
+          SCENE_OTHERS(CHOSEN)
+#undef CHOSEN
           {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!reader_check_between(s->size, 1, MOST_NUMBERS) || !reader_check_between(s->workspace, 0, MOST_NUMBERS))
         reader_spoil(r, "its memory has %d numbers", s->size);

@@ -16,13 +16,10 @@
 #include "scene.h"
 #include "text.h"
 
-/* Return the program that evaluates accelerations by loops that stop on convergence. */
-int settings_instant(const Scene *s, int formulation)
+/* Return the program that evaluates the outputs by loops that stop on convergence. */
+int settings_instant(const Scene *s)
 {
-#define OF(name) , s->instant_##name
-    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation] < 0 ? s->instant : programs[formulation];
+    return s->instant_patient < 0 ? s->instant : s->instant_patient;
 }
 
 int settings_formulation(const Instance *i)
@@ -37,7 +34,7 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs of the scene serve the chosen formulation, not only `move` and `instant`. */
+/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and `instant_patient`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -95,11 +92,18 @@ void settings_upload_arguments(Instance *i)
 {
     const Scene *s = i->scene;
     const double iterations = i->values[s->max_iterations];
+    const int formulation = settings_formulation(i);
+    int other = RESIDUAL_FORMULATION;
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
     i->workspace[s->again] = iterations - 1;
     memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
     i->workspace[s->projects] = settings_project(i);
+    i->workspace[s->of_least_norm] = formulation == RESIDUAL_FORMULATION || settings_project(i);
+#define CHOOSE(name) i->workspace[s->name] = formulation == ++other;
+    SCENE_OTHERS(CHOOSE)
+#undef CHOOSE
+    i->workspace[s->on_branch] = i->workspace[s->onward] = 0.0;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
     if (s->reach >= 0)
         i->workspace[s->within] = i->within;

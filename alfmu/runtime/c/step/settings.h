@@ -10,7 +10,7 @@
 
 #include "internal_begin.h"
 
-int settings_instant(const Scene *s, int formulation);
+int settings_instant(const Scene *s);
 int settings_formulation(const Instance *i);
 int settings_project(const Instance *i);
 int settings_all_serve(const Instance *i);
