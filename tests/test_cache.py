@@ -81,6 +81,22 @@ def test_a_scene_from_the_cache_has_the_same_bytes_programs_and_functions(folder
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("given", [{}, {"outputs": ["link*.angle"], "freeze": ["l"]}, {"kind": "python"}])
+def test_fmus_from_the_cache_have_the_same_bytes(folder, traces, tmp_path, monkeypatch, given):
+    def exported(name: str) -> bytes:
+        pipeline._KEPT.clear()
+        pipeline._SCENES.clear()
+        return alfmu.export("five_bar", tmp_path / f"{name}.fmu", **given).read_bytes()
+
+    with monkeypatch.context() as without:
+        without.setenv(cache.VARIABLE, "off")
+        expected = exported("expected")
+    first, made = exported("first"), len(traces)
+    assert expected == first == exported("second")
+    assert len(traces) == made > 0
+
+
+@pytest.mark.slow
 def test_a_compiled_kernel_from_the_cache_is_not_traced(folder, traces):
     made = prepared(fresh(), "compiled")
     expected, before = run(made, kernel="compiled"), len(traces)

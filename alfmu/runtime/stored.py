@@ -12,6 +12,7 @@ import logging
 import platform
 import time
 import zlib
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -25,6 +26,7 @@ from ..equations.types import Decision, Survey
 from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
 from ..model.content import told
+from ..model.kept import latest
 
 __all__ = ["Start", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
 
@@ -44,6 +46,11 @@ _LATER = ("functions", "signatures", "kept")
 from them."""
 
 _FIELDS = [field.name for field in fields(Configuration) if field.name not in _LATER]
+
+_SHARED = 200
+"""Digests that are known, with what they are of: some four sets of equations."""
+
+_DIGESTS: OrderedDict[int, tuple[Any, str]] = OrderedDict()
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -147,11 +154,22 @@ def fingerprint(equations: Equations) -> str | None:
     e = equations
     known = [name for name in dict.fromkeys([*ARGUMENTS, *EVALUATED]) if name in e.functions and name != "tangents"]
     try:
-        said = [told(getattr(e, name)) for name in _FIELDS if hasattr(e, name)]
-        said += [f"{name} {e.functions[name].serialize()}" for name in known]
+        said = [_digest(getattr(e, name)) for name in _FIELDS if hasattr(e, name)]
+        said += [f"{name} {_digest(e.functions[name])}" for name in known]
     except (TypeError, RuntimeError):
         return None
-    return hashlib.sha256("\0".join([software(), *said]).encode("utf-8", "surrogatepass")).hexdigest()[:32]
+    return hashlib.sha256("\0".join([software(), *said]).encode()).hexdigest()[:32]
+
+
+def _digest(value: Any) -> str:
+    """Return a digest of a field or a function; found once for what cannot change and many equations may share."""
+
+    def made() -> tuple[Any, str]:
+        text = value.serialize() if hasattr(value, "serialize") else told(value)
+        return value, hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+    shared = isinstance(value, tuple) or hasattr(value, "serialize")
+    return (latest(_DIGESTS, id(value), made, _SHARED) if shared else made())[1]
 
 
 @cache
