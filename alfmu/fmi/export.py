@@ -42,7 +42,6 @@ from .description import (
     documentation,
     enumerated,
     model_description,
-    model_description3,
 )
 from .recipe import Recipe
 from .records import record_files
@@ -206,11 +205,9 @@ def _native(
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
-        form = {}
-    else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
+    described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices, fmi)
+    form = {}
+    if fmi == 3:
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
