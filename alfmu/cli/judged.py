@@ -23,9 +23,10 @@ def add(command: Command) -> None:
     _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
     sub.add_argument(
         "--profile",
-        choices=("usual", "tolerances", "paper"),
+        choices=("usual", "tolerances", "paper", "peers"),
         default="usual",
-        help="tolerances: those of whole runs, beside SciPy; paper: the study of Blajer (2002) in full",
+        help="tolerances: those of whole runs, beside SciPy; paper: the study of Blajer (2002) in full; peers: run "
+        "times at equal error on five_bar and slider_crank, beside codes that are tuned to them",
     )
     sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")

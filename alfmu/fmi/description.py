@@ -21,7 +21,6 @@ __all__ = [
     "documentation",
     "enumerated",
     "model_description",
-    "model_description3",
 ]
 
 LICENSE = "MIT"
@@ -38,6 +37,37 @@ _LOG_CATEGORIES = {
 }
 
 
+_CAPABILITIES = {
+    2: {
+        "needsExecutionTool": "false",
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "{inputs}",
+        "canRunAsynchronuously": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "{directional}",
+        "maxOutputDerivativeOrder": "{order}",
+    },
+    3: {
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "{directional}",
+        "providesAdjointDerivatives": "{directional}",
+        "canHandleVariableCommunicationStepSize": "true",
+        "maxOutputDerivativeOrder": "{order}",
+        "canReturnEarlyAfterIntermediateUpdate": "true",
+        "providesIntermediateUpdate": "true",
+        "mightReturnEarlyFromDoStep": "true",
+    },
+}
+"""Attributes of co-simulation by version of FMI; those in braces depend on the kind of FMU and its inputs."""
+
+_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
+"""Types of FMI 2 and of FMI 3."""
+
+
 def model_description(
     equations: Equations,
     version: str,
@@ -47,130 +77,75 @@ def model_description(
     sources: Sequence[str] = (),
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    fmi: int = 2,
     directional: bool = True,
 ) -> bytes:
-    """Return modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
+    """Return modelDescription.xml (co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     A native FMU may have directional derivatives.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
-    derivatives = str(native and bool(e.inputs)).lower()
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=e.name,
-        guid=guid,
-        description=e.description,
-        version=version,
-        license=LICENSE,
-        generationTool=generator,
-        variableNamingConvention=_convention(e),
-        **credits,  # type: ignore[arg-type]
-    )
-    simulation = ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=e.name,
-        needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs=derivatives,
-        canRunAsynchronuously="false",
-        canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-        providesDirectionalDerivative=str(native and directional).lower(),
-        maxOutputDerivativeOrder=str(2 * native),
-    )
-    if sources:
-        files = ET.SubElement(simulation, "SourceFiles")
-        for name in sources:
-            ET.SubElement(files, "File", name=name)
-    _units(root, sorted({v.unit for _, v in variables if v.type == "Real"}))
+    head = {"fmiVersion": f"{fmi}.0", "modelName": e.name, "guid" if fmi == 2 else "instantiationToken": guid}
+    head |= {"description": e.description, "version": version, "license": LICENSE, "generationTool": generator}
+    root = ET.Element("fmiModelDescription", head, variableNamingConvention=_convention(e), **credits)
+    known = {
+        "directional": str(native and directional).lower(),
+        "inputs": str(native and bool(e.inputs)).lower(),
+        "order": 2 * native,
+    }
+    capabilities = {name: value.format(**known) for name, value in _CAPABILITIES[fmi].items()}
+    simulation = ET.SubElement(root, "CoSimulation", {"modelIdentifier": e.name, **capabilities})
+    if fmi == 2 and sources:
+        _files(ET.SubElement(simulation, "SourceFiles"), "File", sources)
+    _units(root, sorted({*["s"] * (fmi == 3), *(v.unit for _, v in variables if v.type == "Real")}))
     types = ET.SubElement(root, "TypeDefinitions") if choices else root
     for name, items in choices.items():
-        _items(ET.SubElement(ET.SubElement(types, "SimpleType", name=name), "Enumeration"), items)
+        if fmi == 2:
+            _items(ET.SubElement(ET.SubElement(types, "SimpleType", name=name), "Enumeration"), items)
+        else:
+            _items(ET.SubElement(types, "EnumerationType", name=name), items)
     _categories(root)
     _experiment(root, e)
     model_variables = ET.SubElement(root, "ModelVariables")
     for reference, (causality, v) in enumerate(variables):
         head, kind = _facts(reference, causality, v)
-        ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
-    _structure(root, e, [causality for causality, _ in variables], [v for _, v in variables])
+        if fmi == 2:
+            ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
+        else:
+            if causality == "input":
+                head.pop("initial", None)
+            ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
+    if fmi == 3:
+        time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
+        ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
+    _structure(root, e, variables, fmi)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
-def model_description3(
-    equations: Equations,
-    version: str,
-    generator: str,
-    token: str,
-    variables: Sequence[tuple[str, Variable]],
-    credits: Mapping[str, str] = MappingProxyType({}),
-    choices: Choices = MappingProxyType({}),
-    directional: bool = True,
-) -> bytes:
-    """Return modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
-    e, variables = equations, enumerated(variables, choices)
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=e.name,
-        instantiationToken=token,
-        description=e.description,
-        version=version,
-        license=LICENSE,
-        generationTool=generator,
-        variableNamingConvention=_convention(e),
-        **credits,  # type: ignore[arg-type]
-    )
-    ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=e.name,
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        providesDirectionalDerivatives=str(directional).lower(),
-        providesAdjointDerivatives=str(directional).lower(),
-        canHandleVariableCommunicationStepSize="true",
-        maxOutputDerivativeOrder="2",
-        canReturnEarlyAfterIntermediateUpdate="true",
-        providesIntermediateUpdate="true",
-        mightReturnEarlyFromDoStep="true",
-    )
-    _units(root, sorted({"s"} | {v.unit for _, v in variables if v.type == "Real"}))
-    types = ET.SubElement(root, "TypeDefinitions") if choices else root
-    for name, items in choices.items():
-        _items(ET.SubElement(types, "EnumerationType", name=name), items)
-    _categories(root)
-    _experiment(root, e)
-    model_variables = ET.SubElement(root, "ModelVariables")
-    for reference, (causality, v) in enumerate(variables):
-        head, kind = _facts(reference, causality, v)
-        if causality == "input":
-            head.pop("initial", None)
-        ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
-    time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
-    ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
-    structure = ET.SubElement(root, "ModelStructure")
-    inputs = [str(i) for i, (causality, v) in enumerate(variables) if causality == "input" and v.type == "Real"]
-    outputs = [(str(i), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
-    for number, v in outputs:
+def _structure(root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int) -> None:
+    """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
+
+    A Boolean input takes effect in the next step. FMI 2 counts variables from 1, FMI 3 names their references.
+    """
+    structure, first = ET.SubElement(root, "ModelStructure"), 1 if fmi == 2 else 0
+    inputs = [str(i + first) for i, (c, v) in enumerate(variables) if c == "input" and v.type == "Real"]
+    if fmi == 2:
+        outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
+        names, key = ("Unknown", "Unknown"), "index"
+    else:
+        outputs = unknowns = structure
+        names, key = ("Output", "InitialUnknown"), "valueReference"
+    told = [(str(i + first), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
+    for number, v in told:
         on = inputs if v.instant else []
         kinds = " ".join("dependent" for _ in on)
-        ET.SubElement(structure, "Output", valueReference=number, dependencies=" ".join(on), dependenciesKind=kinds)
-    for number, v in outputs:
-        needed = " ".join(str(i) for i in _at_the_start(e, variables, v))
-        ET.SubElement(structure, "InitialUnknown", valueReference=number, dependencies=needed)
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-
-
-_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
-"""FMI 3 types of FMI 2 types."""
+        ET.SubElement(outputs, names[0], {key: number}, dependencies=" ".join(on), dependenciesKind=kinds)
+    for number, v in told:
+        needed = " ".join(str(i + first) for i in _at_the_start(e, variables, v))
+        ET.SubElement(unknowns, names[1], {key: number}, dependencies=needed)
 
 
 def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:
@@ -191,6 +166,11 @@ def _convention(e: Equations) -> str:
     return "flat" if e.jacobian else "structured"
 
 
+def _files(element: ET.Element, kind: str, names: Sequence[str]) -> None:
+    for name in names:
+        ET.SubElement(element, kind, name=name)
+
+
 def _items(element: ET.Element, items: Mapping[str, str]) -> None:
     for k, (name, text) in enumerate(items.items(), 1):
         ET.SubElement(element, "Item", name=name, value=str(k), description=text)
@@ -200,9 +180,7 @@ def build_description(identifier: str, sources: Sequence[str]) -> bytes:
     """Return buildDescription.xml (FMI 3.0) of C files."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
-    files = ET.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in sources:
-        ET.SubElement(files, "SourceFile", name=name)
+    _files(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", sources)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
@@ -251,29 +229,6 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
     if v.type in ("Real", "Integer"):
         kind |= {key: _number(x, v.type) for key, x in (("min", v.minimum), ("max", v.maximum)) if x is not None}
     return head, kind
-
-
-def _structure(root: ET.Element, e: Equations, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
-    """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
-
-    A Boolean input takes effect in the next step.
-    """
-    structure = ET.SubElement(root, "ModelStructure")
-    continuous = [v.type == "Real" for v in variables]
-    inputs = [str(i + 1) for i, causality in enumerate(causalities) if causality == "input" and continuous[i]]
-    outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
-    for i, (causality, v) in enumerate(zip(causalities, variables, strict=True)):
-        if causality == "output":
-            on = inputs if v.instant else []
-            ET.SubElement(
-                outputs,
-                "Unknown",
-                index=str(i + 1),
-                dependencies=" ".join(on),
-                dependenciesKind=" ".join("dependent" for _ in on),
-            )
-            known = _at_the_start(e, list(zip(causalities, variables, strict=True)), v)
-            ET.SubElement(unknowns, "Unknown", index=str(i + 1), dependencies=" ".join(str(k + 1) for k in known))
 
 
 _LATER = ("step_size", "relative_tolerance", "absolute_tolerance", "input_order", "method")

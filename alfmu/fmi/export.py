@@ -41,7 +41,6 @@ from .description import (
     documentation,
     enumerated,
     model_description,
-    model_description3,
 )
 from .recipe import Recipe
 from .records import record_files
@@ -207,12 +206,10 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, recipe.derivatives
-    if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, *facts)
-        form = {}
-    else:
-        described = model_description3(e, version, generator, guid, variables, *facts)
+    facts = _credits(declared), choices, fmi, recipe.derivatives
+    described = model_description(e, version, generator, guid, variables, compiled, *facts)
+    form = {}
+    if fmi == 3:
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),

@@ -116,6 +116,8 @@ class Case:
     """Wall time limit of a run [s]."""
     most: int = 1
     """Most repetitions, as far as a share of the limit allows; fewer if the fastest agree."""
+    compared: Sequence[str] = ()
+    """Outputs to keep of a run in one call, which evaluates all outputs; if empty, a run is made step by step."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
         """Return whether these durations determine the time well enough."""
@@ -136,7 +138,7 @@ class Run:
     values: NDArray
     """Outputs there (k, outputs)."""
     seconds: list[float]
-    """Wall time of each repetition, for steps and outputs."""
+    """Processor time [s] of each repetition, for steps and outputs."""
     counters: Counters | None = None
     failure: str = ""
     """Message of the error that ended it."""
@@ -187,14 +189,16 @@ def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
 @np.errstate(all="ignore")
 def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
     restart()
+    if case.compared:
+        return _in_one_call(unit, case)
     times, names = case.times.tolist(), [v.name for v in unit.outputs]
     table, reached, failure, cut = np.empty((len(times), len(names))), 0, "", False
-    begin = time.perf_counter()
+    begin, started = time.perf_counter(), time.process_time()
     try:
         for name, value in case.values.items():
             unit.set(name, value)
         unit.initialize()
-        begin = time.perf_counter()
+        begin, started = time.perf_counter(), time.process_time()
         table[0], reached = unit.read(), 1
         for i, t in enumerate(times[:-1], 1):
             if time.perf_counter() - begin > case.limit:
@@ -204,9 +208,26 @@ def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
             table[i], reached = unit.read(), i + 1
     except ARITHMETIC as error:
         failure = str(error) or type(error).__name__
-    seconds = [time.perf_counter() - begin]
+    seconds = [time.process_time() - started]
     counters = getattr(unit, "counters", None) if reached else None
     return Run(names, case.times[:reached], table[:reached], seconds, counters, failure, cut)
+
+
+def _in_one_call(unit: Unit, case: Case) -> Run:
+    """A run that the unit makes by itself; its start is part of the time."""
+    names = [v.name for v in unit.outputs]
+    for name, value in case.values.items():
+        unit.set(name, value)
+    started = time.process_time()
+    try:
+        table, ended = unit.run(case.times, (), np.empty((len(case.times), 0)), names)
+    except ARITHMETIC as error:
+        table, ended = np.empty((0, len(names))), error
+    seconds, reached = [time.process_time() - started], len(table)
+    columns = [names.index(name) for name in case.compared]
+    counters = getattr(unit, "counters", None) if reached else None
+    failure = "" if ended is None else str(ended) or type(ended).__name__
+    return Run(list(case.compared), case.times[:reached], table[:, columns], seconds, counters, failure)
 
 
 class Judge:

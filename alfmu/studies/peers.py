@@ -1,4 +1,4 @@
-"""Models of two mechanisms in Pinocchio, Exudyn and MuJoCo, coded by hand; each runs if its package is installed.
+"""Models of two mechanisms in Pinocchio, Exudyn, MuJoCo and SciPy, coded by hand; each runs if its package is installed.
 
 five_bar      links of 1 m and 1 kg; one constraint is redundant
 slider_crank  crank 0.5 m, rod 1 m, 1 kg each and for the slider
@@ -21,9 +21,15 @@ from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.linalg.lapack import dgelsy
+
+from ..catalogue.registry import load
+from ..equations.derivation import derive
+from ..runtime import Instance
 
 __all__ = [
     "ANGLE",
@@ -33,10 +39,12 @@ __all__ = [
     "REACTIONS",
     "ROD",
     "TUNED",
+    "USAGE",
     "Exudyn",
     "MuJoCo",
     "Peer",
     "Pinocchio",
+    "SciPy",
     "Simulation",
     "Start",
     "Trajectory",
@@ -444,14 +452,75 @@ def _mujoco_model(mechanism: str, step: float, integrator: str, stiffness: float
 <worldbody>{bodies}</worldbody><equality>{loops}</equality></mujoco>"""
 
 
+@dataclass(frozen=True)
+class SciPy(Peer):
+    """`solve_ivp` on alfmu's M, C, f, xi, Phi in the index-1 form (9), by elimination of a and least squares."""
+
+    method: str = "DOP853"
+
+    def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
+        five = mechanism == "five_bar"
+        omega, cut, options = (15.0, 1e-4, {}) if five else (6.0, 1e-12, {"coordinates": "joint"})
+        e = derive(load(mechanism, **options))
+        instance, n, l = Instance(e), e.n, e.l
+        instance.set("start.angle", start.angle)
+        instance.set("start.angular_velocity", start.rate)
+        instance.initialize()
+        begin, p, u = np.concatenate([instance.q, instance.v]), instance.values[: len(e.parameters)], instance.inputs
+        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        C, inverse = e.C(q, p), ca.inv(e.M(q, p))
+        falling, pulled = inverse @ (e.f(q, v, u, p, 0) - e.d(q, v, p)), inverse @ C.T
+        xi = e.xi(q, v, p) - 2 * omega * C @ v - omega**2 * e.Phi(q, p)
+        results = [ca.densify(x) for x in (C @ pulled, C @ falling - xi, falling, pulled)]
+        terms = _Terms(ca.Function("terms", [q, v], results, {"cse": True}))
+        (y_q, y_v), (S, r, free, pull) = terms.arguments, terms.results
+        r, free, work = r[:, 0], free[:, 0], 16 * l + 64
+
+        def solve(y: NDArray) -> tuple[NDArray, NDArray]:
+            """(9): C M^-1 C' lambda = C M^-1 (f - d) - xi of least norm, a = M^-1 (f - d - C' lambda)."""
+            y_q[:, 0], y_v[:, 0] = y[:n], y[n:]
+            terms.evaluate()
+            lam = dgelsy(S, r, np.zeros(l, np.int32), cut, work)[1]
+            return free - pull @ lam, lam
+
+        def rate(y: NDArray) -> NDArray:
+            return np.concatenate([y[n:], solve(y)[0]])
+
+        names = [variable.name for variable in e.outputs]
+        columns = [names.index(name) for name in (ANGLE[mechanism], *REACTIONS[mechanism])]
+
+        def simulate() -> Trajectory:
+            states = solved(rate, begin, self.method, step, times)
+            a, lam = (np.array(x).T for x in zip(*map(solve, states), strict=True))
+            Q, V, P, U = states[:, :n].T, states[:, n:].T, *(np.tile(x[:, None], len(states)) for x in (p, u))
+            seen = np.array(e.readings(Q, V, a, lam, U, P, np.zeros((1, len(states)))))[columns].T
+            return Trajectory(times[: len(states)], seen[:, 0], seen[:, 1:])
+
+        return simulate
+
+
+class _Terms:
+    """A CasADi function whose arguments and results are arrays that stay where they are."""
+
+    def __init__(self, f: ca.Function):
+        self.buffer, self.evaluate = f.buffer()  # the memory of evaluate lives as long as the buffer
+        self.arguments = [np.zeros(f.size_in(i), order="F") for i in range(f.n_in())]
+        self.results = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
+        for tie, arrays in ((self.buffer.set_arg, self.arguments), (self.buffer.set_res, self.results)):
+            for i, x in enumerate(arrays):
+                tie(i, memoryview(x.reshape(-1, order="F")))  # type: ignore[arg-type,call-arg]
+
+
 def _tuned() -> tuple[Peer, ...]:
-    steps = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (1, 2, 3, 4, 8, 16)))
-    loop = {"five_bar": (1e-6, 1e-8, 1e-10), "slider_crank": (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)}
+    steps = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (1, 2, 3, 4, 8, 16, 32, 64)))
+    loop = {"five_bar": (1e-6, 1e-8, 1e-10, 1e-11, 1e-12), "slider_crank": (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-11, 1e-12)}
     stabilised = {"five_bar": 60.0, "slider_crank": 5.0}
     alpha = {"five_bar": (5e-3, 1e-3, 2e-4, 1e-4, 4e-5), "slider_crank": (5e-3, 1e-3)}
     trapezoidal = {"five_bar": (5e-3, 1e-3), "slider_crank": (5e-3, 1e-3, 2e-4, 5e-5)}
     soft = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (2, 4, 5, 8, 10, 20, 40)))
     softer = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (10, 40)))
+    rtols = dict.fromkeys(MECHANISMS, (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11))
+    tight = {"five_bar": (1e-7, 1e-8, 1e-9, 1e-11), "slider_crank": (1e-6, 1e-7, 1e-8, 1e-9, 1e-11)}
     first, second = {"five_bar": 2.0, "slider_crank": 0.2}, {"five_bar": 0.1, "slider_crank": 0.5}
     return (
         Pinocchio("pin", "Pinocchio", "RK4, Baumgarte", steps, quick=5, omega=stabilised),
@@ -462,8 +531,29 @@ def _tuned() -> tuple[Peer, ...]:
         Exudyn("exudyn", "Exudyn", "trapezoidal, index 2", trapezoidal, solver="TrapezoidalIndex2"),
         MuJoCo("mujoco", "MuJoCo", "RK4", soft, quick=3, hardness=first),
         MuJoCo("mujoco", "MuJoCo", "implicitfast", softer, quick=1, integrator="implicitfast", hardness=second),
+        SciPy("scipy", "SciPy stabilised", "DOP853", rtols, "rtol", 3),
+        SciPy("scipy", "SciPy stabilised", "RK45", tight, "rtol", 0, method="RK45"),
+        SciPy("scipy", "SciPy stabilised", "LSODA", tight, "rtol", 0, method="LSODA"),
     )
 
 
 TUNED = _tuned()
-"""All codes, each with the best settings of those tried on these mechanisms (listed in `scripts/peers.py`)."""
+"""All codes, each with the best settings of those tried on these mechanisms (USAGE)."""
+
+USAGE = {
+    "alfmu": "Library `Instance`, a whole run in one call of its method `run`; all outputs are read at each point. "
+    "`joint`: the coordinates are those of the joints and parameters are frozen (defaults: mixed and absolute, none). "
+    "`lean`: outputs are those that are compared.",
+    "Pinocchio": "Minimal tree and two (one) loop closures, `constraintDynamics` with mu = 1e-8 and 3 proximal "
+    "iterations on preallocated data; RK4 in NumPy or `solve_ivp`. Tried: mu 1e-4 to 1e-12, 1 to 50 iterations, "
+    "Baumgarte from 0 to 200 1/s (five-bar 60, slider-crank 5), projection instead (slower), `lcaba` (slower).",
+    "Exudyn": "Its solvers on rigid bodies with joints, files off, build without range checks. Tried: spectral radius "
+    "0.5 to 1, index 2 and 3, all linear solvers, Newton tolerances 1e-6 to 1e-10. The redundant constraint needs "
+    "EigenDense with `ignoreSingularJacobian`. Explicit solvers refuse joints; all methods used are of order 2.",
+    "MuJoCo": "Pinocchio's tree with `connect`; constraints are soft by design, here as hard as possible: solimp "
+    "0.9999, solref with stiffness c / step^2 and critical damping, refsafe off. Tried: c from 0.01 to 4 (RK4: "
+    "five-bar 2, slider-crank 0.2), 1 to 50 iterations, implicit integrators (order 1).",
+    "SciPy stabilised": "alfmu's terms in one CasADi function, a eliminated from (9), multipliers of least norm by "
+    "LAPACK gelsy (cut-off 1e-4 on the five-bar), Baumgarte with 15 and 6 1/s (from 0 to 200 tried), joint "
+    "coordinates of the slider-crank.",
+}

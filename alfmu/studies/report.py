@@ -9,10 +9,11 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..api import export, simulate
+from ..catalogue.registry import load
 from ..equations import Equations
+from ..equations.derivation import derive
 from ..equations.specialisation import specialised
 from ..fmi.drive import Fmu
 from ..model.errors import AlfmuError, InputError
@@ -29,9 +32,9 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..runtime.build import compiler
-from ..simulation import Unit, communication_points, instance, prepared
+from ..simulation import Unit, communication_points, instance, prepared, with_defaults
 from ..view.picture import animate
-from . import cases, paper
+from . import cases, paper, peers
 from . import reference as exact
 from . import stability as maps
 from .cases import (
@@ -61,7 +64,7 @@ from .cost import cost, left_out
 from .looks import LOOKS, integrator, line_of
 from .page import Page, library
 from .plots import against_time, convergence
-from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, Rival
+from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, TUNED, Rival
 from .tables import Row, markdown, paragraph, shown, write_csv
 
 __all__ = ["PROFILES", "Effort", "report"]
@@ -144,6 +147,10 @@ class Effort:
     methods: tuple[str, ...] = ()
     """Integrators that run by the fastest kernel, beside SciPy's; all of them in every way where it is empty."""
     points: int = POINTS
+    ways: tuple[str, ...] = ()
+    """In which those integrators run, as far as there are such; the fastest where it is empty."""
+    given: Mapping[str, float] = field(default_factory=dict)
+    """Defaults in place of the mechanism's own; then its stop time does not count either."""
 
 
 USUAL = Effort(
@@ -188,6 +195,18 @@ TOLERANCES = replace(
     points=10,  # So few that the error control decides on the steps.
 )
 PAPER = replace(USUAL, total=1800.0, each=900.0, paper=paper.USUAL, parts=("paper",))
+PEERS = replace(
+    TOLERANCES,
+    horizon=20.0,
+    factors=(1, 1 / 2, 1 / 3, 1 / 4, 1 / 8, 1 / 16, 1 / 32),
+    tolerances=tuple(10.0**-k for k in range(5, 12)),
+    limit=30.0,
+    repeats=12,
+    methods=("rk4", "order8", "auto"),
+    points=1000,
+    ways=tuple(f"{kernel}{form}" for kernel in ("compiled", "vm") for form in ("", ", joint", ", joint, lean")),
+    given={"start.angle": 0.0, "start.angular_velocity": 2.0, "solver.step_size": 0.02},
+)
 PROFILES = {
     "usual": (USUAL, QUICK),
     "tolerances": (
@@ -195,8 +214,10 @@ PROFILES = {
         replace(TOLERANCES, each=60.0, horizon=1.0, limit=10.0, reference=exact.Effort(parts=20, seconds=20.0)),
     ),
     "paper": (PAPER, replace(PAPER, paper=paper.QUICK)),
+    "peers": (PEERS, replace(PEERS, factors=PEERS.factors[:4], tolerances=PEERS.tolerances[:3], limit=3.0, repeats=3)),
 }
-"""What a report is about, and its quick form: all of it; tolerances over whole runs; the study of the paper in full."""
+"""What a report is about, and its quick form: all of it; tolerances over whole runs; the study of the paper in full;
+run times at equal error beside codes that are tuned to a mechanism."""
 
 
 @dataclass(frozen=True)
@@ -233,6 +254,11 @@ class Study(cases.Study):
 
     def __init__(self, name: str | Path | Mechanism, effort: Effort):
         super().__init__(name, effort)
+        if effort.given:
+            self.derived = with_defaults(self.derived, effort.given)
+        self.compared: Sequence[str] = ()
+        if effort.ways:
+            self.compared = [peers.ANGLE[self.name], *peers.REACTIONS[self.name]]
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
         self.chapters: list[paper.Chapter] = []
         """Chapters of the paper's study."""
@@ -271,11 +297,14 @@ class Study(cases.Study):
         self._summarise()
         self._tolerances()
         self._compare()
+        if self.effort.ways:
+            self._reach()
 
     def _points(self) -> NDArray:
         """Return the output times of all runs: their interval is the longest step, or a multiple of it."""
         e, longest = self.equations, max(self.effort.factors) * self.equations.step_size
-        horizon = min(e.stop_time, self.effort.horizon, self.effort.steps * e.step_size)
+        stop = math.inf if self.effort.given else e.stop_time
+        horizon = min(stop, self.effort.horizon, self.effort.steps * e.step_size)
         apart = max(1, round(horizon / (self.effort.points * longest))) * longest
         return communication_points(e.name, max(1, int(horizon / apart * (1 + 1e-12))) * apart, apart)
 
@@ -357,12 +386,23 @@ class Study(cases.Study):
         """Return all ways to run: functions that make a unit for a method."""
         kernels = ["compiled"] * bool(compiler()) + ["vm", "oracle"]
         makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
+        if self.effort.ways:
+            for kernel, lean in product(kernels[:-1], (False, True)):
+                makers[f"{kernel}, joint{', lean' * lean}"] = partial(self._joint, kernel, lean)
+            return makers
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
     def _instance(self, kernel: str, method: str) -> Instance:
         if method not in self._traced:
             self._traced[method] = scene(self.derived, method, "vm")
         return instance(self._traced[method], kernel)
+
+    def _joint(self, kernel: str, lean: bool, method: str) -> Instance:
+        """The mechanism in the coordinates of its joints with constant parameters, as other codes have it."""
+        equations = with_defaults(derive(load(self.name, coordinates="joint")), self.effort.given)
+        return instance(
+            scene(specialised(equations, list(self.compared) if lean else None, ["all"]), method, kernel), kernel
+        )
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
@@ -377,9 +417,10 @@ class Study(cases.Study):
     def _settings(self) -> list[list[Setting]]:
         """Return all settings in groups, the most important first."""
         if self.effort.methods:
-            way = next(iter(self._ways))
-            own = [self._setting(OWN, method, way) for method in self.effort.methods]
-            return [own + [rival for rival in map(self._rival, SCIPY) if rival]]
+            ways = [way for way in self.effort.ways if way in self._ways] or [next(iter(self._ways))]
+            own = [self._setting(OWN, method, way) for way in ways for method in self.effort.methods]
+            beside = TUNED if self.effort.ways else SCIPY
+            return [own + [rival for rival in map(self._rival, beside) if rival]]
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
         more.sort(key=lambda method: method != Settings.method)
         every = "vm" if not self.effort.wide and "vm" in self._ways else next(iter(self._ways), None)
@@ -442,7 +483,8 @@ class Study(cases.Study):
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": reason})
             return
         try:
-            found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats))
+            compared = self.compared if setting.code == "alfmu" else ()
+            found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats, compared))
         except AlfmuError as error:
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": str(error)})
             return
@@ -523,6 +565,22 @@ class Study(cases.Study):
                             what = "run time at equal step" if quantity == TIME else f"{quantity} at equal step"
                             self._versus({"what": what, "level or step": theirs["value"]}, quantity, mine, theirs)
 
+    def _reach(self) -> None:
+        """Run times at equal errors, interpolated between the runs of a setting, beside the fastest of alfmu."""
+        lines: dict[tuple, list[Row]] = {}
+        for row in self.files["errors"]:
+            if row[TIME] is not None and row[POSITION] is not None:
+                lines.setdefault(_line(row), []).append(row)
+        for level in LEVELS[1:]:
+            spent = {x: time_at(level, [(r[POSITION], r[TIME]) for r in rows]) for x, rows in lines.items()}
+            own = [x for x in spent if x[0] == "alfmu" and spent[x] and "lean" not in x[3]]
+            best = {way: [spent[x] for x in own if x[3].startswith(way)] for way in ("compiled", "vm")}
+            for line, seconds in spent.items():
+                row = dict(zip(LINE, line, strict=True)) | {"position error": level, "run time [s]": seconds}
+                for way, times in best.items():
+                    row[f"over alfmu's fastest, {way}"] = seconds / min(times) if seconds and times else None
+                self._keep("reach", row)
+
     def _versus(self, about: Row, quantity: str, mine: Row | None, theirs: Row | None) -> None:
         a, b = (None if row is None else row[quantity] for row in (mine, theirs))
         row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs) or about.get("other")}
@@ -531,6 +589,18 @@ class Study(cases.Study):
             same = mine["language"] == theirs["language"]
             row["ran in"] = str(mine["language"]) if same else f"{mine['language']}; the other in {theirs['language']}"
         self._keep("comparisons", row | {"ratio": b / a if a and b else None, "result": _verdict(quantity, a, b)})
+
+
+def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
+    """Run time at an error, of runs with their errors and times, interpolated in logarithms and never beyond them."""
+    reached = sorted(runs)
+    if not reached or error < reached[0][0]:
+        return None
+    cheap = [t for e, t in reached if e <= error]
+    if error >= reached[-1][0]:
+        return min(cheap)
+    x, y = np.log([max(e, 1e-16) for e, _ in reached]), np.log([t for _, t in reached])
+    return min(*cheap, float(np.exp(np.interp(np.log(max(error, 1e-16)), x, y))))
 
 
 @dataclass
@@ -591,7 +661,7 @@ def _verdict(quantity: str, mine: float | None, theirs: float | None) -> str:
 
 # Report ------------------------------------------------------------------------------------------------------------
 
-FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "scenes", "skipped")
+FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "reach", "scenes", "skipped")
 
 SHOWN = {
     "reference": (
@@ -616,6 +686,10 @@ SHOWN = {
         "Run times at equal error, and lost comparisons",
         ("what", "level or step", "alfmu", "its value", "other", "other's value", "ratio", "ran in", "result"),
     ),
+    "reach": (
+        "Run times at equal error, interpolated between runs",
+        (*LINE, "position error", "run time [s]", *(f"over alfmu's fastest, {way}" for way in ("compiled", "vm"))),
+    ),
     "scenes": (
         "Operations of scenes, and what is saved by what they leave out",
         ("scene", "left out", "step", "outputs"),
@@ -629,9 +703,9 @@ with the constraints closed to round-off, integrated with tolerances near round-
 the change to other ways to compute it: the other reduction, a larger tolerance. {POSITION} and {REACTION} are the
 largest differences of outputs with these units at the points of the run; reactions are compared where they are unique
 and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are what the run itself leaves at these points.
-Run time is that of all steps and of reading all outputs at each point, without set-up: the fastest of so many repeats
-that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where there are
-enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
+Run time is the processor's, of all steps and of reading all outputs at each point, without set-up: the fastest of so
+many repeats that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where
+there are enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
 """
 
 LIMITS = """
@@ -643,8 +717,8 @@ process, in the order of `errors.csv`; small ratios of times are not to be trust
 the run, positions and reactions are judged up to there.
 Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
 with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
-Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full and
-tolerances over whole runs are those of `--profile`, maps with all their cells those of `alfmu stability`.
+Python. Longer runs beside them, the study of the paper in full and tolerances over whole runs are those of `--profile`,
+maps with all their cells those of `alfmu stability`.
 """
 
 
@@ -658,7 +732,7 @@ def report(
 ) -> Path:
     """Measure mechanisms and write the report into a folder; return the path of its page.
 
-    `profile` is one of PROFILES; of the paper's study only mechanisms that it is about are measured. Raises AlfmuError
+    `profile` is one of PROFILES; of mechanisms only those that it is about are measured. Raises AlfmuError
     where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any run.
     """
     library()
@@ -667,6 +741,10 @@ def report(
         names = [name for name in names if name in ABOUT]
         if not names:
             raise InputError(f"the paper's study is about {', '.join(ABOUT)}; name one of them")
+    if effort.ways:
+        names = [name for name in names if name in peers.MECHANISMS]
+        if not names:
+            raise InputError(f"other codes are tuned to {', '.join(peers.MECHANISMS)}; name one of them")
     effort = replace(effort, total=min(effort.total, effort.each * len(names)))
     bounds = {
         "longest simulated time [s]": effort.horizon,
@@ -723,6 +801,8 @@ def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
     for study in begun.studies:
         parts += _chapter(study)
     parts += ["## How it was measured", where, paragraph(METHOD)]
+    if begun.studies[0].effort.ways:
+        parts += ["## How each is used", markdown(("code", "use"), list(peers.USAGE.items()))]
     if any(study.chapters for study in begun.studies):
         parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
     if "maps" in begun.studies[0].effort.parts:

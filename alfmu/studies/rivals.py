@@ -22,10 +22,10 @@ from . import peers
 from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
 from .peers import Peer, Start
 
-__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "Rival"]
+__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "TUNED", "Rival"]
 
 PYTHON, COMPILED = "Python", "compiled code"
-LANGUAGES = {"Pinocchio": "compiled code, stepped in Python"}
+LANGUAGES = {"Pinocchio": "compiled code, stepped in Python", "SciPy stabilised": PYTHON}
 """Languages of codes that are not entirely compiled."""
 
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.energy")
@@ -76,7 +76,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
 
     @np.errstate(all="ignore")
     def once() -> Run:
-        begin = time.perf_counter()
+        begin, started = time.perf_counter(), time.process_time()
 
         def rate(t: float, y: NDArray) -> NDArray:
             if time.perf_counter() - begin > case.limit:
@@ -93,7 +93,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
             cut = True
         except ARITHMETIC as error:
             failure = str(error) or type(error).__name__
-        seconds = [time.perf_counter() - begin]
+        seconds = [time.process_time() - started]
         used = instance.counters.evaluations - before
         counters = replace(instance.counters, steps=0, evaluations=used, energy_error=np.nan)
         return Run(names, case.times[:reached], table, seconds, counters if reached else None, failure, cut)
@@ -118,12 +118,12 @@ def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callabl
 
     @np.errstate(all="ignore")
     def once() -> Run:
-        begin = time.perf_counter()
+        started = time.process_time()
         try:
             found = simulate()
         except Exception as error:
-            return failed(error, time.perf_counter() - begin)
-        seconds, k = [time.perf_counter() - begin], len(found.times)
+            return failed(error, time.process_time() - started)
+        seconds, k = [time.process_time() - started], len(found.times)
         short = "" if k == len(case.times) else found.note or f"stopped after {k} of {len(case.times)} points"
         table = np.column_stack([found.angle, found.reactions]) if k else empty[1]
         return Run(names, case.times[:k], table, seconds, failure=short)
@@ -146,5 +146,8 @@ SCIPY = tuple(
 )
 """SciPy's integrators."""
 
-RIVALS = (*SCIPY, *map(_model, peers.TUNED))
+TUNED = tuple(map(_model, peers.TUNED))
+"""Codes that are tuned to a mechanism."""
+
+RIVALS = (*SCIPY, *TUNED)
 """Codes that every report runs beside alfmu."""
