@@ -62,6 +62,11 @@ def add(command: Command) -> None:
     )
     add_start(sub)
     sub.add_argument(
+        "--derivatives",
+        action=argparse.BooleanOptionalAction,
+        help="have directional derivatives in a native FMU (default) or, to be smaller, leave them out",
+    )
+    sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
         help="have reference results inside (default) or, to be smaller, leave them out",
@@ -123,6 +128,7 @@ def _export(chosen: argparse.Namespace) -> None:
         kernel=chosen.kernel,
         stop_time=chosen.stop_time,
         communication_step=chosen.step,
+        derivatives=chosen.derivatives,
         reference=chosen.reference,
     )
     older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
@@ -138,7 +144,7 @@ def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
     own = ["kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
-    own += ["option", "set", "compliances", "reference"]
+    own += ["option", "set", "compliances", "derivatives", "reference"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
     if not chosen.ssp:

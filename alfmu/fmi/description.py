@@ -47,10 +47,12 @@ def model_description(
     sources: Sequence[str] = (),
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    directional: bool = True,
 ) -> bytes:
     """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
+    A native FMU may have directional derivatives.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -79,7 +81,7 @@ def model_description(
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative=str(native).lower(),
+        providesDirectionalDerivative=str(native and directional).lower(),
         maxOutputDerivativeOrder=str(2 * native),
     )
     if sources:
@@ -109,6 +111,7 @@ def model_description3(
     variables: Sequence[tuple[str, Variable]],
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    directional: bool = True,
 ) -> bytes:
     """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
     e, variables = equations, enumerated(variables, choices)
@@ -130,8 +133,8 @@ def model_description3(
         modelIdentifier=e.name,
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        providesDirectionalDerivatives="true",
-        providesAdjointDerivatives="true",
+        providesDirectionalDerivatives=str(directional).lower(),
+        providesAdjointDerivatives=str(directional).lower(),
         canHandleVariableCommunicationStepSize="true",
         maxOutputDerivativeOrder="2",
         canReturnEarlyAfterIntermediateUpdate="true",

@@ -197,7 +197,7 @@ def _native(
     """The files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi), packed(e)
+    files, scene = native.sources(recipe.fmi, native.left_out(e, recipe.derivatives)), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
@@ -206,11 +206,12 @@ def _native(
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
+    facts = _credits(declared), choices, recipe.derivatives
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
+        described = model_description(e, version, generator, guid, variables, compiled, *facts)
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
+        described = model_description3(e, version, generator, guid, variables, *facts)
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),

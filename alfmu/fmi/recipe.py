@@ -75,7 +75,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     **dict.fromkeys(("lock", "release", "measure", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
-    **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
+    **dict.fromkeys(("compliances", "derivatives", "reference"), _one_of(True, False)),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
     "start": _one_of("declared", "equilibrium"),
@@ -133,6 +133,8 @@ class Recipe(Brief):
     """Of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those that alfmu came with."""
     fmi: int = 2
     """Version of FMI; 3 for native FMUs."""
+    derivatives: bool = True
+    """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None

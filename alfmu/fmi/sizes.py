@@ -29,18 +29,17 @@ _CONTENTS = {
 """What is in an FMU, by where it stands."""
 
 _PARTS = {
-    "an internal step": ("quick", "onward", "careful"),
+    "an internal step": ("quick", "careful"),
     "the same on the branch of the motion, near singular positions": ("branch",),
     "a step by solver.method": ("method", "beside", "regular", "stiff", "reach"),
     "outputs": ("instant", "instant_quick"),
     "limits of outputs at singular positions": ("limit",),
     "steps and outputs that iterate until they converge": (
-        *("move", "move_on_branch", "close"),
+        *("move", "close"),
         *("instant_patient", "limit_patient"),
     ),
     "impacts of locks": ("impact",),
     "sticking of dry friction": ("gripping",),
-    "directional derivatives": ("sensitivity", "limit_sensitivity"),
 }
 """Programs of a scene by what they are for."""
 

@@ -13,6 +13,7 @@ from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
 from ..equations.types import Survey
+from ..fmi import native
 from ..kernel.form import Plan, called
 from ..kernel.joined import joined
 from ..kernel.symbolic import Scene, lengths_of
@@ -115,7 +116,8 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
     text.append(f"  {'in all':64} {_saved(full, now)}")
     text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
-    return text
+    absent = [native.FEATURES[name].what for name in native.left_out(prepared_scene)]
+    return [*text, "", "left out of the C of a native FMU", *(f"  {what}" for what in absent or ["nothing"])]
 
 
 def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> list[tuple[str, Cost | None]]:

@@ -21,6 +21,7 @@
 #include "run.h"
 #include "scene.h"
 #include "scene_sizes.h"
+#include "settings.h"
 #include "state.h"
 #include "topology.h"
 #include "variables.h"
@@ -311,7 +312,27 @@ API int alfmu_brakes(const Instance *i)
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */
 API int alfmu_penalize(Instance *i, const double *penalties)
 {
-    return (int)instance_penalize(i, penalties);
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return (int)instance_say(i, REFUSED, "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above",
+                s->name, r + 1, penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    arena_reset(i);
+    settings_upload_arguments(i);
+    instance_remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = topology_change(i, i->active);
+    if (outcome != DONE)
+        instance_go_back(i);
+    arena_reset(i);
+    return (int)outcome;
 }
 
 API void alfmu_penalties(const Instance *i, double *penalties)

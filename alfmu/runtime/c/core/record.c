@@ -92,6 +92,12 @@ void tape_cut(Instance *i, Mark mark)
     }
 }
 
+void tape_begin_reading(Instance *i)
+{
+    if (i->tape)
+        i->tape->reading = i->tape->used;
+}
+
 int tape_pause(Instance *i, int paused)
 {
     const int before = i->tape ? i->tape->paused : 0;

@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "layout.h"
+#include "scene_features.h"
 #include "scene_functions.h"
 #include "scene_programs.h"
 #include "scene_reader.h"
@@ -44,10 +45,13 @@ static void check_memory(Reader *r)
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
         {s->k, scene_settings_length(s)}, {s->dt, 1}, {s->control, CONTROL}, {s->tally, TALLY}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
-      handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
+      handed[] = {{s->most, 1}, {s->patient, 1}, {s->slopes, s->inputs + 1}, {s->within, 1},
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
           {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
-          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
+          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->of_least_norm, 1}, {s->on_branch, 1}, {s->onward, 1},
+#define CHOSEN(name) {s->name, 1},
+          SCENE_OTHERS(CHOSEN)
+#undef CHOSEN
           {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!reader_check_between(s->size, 1, MOST_NUMBERS) || !reader_check_between(s->workspace, 0, MOST_NUMBERS))
         reader_spoil(r, "its memory has %d numbers", s->size);
@@ -92,6 +96,22 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     for (; count; count--, at++)
         sum = table[0][(sum ^ *at) & 255] ^ sum >> 8;
     return sum;
+}
+
+/* A library for one scene has what that scene needs. */
+static void check_features(Reader *r)
+{
+    const Scene *s = r->scene;
+    const struct {
+        int has, needed;
+        const char *what;
+    } features[] = {{HAS_FRICTION, s->frictions, "dry friction"}, {HAS_MOVING_INPUTS, s->followed_count, "inputs that move something"},
+        {HAS_SWITCHES, s->switches, "Boolean inputs"}, {HAS_BREAKS, s->break_count, "forces that jump"},
+        {HAS_LAWS, s->leap_count, "laws of motion"}, {HAS_PEAKS, s->peaks, "peaks"},
+        {HAS_ERROR_CONTROL, s->method, "this solver.method"}, {HAS_INTERFACE_JACOBIAN, s->entries, "an interface Jacobian"}};
+    for (size_t k = 0; k < sizeof features / sizeof *features; k++)
+        if (features[k].needed && !features[k].has)
+            reader_spoil(r, "this library was compiled for a scene without %s", features[k].what);
 }
 
 static void read_body(Reader *r)
@@ -142,6 +162,7 @@ static void read_body(Reader *r)
         tables_read_jacobian(r);
     if (!r->bad && r->at != r->end)
         reader_spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+    check_features(r);
 }
 
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)

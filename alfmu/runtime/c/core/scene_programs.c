@@ -123,14 +123,6 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
     }
 }
 
-int scene_move_program(const Scene *s, int formulation)
-{
-#define OF(name) , s->move_##name
-    const int programs[] = {s->move SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation];
-}
-
 void programs_read(Reader *r)
 {
     Scene *s = r->scene;
@@ -151,9 +143,6 @@ void programs_read(Reader *r)
     if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
         || (s->stiff_step >= 0 && s->method != 1)
         || (s->short_step >= 0 && (s->method != 1 || s->short_cost < 1 || s->method_cost < 1))
-        || (s->l && (s->move < 0 || s->close < 0 || s->keep < 0 || s->impact < 0)))
+        || (s->l && (s->move < 0 || s->close < 0 || s->impact < 0)))
         reader_spoil(r, "a program is missing");
-    for (int k = 0; !r->bad && s->l && k < s->choice[s->formulation].count; k++)
-        if (scene_move_program(s, k) < 0)
-            reader_spoil(r, "the program of a formulation is missing");
 }

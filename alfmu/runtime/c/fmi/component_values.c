@@ -198,7 +198,6 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
     size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back, const char *call)
 {
     const size_t *of_unknowns = back ? &seed_count : &found_count, *of_knowns = back ? &found_count : &seed_count;
-    int inputs = 1;
     Instance *i;
     Outcome outcome;
     if (!component_in(c, KNOWN, call)
@@ -208,12 +207,8 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
     i = c->instance;
     if (!i->flags.initialized && (component_phase(c) != INITIALIZING || !component_begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
-    for (size_t k = 0; k < known_count; k++)
-        inputs &= i->scene->variables[knowns[k]].kind == INPUT && !instance_moves_start(i);
     outcome = instance_read(i);
-    if (outcome == DONE && inputs && !back) /* What the scene has for them, which is evaluated at once. */
-        outcome = instance_derivative(i, unknowns, unknown_count, knowns, known_count, seed, found);
-    else if (outcome == DONE)
+    if (outcome == DONE)
         outcome = instance_sweep(i, unknowns, unknown_count, knowns, known_count, seed, back, found);
     return outcome == DONE ? STATUS_OK : component_refused(c, STATUS_DISCARD);
 }

@@ -71,13 +71,14 @@ static int try_short_step(Instance *i)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double kept[PACE];
-    const int onward = s->short_onward >= 0 && step_can_reuse(i);
+    const int onward = s->reuses && step_can_reuse(i);
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
         i->shared += s->short_cost; /* The tally counts these evaluations; none of them is made. */
     else {
-        program_run(i, onward ? s->short_onward : s->short_step);
+        i->workspace[s->onward] = onward;
+        program_run(i, s->short_step);
         i->shared += onward;
         if (after[s->trouble] == 0.0)
             return 1;

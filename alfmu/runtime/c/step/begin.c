@@ -29,39 +29,6 @@
 #include "topology.h"
 #include "velocities.h"
 
-/* Apply the requested Boolean inputs at this instant. */
-Outcome begin_take_effect(Instance *i)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i);
-    Outcome outcome;
-    peaks_broken(i);
-    if (s->held) {
-        double *displacements = arena_alloc(i, (size_t)s->held);
-        const double *x[] = {instance_field(i, s->z), instance_field(i, s->p)};
-        double *y[] = {displacements};
-        function_call_recorded(i, s->displacements, x, y);
-        for (int k = 0; k < s->switches; k++)
-            if (s->switched[k].value >= 0 && i->requested[k] != 0.0 && i->active[k] == 0.0) {
-                i->discrete[s->switched[k].value] = displacements[s->switched[k].value];
-                tape_copy(i, i->discrete + s->switched[k].value, displacements + s->switched[k].value, 1);
-            }
-        settings_upload_parameters(i);
-    }
-    if (s->frictions) {
-        friction_reset(i); /* Friction takes no part in an impact; sticking joints are determined after it. */
-        settings_upload_parameters(i);
-    }
-    outcome = topology_change(i, i->requested);
-    if (outcome == DONE)
-        outcome = friction_begin(i);
-    if (outcome == DONE)
-        memcpy(i->active, i->requested, (size_t)s->switches * sizeof *i->active);
-    i->flags.pending = 0;
-    arena_release(i, arena);
-    return outcome;
-}
-
 static Outcome read_compliances(Instance *i)
 {
     const Scene *s = i->scene;
@@ -181,7 +148,7 @@ static Outcome begin_run(Instance *i)
     if (s->l && settings_project(i))
         outcome = projection_apply(i, q, v);
     if (outcome == DONE)
-        outcome = topology_update_rank(i, q, v);
+        outcome = settings_update_rank(i, q, v);
     if (outcome == DONE && s->l && settings_method(i) == 1)
         outcome = check_agreed(i, held, q, v);
     if (outcome != DONE)
@@ -200,7 +167,7 @@ static Outcome begin_run(Instance *i)
         start_set_off(i, held, q, instance_field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
         if (i->requested[k] != i->active[k])
-            return begin_take_effect(i);
+            return topology_take_effect(i);
     return friction_begin(i);
 }
 

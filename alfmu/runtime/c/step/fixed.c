@@ -70,12 +70,13 @@ long step_fixed(Instance *i, long steps, double dt)
     m[s->dt] = dt;
     for (done = 0; done < steps && !run_is_ended(i); done++) {
         int tier = m[s->control + CONTROL_TIER] != 0.0;
-        const int onward = done == 0 && tier == 0 && s->onward >= 0 && step_can_reuse(i);
+        const int onward = done == 0 && tier == 0 && s->reuses && !s->method && step_can_reuse(i);
         if (onward && s->branch_step >= 0 && step_reuse_is_near(i))
             tier = 2;
         for (;;) {
             const Mark begin = tape_mark(i);
-            program_run(i, onward && tier == 0 ? s->onward : tiers[tier]);
+            i->workspace[s->onward] = onward;
+            program_run(i, tiers[tier]);
             if (after[s->trouble] == 0.0)
                 break;
             tape_cut(i, begin);

@@ -23,7 +23,6 @@
 #include "rank.h"
 #include "scene.h"
 #include "settings.h"
-#include "topology.h"
 
 double *friction_slip(const Instance *i, int k)
 {
@@ -350,7 +349,7 @@ Outcome friction_event(Instance *i, const unsigned char *stopped)
     if (outcome == DONE && friction_count_sticking(i))
         outcome = projection_apply(i, q, v);
     if (outcome == DONE && changed) {
-        outcome = topology_update_rank(i, q, v);
+        outcome = settings_update_rank(i, q, v);
         if (outcome == RANK_CHANGES) /* Sticking joints may be redundant at rest, if the scene has no brakes. */
             outcome = DONE;
         i->flags.brakes = brakes;

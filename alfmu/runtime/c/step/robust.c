@@ -21,7 +21,6 @@
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
-#include "scene_programs.h"
 #include "scene_sizes.h"
 #include "settings.h"
 #include "text.h"
@@ -48,7 +47,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     instance_set_time(i, start);
     if (i->flags.brakes)
         rank_freeze(i);
-    program_run(i, scene_move_program(s, settings_formulation(i)));
+    program_run(i, s->move);
     outcome = diagnose_state(i, start, dt);
     if (outcome != DONE)
         return outcome;
@@ -56,7 +55,9 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
         *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && instance_field(i, s->k)[SETTINGS_CONTINUES] != 0.0;
     if (*near) {
-        program_run(i, s->move_on_branch);
+        w[s->on_branch] = 1.0;
+        program_run(i, s->move);
+        w[s->on_branch] = 0.0;
         for (int k = 0; k < 4; k++)
             if (w[watch[k]] == INFINITY) /* Infinity marks a branch that leaves a constraint open. */
                 return instance_say(i, CONSTRAINT_OPEN,
@@ -69,7 +70,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     if (outcome == DONE && settings_project(i))
         outcome = projection_close(i, t);
     else if (outcome == DONE) {
-        program_run(i, s->keep);
+        program_run(i, s->close);
         projection_watch_gaps(i);
     }
     if (outcome == DONE && !isfinite(linear_norm(after + s->work + 1, scene_states(s))))

@@ -28,6 +28,7 @@
 #include "scene_sizes.h"
 #include "settings.h"
 #include "state.h"
+#include "topology.h"
 #include "variables.h"
 
 /* Return the least number of internal steps in a communication step. */
@@ -255,7 +256,7 @@ Outcome instance_ready(Instance *i, double start, double h)
     arena_reset(i);
     instance_remember(i);
     settings_upload_arguments(i);
-    outcome = begin_take_effect(i);
+    outcome = topology_take_effect(i);
     if (outcome == DONE)
         outcome = look_ahead(i, start, start + h);
     if (outcome != DONE) {

@@ -10,18 +10,16 @@
 #include "interpret.h"
 #include "layout.h"
 #include "linear.h"
+#include "message.h"
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
 #include "text.h"
 
-/* Return the program that evaluates accelerations by loops that stop on convergence. */
-int settings_instant(const Scene *s, int formulation)
+/* Return the program that evaluates the outputs by loops that stop on convergence. */
+int settings_instant(const Scene *s)
 {
-#define OF(name) , s->instant_##name
-    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation] < 0 ? s->instant : programs[formulation];
+    return s->instant_patient < 0 ? s->instant : s->instant_patient;
 }
 
 int settings_formulation(const Instance *i)
@@ -36,7 +34,7 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs of the scene serve the chosen formulation, not only `move` and `instant`. */
+/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and `instant_patient`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -94,11 +92,18 @@ void settings_upload_arguments(Instance *i)
 {
     const Scene *s = i->scene;
     const double iterations = i->values[s->max_iterations];
+    const int formulation = settings_formulation(i);
+    int other = RESIDUAL_FORMULATION;
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
     i->workspace[s->again] = iterations - 1;
     memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
     i->workspace[s->projects] = settings_project(i);
+    i->workspace[s->of_least_norm] = formulation == RESIDUAL_FORMULATION || settings_project(i);
+#define CHOOSE(name) i->workspace[s->name] = formulation == ++other;
+    SCENE_OTHERS(CHOOSE)
+#undef CHOOSE
+    i->workspace[s->on_branch] = i->workspace[s->onward] = 0.0;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
     if (s->reach >= 0)
         i->workspace[s->within] = i->within;
@@ -249,4 +254,25 @@ double settings_margin(Instance *i)
     function_call(i, s->pivots, x, y);
     arena_release(i, arena);
     return found;
+}
+
+/* Determine ranks and scales of the constraints in force at q and v. */
+Outcome settings_update_rank(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    Outcome outcome = DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    *i->freedom = s->n;
+    *i->masses = 0.0;
+    if (s->l)
+        rank_calibrate(i, q, v, held, settings_usual(i));
+    if (i->flags.brakes && !s->brakes)
+        outcome = instance_say(i, RANK_CHANGES,
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            s->name);
+    arena_release(i, arena);
+    return outcome;
 }

@@ -10,7 +10,7 @@
 
 #include "internal_begin.h"
 
-int settings_instant(const Scene *s, int formulation);
+int settings_instant(const Scene *s);
 int settings_formulation(const Instance *i);
 int settings_project(const Instance *i);
 int settings_all_serve(const Instance *i);
@@ -30,6 +30,7 @@ void settings_upload_parameters(Instance *i);
 void settings_in_force(const Instance *i, const double *on, unsigned char *held);
 int settings_usual(Instance *i);
 const char *settings_method_name(const Instance *i);
+Outcome settings_update_rank(Instance *i, const double *q, const double *v);
 double settings_margin(Instance *i);
 
 #include "internal_end.h"
