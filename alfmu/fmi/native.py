@@ -144,8 +144,13 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/"
 """A comment with the space before it, or (as a group) what is none."""
 
 
+_MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
+
+
 def _without_comments(text: str) -> str:
-    return re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
+    """A text without comments and empty lines, indented by tabs, which makes an archive smaller."""
+    text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
+    return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:

@@ -26,6 +26,7 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
 from ..model.errors import AlfmuError, InputError, StepError
+from ..model.settings import internal_steps
 from ..runtime import Instance
 from ..simulation import communication_points, run
 from ..simulation.result import Result
@@ -126,7 +127,7 @@ def record_files(equations: Equations) -> dict[str, bytes]:
 
 def _span(e: Equations, instance: Instance) -> tuple[float, float, int]:
     """Stop time and communication step [s] of a short run, and of how many rows one is kept."""
-    internal = math.ceil(e.interval / instance.get("solver.step_size") * (1 - 1e-12))
+    internal = internal_steps(e.interval, instance.get("solver.step_size"))
     most = _STEPS / internal / (10 if e.n > DENSE else 1)
     count = max(1, math.floor(min(e.stop_time / e.interval * (1 + 1e-12), most)))
     columns = len(instance.outputs) - len(_UNREPEATABLE & {v.name for v in instance.outputs})

@@ -75,9 +75,7 @@ _FLAGS = ("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibi
 """`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
 
 _OFTEN = {
-    "adaptive.c",
     "adjoint.c",
-    "fixed.c",
     "function_adjoints.c",
     "function_tangents.c",
     "interpret.c",

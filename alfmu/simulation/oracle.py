@@ -33,6 +33,7 @@ from ..method.formulations import CORRECTIONS
 from ..method.inputs import Past
 from ..method.integrators import rk4
 from ..model.errors import AlfmuError, InputError, OpenError, StepError
+from ..model.settings import internal_steps
 
 __all__ = ["Instance"]
 
@@ -445,7 +446,7 @@ class Instance(runtime.Instance):
                     self.q[:] += (begin - self.time) * self.v
                     self.time, self._seen = begin, (None, None, None)
                 length = end - begin if (begin, end) != (start, start + h) else h
-                n = max(1, math.ceil(length / self.settings.step_size * (1 - 1e-12)))
+                n = internal_steps(length, self.settings.step_size)
                 for k in range(n):
                     self._step(begin + k * (length / n), length / n)
         except AlfmuError:

@@ -1,10 +1,10 @@
-/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it was
-   called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers, accepted steps
-   and ranks are those that were taken.
+/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it
+   was called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers,
+   accepted steps and ranks are those that were taken.
 
-   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies) has
-   the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between calls needs
-   no words here. */
+   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies)
+   has the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between
+   calls needs no words here. */
 
 #ifndef ALFMU_RECORD_H
 #define ALFMU_RECORD_H
@@ -24,7 +24,8 @@ typedef enum {
     CLEARED,      /* to, how many */
     COMBINED,     /* a number as a sum: to, from each; the factor of each */
     FACTORED,     /* n, blocks, terms, weights, parts, factors; weights and parts */
-    SOLVED,       /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    SOLVED,
     LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
     CLOSED,       /* a Gauss-Newton step of the start (start_derivatives.c) */
     RATED,        /* a correction of the start's velocities (start_derivatives.c) */
@@ -92,9 +93,11 @@ void tape_least_norm(Instance *i, int side, const double *matrix, const double *
 size_t arguments_of(const Function *f);
 
 /* What an entry of a tape says of a step of the assembly, and of a correction of its velocities. */
-void tape_closing(Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
+void tape_closing(
+    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
 
-void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
+void tape_rating(
+    Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
 
 /* The same of constraints that are combined to those of a frozen rank, at q. */
 void tape_holding(Instance *i, const double *q, const double *matrix);

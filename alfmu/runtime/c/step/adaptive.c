@@ -259,7 +259,8 @@ static int cross_jump(Instance *i)
 static int cross_jump_by_rk4(Instance *i)
 {
     const double least = shortest_step(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
-    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0 || step_fixed(i, 1, fmin(least, left)) != 1)
+    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0
+        || step_fixed(i, 1, fmin(least, left)) != 1)
         return 0;
     note_crossing(i, least);
     return 1;
@@ -303,7 +304,8 @@ int step_adaptive(Instance *i, double end, long tries)
         /* The tolerance of a step is a share of the tolerance of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
             instance_warn(i, WARNED_OF_ROUND_OFF,
-                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
+                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had "
+                "here, "
                 "and the motion goes on at that",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);

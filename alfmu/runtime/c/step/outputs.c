@@ -182,9 +182,11 @@ Outcome instance_read(Instance *i)
     if (outcome != DONE)
         return outcome;
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs%s%s%s",
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller "
+        "inputs%s%s%s",
         s->name, *instance_time(i), name, message_number(value),
-        settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start", settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
+        settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start",
+        settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
 }
 
 /* Evaluate the outputs by few iterations, as the first stage of a quick step. Return 0 if more are needed. */
@@ -192,7 +194,8 @@ static int evaluate_by_few_iterations(Instance *i)
 {
     const Scene *s = i->scene;
     const double *control = i->m + s->control;
-    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || (control[CONTROL_METHOD] != 0.0 && !(s->reuses && s->short_step >= 0)))
+    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0
+        || (control[CONTROL_METHOD] != 0.0 && !(s->reuses && s->short_step >= 0)))
         return 0;
     program_run(i, s->instant_quick);
     memcpy(i->read_at, i->m + s->z, 2 * (size_t)s->n * sizeof *i->m);

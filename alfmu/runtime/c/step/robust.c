@@ -136,7 +136,8 @@ static double halves_error(Instance *i, const double *begin, const double *whole
     for (int c = 0; c < s->time; c++) {
         const char *unit = c < 2 * s->n ? s->coordinates[c % s->n].unit : "";
         const double size = fmax(fmax(fabs(begin[c]), fabs(z[c])), fabs(whole[c]));
-        const double one = !strcmp(unit, "m") ? *i->length : 1.0, most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
+        const double one = !strcmp(unit, "m") ? *i->length : 1.0,
+                     most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
         const double allowed = (*unit ? k[SETTINGS_ABSOLUTE] * one : 0.0) + relative * fmin(size, most);
         if (*unit ? !near || c < s->n : c > s->work)
             found = fmax(found, fabs(z[c] - whole[c]) / (allowed + ROUND_OFF * size + DBL_MIN));
@@ -169,7 +170,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), size = scene_state_length(s) * sizeof(double);
-    double *z = instance_field(i, s->z), *begin = arena_alloc(i, scene_state_length(s)), *whole = arena_alloc(i, scene_state_length(s));
+    double *z = instance_field(i, s->z), *begin = arena_alloc(i, scene_state_length(s)),
+           *whole = arena_alloc(i, scene_state_length(s));
     const double start = *instance_time(i), left = end - start;
     const int near = instance_field(i, s->after)[s->near] != 0.0;
     const Mark mark = tape_mark(i);
@@ -212,7 +214,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
         return outcome;
     if (!settings_moving(i))
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot be kept; "
+            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot "
+            "be kept; "
             "check forces, laws and constraints at this time%s",
             s->name, start, settings_or_penalty(i));
     return instance_say(i, FAILED,
@@ -254,7 +257,8 @@ Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
             continue;
         }
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay open, "
+            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay "
+            "open, "
             "use explicit or rk4%s",
             s->name, *time, settings_method_name(i), settings_or_penalty(i));
     }

@@ -34,7 +34,8 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and `instant_patient`. */
+/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and
+   `instant_patient`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -60,9 +61,16 @@ const char *settings_or_compliances(const Instance *i, char *text, size_t size)
     for (int r = 0; r < i->scene->compliances; r++)
         least = fmin(least, i->compliances[r]);
     if (least > 0.0 && least < INFINITY)
-        write_text(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+        write_text(text, size,
+            "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
             linear_largest(i->compliances, i->scene->compliances) / least);
     return text;
+}
+
+/* Return the least number of internal steps in a communication step, to round-off of its length. */
+double settings_internal_steps(const Instance *i, double h)
+{
+    return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
 /* Return whether a step has been taken, so that its length may be the cause of a failure. */
@@ -113,7 +121,8 @@ void settings_upload_arguments(Instance *i)
 void settings_set_penalties(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l), least = INFINITY;
+    double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l),
+           least = INFINITY;
     double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
     k[SETTINGS_ALPHA] = most;
@@ -143,7 +152,8 @@ int settings_continue(const Instance *i)
 int settings_method(const Instance *i)
 {
     const Scene *s = i->scene;
-    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !settings_continue(i));
+    const int rk4
+        = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !settings_continue(i));
     return rk4 ? 0 : s->method;
 }
 
@@ -169,7 +179,8 @@ void settings_upload(Instance *i)
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && settings_continue(i);
     k[SETTINGS_RELATIVE] = s->method ? step_tolerance(s->share, s->exponent, relative) : 0.0;
-    k[SETTINGS_ABSOLUTE] = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
+    k[SETTINGS_ABSOLUTE]
+        = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
     k[SETTINGS_ABSOLUTE_LENGTH] = k[SETTINGS_ABSOLUTE] * *i->length;
     k[SETTINGS_INVERSE_LENGTH] = 1 / *i->length;
     k[SETTINGS_BESIDE] =

@@ -17,6 +17,7 @@ int settings_all_serve(const Instance *i);
 int penalty_is_given(const Instance *i);
 const char *settings_or_penalty(const Instance *i);
 const char *settings_or_compliances(const Instance *i, char *text, size_t size);
+double settings_internal_steps(const Instance *i, double h);
 int settings_moving(const Instance *i);
 const char *settings_or_shorter(const Instance *i);
 const char *settings_remedy(const Instance *i);

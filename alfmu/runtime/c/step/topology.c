@@ -28,7 +28,8 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
     energy_evaluate(i, v, &kinetic);
     if (lost > UNBALANCED * (kinetic + lost))
         instance_warn(i, WARNED_OF_IMPACT,
-            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, such "
+            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, "
+            "such "
             "as %s, have no friction",
             s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
 }
@@ -40,7 +41,8 @@ Outcome topology_change(Instance *i, const double *on)
     const size_t arena = arena_mark(i);
     double *q = instance_field(i, s->z), *v = q + s->n, *w = i->workspace, *work = q + s->work, gap;
     double *energies = arena_alloc(i, 4);
-    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l), *new = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l),
+                  *new = (unsigned char *)arena_alloc(i, (size_t)s->l);
     char label[100];
     int row, any = 0;
     Outcome outcome;
@@ -86,7 +88,8 @@ Outcome topology_change(Instance *i, const double *on)
         gap = constraints_widest(i, q, v, 1, &row);
         if (!(gap <= CONTRADICTION))
             outcome = instance_say(i, REFUSED,
-                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities serve both, "
+                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities "
+                "serve both, "
                 "as %s is missed by %.3g per second; switch one of them off",
                 s->name, *instance_time(i), instance_row_label(i, row, label, sizeof label), gap);
     }
