@@ -2,6 +2,7 @@
 files are refused."""
 
 import ctypes
+import re
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -588,3 +589,10 @@ def test_a_damaged_file_is_refused_with_the_reason(host, packed, at, value, reas
     assert scene[at : at + 1] != value
     with pytest.raises(ValueError, match=reason):
         host.load(scene[:at] + value + scene[at + 1 :])
+
+
+def test_programs_are_few_and_explained():
+    page = (Path(__file__).parents[1] / "docs" / "development.md").read_text()
+    explained = re.findall(r"^\| `(\w+)` \| .* \| .* \| [\d,]+", page, flags=re.MULTILINE)
+    assert sorted(explained) == sorted(tables.PROGRAMS.values())
+    assert len(explained) <= 20

@@ -1,4 +1,4 @@
-"""Models of two mechanisms in Pinocchio, Exudyn, MuJoCo and SciPy, coded by hand; each runs if its package is installed.
+"""Models of two mechanisms in Pinocchio, Exudyn, MuJoCo and SciPy, coded by hand; each runs if it is installed.
 
 five_bar      links of 1 m and 1 kg; one constraint is redundant
 slider_crank  crank 0.5 m, rod 1 m, 1 kg each and for the slider

@@ -85,7 +85,8 @@ static void sort(const Kind_run *run, int *order, int *beside, int count)
     }
 }
 
-/* Which operations use what each makes, from ends[i] to ends[i + 1] of an array, and how many others each waits for. */
+/* List the users of each result, from ends[i] to ends[i + 1] of an array, and count the operands that each operation
+   waits for. */
 static int *users_of(Room *room, const Operations *o, int values, int *ends, int *missing)
 {
     int *maker = arrange_integers(room, (size_t)values, -1), *users = NULL, total = 0;
@@ -153,7 +154,7 @@ static void urgency(Room *room, const Operations *o, const int *users, const int
     }
 }
 
-/* Operations as those of a kind, and where what they make is put. */
+/* Operations written as those of one kind, and the places of their results. */
 typedef struct {
     const int *neutral;
     int *heads, *operands, (*made)[2];

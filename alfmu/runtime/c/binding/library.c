@@ -1,4 +1,4 @@
-/* What the library offers beside the functions of FMI: scenes and instances for a binding such as library.py. */
+/* Functions beside those of FMI: scenes and instances for a binding such as library.py. */
 
 #include <math.h>
 #include <stddef.h>
@@ -71,7 +71,7 @@ API const char *alfmu_text(const Instance *i)
     return i->text;
 }
 
-/* Whether there is a warning that was not read yet: whoever reads it writes 0. */
+/* Flag of a warning that was not read yet; its reader sets it to 0. */
 API int *alfmu_warns(Instance *i)
 {
     return &i->warns;
@@ -160,13 +160,13 @@ API int alfmu_begin(Instance *i, double start, double stop)
     INSIDE(int, instance_begin(i, start, stop));
 }
 
-/* How an input changes in the next communication step, per second; it is held in those after it. */
+/* Set the rate of an input in the next communication step; it is constant in those after it. */
 API int alfmu_slope(Instance *i, int reference, double value)
 {
     INSIDE(int, instance_set_slope(i, reference, value));
 }
 
-/* From here on parameters are fixed, or can be changed again. */
+/* Fix the parameters, or permit changes again. */
 API void alfmu_run_on(Instance *i, int running)
 {
     i->flags.phase = running ? STEPPING : INITIALIZING;
@@ -182,14 +182,13 @@ API int alfmu_initialize(Instance *i)
     INSIDE(int, instance_initialize(i));
 }
 
-/* What `alfmu_step` begins with, for a caller that makes the step itself. */
+/* The first part of `alfmu_step`, for a caller that makes the step itself. */
 API int alfmu_ready(Instance *i, double start, double h)
 {
     INSIDE(int, instance_ready(i, start, h));
 }
 
-/* How often something jumps by itself in that step, and the times just before and just after each where there is
-   room. */
+/* Return the number of breaks in that step, and the times just before and just after each if there is room. */
 API int alfmu_breaks(const Instance *i, double *times)
 {
     if (times)
@@ -238,7 +237,7 @@ typedef struct {
     const char *doc;
 } Method;
 
-/* What Python makes a built-in function of, which has to last as long as that does. */
+/* Description of a built-in function of Python; it must live as long as that function. */
 API const Method *alfmu_python_step(const Python *functions)
 {
     static const Method method = {"step", step_from_python, 0x80, NULL};
@@ -288,14 +287,14 @@ API int alfmu_restore(Instance *i, const unsigned char *state, size_t size)
     INSIDE(int, state_restore(i, state, size));
 }
 
-/* Where q, v, computed angles, work and time stand, in this order, as long as the instance lives. */
+/* Return the address of q, v, computed angles, work and time, in this order; it is valid while the instance lives. */
 API double *alfmu_state(Instance *i)
 {
     return i->m + i->scene->z;
 }
 
-/* What has no variable: zeta and omega of stabilised formulations, and whether steps end with projections (-1: as the
-   formulation has it). */
+/* Set numbers without variables: zeta and omega of stabilised formulations, and whether steps end with projections
+   (-1: the formulation decides). */
 API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
 {
     return (int)instance_stabilise(i, zeta, omega, projection);
@@ -306,7 +305,7 @@ API int alfmu_mobility(Instance *i, int which, int *freedom, int *redundant, int
     return (int)instance_mobility(i, (Counted_rows)which, freedom, redundant, here, place);
 }
 
-/* Whether redundant constraints would brake the motion that begins at the start. */
+/* Return whether redundant constraints would brake the motion from the start. */
 API int alfmu_brakes(const Instance *i)
 {
     return i->flags.brakes;
@@ -384,8 +383,7 @@ static int goes_on(Instance *i)
     return on;
 }
 
-/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where
-   the run was interrupted, within a communication step too. */
+/* Make the run and return the number of rows. */
 API long alfmu_run(Instance *i, const Run *r, int *outcome)
 {
     Going going = {r, 0, clock()};

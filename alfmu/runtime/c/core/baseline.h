@@ -4,7 +4,7 @@
 #ifndef ALFMU_BASELINE_H
 #define ALFMU_BASELINE_H
 
-#include <math.h> /* which says what the C library is */
+#include <math.h> /* defines the macros of the C library */
 
 #if defined(__GLIBC__) && defined(__GNUC__)
 #if defined(__x86_64__)

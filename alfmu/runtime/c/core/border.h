@@ -12,7 +12,7 @@
 #define ALFMU_SSE 1
 #endif
 
-/* What the host had, where it was not the usual. */
+/* The environment of the host, if it was not the usual one. */
 typedef struct {
     int changed;
 #if defined(ALFMU_SSE)
@@ -90,7 +90,7 @@ static inline void border_out(const Border *b)
 
 #endif
 
-/* What a call gives, made inside. */
+/* The result of a call that runs inside. */
 #define INSIDE(TYPE, CALL) \
     do { \
         const Border border = border_in(); \

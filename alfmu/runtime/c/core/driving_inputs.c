@@ -55,8 +55,8 @@ static void input_polynomial_at(const double *c, double time, double *found)
     }
 }
 
-/* A point heard of an input at a time, in place of what was heard there or later, or so little before that differences
-   would be round-off. */
+/* Add a point of an input at a time. It replaces later points, and earlier ones so close that differences would be
+   round-off. */
 static void append_point(double *heard, const Given *g, double time, double little)
 {
     int count = heard[LEVEL] == g->level ? (int)heard[KNOWN_POINTS] : 0, later = 0;
@@ -71,12 +71,12 @@ static void append_point(double *heard, const Given *g, double time, double litt
     heard[LEVEL] = g->level;
 }
 
-/* Where an input will be after h [s]: value, rate, acceleration. */
+/* Extrapolate an input by h [s]: value, rate, acceleration. */
 static void extrapolate_input(const double *heard, const Given *g, int order, double h, double *end)
 {
     const double *t = heard + TIMES, *y = heard + VALUES;
     const int degree = order < (int)heard[KNOWN_POINTS] - 1 ? order : (int)heard[KNOWN_POINTS] - 1;
-    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* of what is known, over powers of the time from now */
+    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* differences of the known points over powers of the time from now */
     if (degree > 0)
         c[1] = (y[0] - y[1]) / (t[0] - t[1]);
     if (degree > 1) {
@@ -94,7 +94,7 @@ static void extrapolate_input(const double *heard, const Given *g, int order, do
                 term *= h > 0.0 ? (k - r) / h : 0.0;
             end[d] += term;
         }
-    for (int d = 0; d < g->level; d++) { /* What is known of the lower ones now. */
+    for (int d = 0; d < g->level; d++) { /* The lower derivatives are known now. */
         double term = 1.0;
         for (int k = d; k < g->level; k++, term *= h / (k - d))
             end[d] += g->value[k] * term;
@@ -184,8 +184,8 @@ Outcome inputs_aim(Instance *i, double start, double h)
     return DONE;
 }
 
-/* What is aimed at depends on values in proportion, its times being what they are: its tangents are what `input_aim`
-   makes of theirs. */
+/* The polynomial is linear in the values of an input for given times: `input_aim`, applied to their tangents, gives
+   its tangents. */
 
 static void tape_aim(Instance *i, int which, int level, double start, double h)
 {

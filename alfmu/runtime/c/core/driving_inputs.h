@@ -10,10 +10,10 @@
 #include "internal_begin.h"
 
 #if HAS_MOVING_INPUTS
-/* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
+/* The points of an input: their number, the derivative that they are of, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 
-/* What is given of an input: value, rate and acceleration, and the highest of them. */
+/* The given value, rate and acceleration of an input, and the highest derivative that is given. */
 typedef struct {
     double value[3];
     int level;

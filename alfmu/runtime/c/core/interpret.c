@@ -229,7 +229,7 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
     }
 }
 
-/* What the operations of a function give, once its arguments stand in the registers. */
+/* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
     if (f->narrow)
@@ -262,7 +262,7 @@ void function_call(Instance *i, int which, const double *const *x, double *const
             y[j][e] = r[result(f, k++)];
 }
 
-/* The same with arguments and results in the memory. */
+/* Call a function with arguments and results in the memory. */
 static void call_at(Instance *i, const Function *f, const int32_t *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
@@ -476,7 +476,7 @@ double *lanes_align(double *place)
     return place + (behind ? (line - behind) / sizeof *place : 0);
 }
 
-/* What registers begin with. */
+/* Load the constants into the registers. */
 void registers_load(Instance *i)
 {
     const Scene *s = i->scene;

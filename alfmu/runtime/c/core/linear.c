@@ -204,7 +204,7 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
                     a[i * size + j] -= by * a[p * size + j];
             }
         }
-        /* The same rows right of them, then what is left. */
+        /* Update the same rows to the right, then the remaining ones. */
         for (int p = k; p < end; p++)
             for (int i = p + 1; i < end; i++)
                 for (int j = end; j < size; j++)

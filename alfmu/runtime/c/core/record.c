@@ -43,7 +43,7 @@ void tape_clear(Tape *t)
     t->factors = -1;
 }
 
-/* More room, twice what there was; 0 where there is no memory. */
+/* Double the room of an array until it suffices; return 0 if there is no memory. */
 static int widen_array(void **array, size_t *room, size_t needed, size_t each)
 {
     size_t wanted = *room ? *room : BEGIN_ROOM;
@@ -106,8 +106,8 @@ int tape_pause(Instance *i, int paused)
     return before;
 }
 
-/* Where what has no derivative stands in the memory: step size, step control, tallies, and settings but for what
-   stands for penalties where a rank is frozen, which is the last of them. */
+/* Return whether a place of the memory has no derivative: step size, step control, tallies, and settings but the
+   penalties of a frozen rank, which are the last of them. */
 static int has_no_derivative(const Scene *s, ptrdiff_t in_memory)
 {
     return in_memory >= (s->brakes ? s->dt : s->k) && in_memory < s->past;

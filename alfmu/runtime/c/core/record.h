@@ -38,7 +38,7 @@ typedef struct {
     size_t words, numbers;
 } Entry;
 
-/* How far a tape has come. */
+/* A position on a tape. */
 typedef struct {
     size_t entries, words, numbers;
 } Mark;
@@ -68,7 +68,7 @@ void tape_clear(Tape *t);
 /* Room for an entry with so many words and numbers; NULL where there is none, or no tape. */
 Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers);
 
-/* What an instance does from here on is on its tape, where it has one. */
+/* Mark a position on the tape, and cut the tape there. */
 Mark tape_mark(const Instance *i);
 
 void tape_cut(Instance *i, Mark mark);
@@ -92,14 +92,14 @@ void tape_solve(Instance *i, int n, int blocks, const double *factors, const dou
 void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x);
 size_t arguments_of(const Function *f);
 
-/* What an entry of a tape says of a step of the assembly, and of a correction of its velocities. */
+/* Record a step of the assembly, and a correction of its velocities. */
 void tape_closing(
     Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
 
 void tape_rating(
     Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
 
-/* The same of constraints that are combined to those of a frozen rank, at q. */
+/* Record the constraints of a frozen rank at q. */
 void tape_holding(Instance *i, const double *q, const double *matrix);
 #else
 static inline Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers)

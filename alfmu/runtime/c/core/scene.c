@@ -19,7 +19,7 @@
 #include "scene_sizes.h"
 #include "scene_tables.h"
 
-/* Limits of stops, and what they are of. */
+/* Read the limits of stops. */
 static void read_limits(Reader *r)
 {
     Scene *s = r->scene;
@@ -36,7 +36,7 @@ static void read_limits(Reader *r)
         (int64_t)count * s->n < INT32_MAX ? count * s->n : 0);
 }
 
-/* Whether what the runtime itself reads and writes is within the memory. */
+/* Check that the fields that the runtime accesses are within the memory. */
 static void check_memory(Reader *r)
 {
     const Scene *s = r->scene;
@@ -102,7 +102,7 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     return sum;
 }
 
-/* A library for one scene has what that scene needs. */
+/* Check that this library, which may be of one scene alone, has the features that the scene needs. */
 static void check_features(Reader *r)
 {
     const Scene *s = r->scene;

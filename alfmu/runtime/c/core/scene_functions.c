@@ -11,12 +11,11 @@
 #include "scene_reader.h"
 #include "scene_sizes.h"
 
-/* Whether runs keep within their list and use what is there before them; `values` counts what they give. `next` reads
-   the word at a place. */
+/* State of the check of a function: runs must stay within their list and use known values only. */
 typedef struct {
     const Function *f;
     size_t at;
-    int64_t known; /* places before what comes next */
+    int64_t known; /* number of places known so far */
     Reader *reader;
 } Checked;
 
@@ -31,7 +30,7 @@ static int operand_count(int64_t kind)
     return counts[kind];
 }
 
-/* Whether an operation of `count` passes uses what is known before it; `more` are values that each pass adds. */
+/* Return whether an operand is known in each pass; each pass adds `more` values. */
 static int are_within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
 {
     const int64_t last = first + (passes - 1) * step;
@@ -70,7 +69,7 @@ static void check_body(Checked *c, size_t end, int64_t passes, int64_t values)
         reader_spoil(c->reader, "a loop of a function is damaged");
 }
 
-/* What stands in wide functions alone; 0 where it is none of it. */
+/* Check loops, which only wide functions have. Return 0 if there is none here. */
 static int check_loop(Checked *c, int64_t kind, int64_t count)
 {
     const size_t left = c->f->words - c->at;
@@ -254,7 +253,7 @@ static void read_function(Reader *r, Function *f)
     check_function(r, f);
 }
 
-/* Whether a function that the runtime calls takes and gives what it hands over. */
+/* Check the arguments and results of a function that the runtime calls. */
 void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...)
 {
     const Scene *s = r->scene;

@@ -13,7 +13,7 @@
 #include "scene_reader.h"
 #include "scene_sizes.h"
 
-/* Numbers of the scene; what is counted is checked here, so that sums of counts do not overflow. */
+/* Read the numbers of the scene. Counts are checked here, so that their sums do not overflow. */
 void tables_read_numbers(Reader *r)
 {
     Scene *s = r->scene;
@@ -321,7 +321,7 @@ static int order_reached(const Lists *edges, const Lists *nodes, int *order, int
     return count;
 }
 
-/* An envelope for what nodes that meet in an edge have in common: the order of Cuthill and McKee (1969), reversed. */
+/* Order nodes for a narrow envelope: reverse Cuthill-McKee (1969). */
 void tables_order_envelope(
     Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count)
 {
@@ -345,7 +345,7 @@ void tables_order_envelope(
         int reach;
         if (degree[k] < 0)
             continue;
-        /* From the node that is farthest from any. */
+        /* Begin at the node that is farthest from any. */
         order[found] = k;
         reach = order_reached(&edges, &nodes, order + found, degree, passed);
         for (int at = found; at < found + reach; at++) {

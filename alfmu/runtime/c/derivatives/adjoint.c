@@ -1,5 +1,5 @@
-/* Adjoints back along a tape: what a number at the end changes by each number at the beginning, at a cost that does not
-   depend on how many there are. The rules are those of tangent.c, transposed. */
+/* Propagate adjoints back along a tape, from one number at the end to all numbers at the beginning, at a cost that
+   does not depend on their number. The rules are those of tangent.c, transposed. */
 
 #include "adjoint.h"
 

@@ -1,4 +1,4 @@
-/* What derivatives of an instance need beside it: tangents, adjoints, and functions as flat lists of operations. */
+/* Storage for the derivatives of an instance: tangents, adjoints, and functions as flat lists of operations. */
 
 #ifndef ALFMU_GRADIENT_H
 #define ALFMU_GRADIENT_H
@@ -27,7 +27,7 @@ typedef struct {
     int registers;
 } Flat;
 
-/* What derivatives of an instance need beside it. */
+/* Storage for the derivatives of an instance. */
 typedef struct Gradient {
     Instance *instance;
     Tape *tape;

@@ -11,11 +11,11 @@
 #include "record.h"
 #include "scene.h"
 
-/* Numbers that an aim depends on, and that it gives: of the input, of the polynomial, of what is heard. */
+/* Numbers in which the polynomial of an input is linear: values of the input, coefficients, points of its history. */
 #define OF_INPUT 3
 #define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
 
-/* `x` (AIM_NUMBERS) becomes what the aim makes of it. */
+/* Apply the linear map of the polynomial to `x` (AIM_NUMBERS). */
 static void differentiate_aim(const Followed *f, const double *saved, double *x)
 {
     double c[POLYNOMIAL], heard[HEARD];
@@ -31,7 +31,7 @@ static void differentiate_aim(const Followed *f, const double *saved, double *x)
     memcpy(x + OF_INPUT + POLYNOMIAL - 1, heard + VALUES, HEARD_POINTS * sizeof *heard);
 }
 
-/* Where a number of an aim stands; -1 for a derivative that the input has not. */
+/* Return the place of one of these numbers; -1 for a derivative that the input does not have. */
 static int32_t aim_place(const Followed *f, const int32_t *words, int k)
 {
     if (k < OF_INPUT)

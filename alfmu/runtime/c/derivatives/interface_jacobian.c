@@ -33,7 +33,7 @@ Outcome jacobian_begin(Instance *i)
     if (!g)
         return instance_say(i, FAILED, "%s: there is no memory for derivatives", s->name);
     if (!i->within) {
-        /* What outputs were read by is on no tape: steps hand on nothing but the numbers of an instance. */
+        /* The evaluation of the outputs was not recorded, so the step must not reuse it. */
         i->onward = 0;
         for (int block = 0; block < g->blocks; block++)
             memset(g->tangents + (size_t)block * g->places, 0, i->count * sizeof *g->tangents);
@@ -48,7 +48,7 @@ Outcome jacobian_begin(Instance *i)
     return DONE;
 }
 
-/* What has become of an entry. */
+/* Return the present value of an entry. */
 static double derivative(const Instance *i, int entry)
 {
     const Scene *s = i->scene;
@@ -57,7 +57,7 @@ static double derivative(const Instance *i, int entry)
     return tangents_of(i->of_step, direction, output)->lane[direction % LANES];
 }
 
-/* Derivatives led along what was done since. */
+/* Propagate the tangents along the steps recorded since. */
 void jacobian_along(Instance *i)
 {
     const Mark begin = {0, 0, 0};

@@ -47,7 +47,7 @@ static Correction read_correction(const Gradient *g, const Entry *e)
     return c;
 }
 
-/* Where the results of a function begin among all of them. */
+/* Return the offset of a result among all results of a function. */
 static size_t result_offset(const Function *f, int which)
 {
     size_t count = 0;
@@ -72,7 +72,7 @@ static void fill_rows(
     }
 }
 
-/* Tangents of the arguments of a function, `places` being where they stand, and of its registers. */
+/* Load the tangents of the arguments of a function from `places`, and propagate them through its registers. */
 static void lead_tangents(Gradient *g, int which, const double *r, const int32_t *places, const Lanes *t)
 {
     const Function *f = g->instance->scene->functions + which;
@@ -122,7 +122,7 @@ static void differentiate_least_norm(Instance *i, const Rows *J, double *right, 
     arena_release(i, arena);
 }
 
-/* Adds what a change of a matrix, by its nonzeros in one lane, does: right -= dA x, row += dA' lam. */
+/* Add the effect of a change of a matrix, given by its nonzeros in one lane: right -= dA x, row += dA' lam. */
 static void add_row_changes(const Function *f, int which, const Lanes *dr, int lane, const Pattern *p,
     const double *held, const double *x, const double *lam, double *right, double *row)
 {
@@ -240,8 +240,8 @@ static Rows make_rate_rows(Gradient *g, const Correction *k)
     return J;
 }
 
-/* The left-hand side of a correction of velocities is - C v - Phi_t of the constraints, and the rates of the ties less
-   what v gives them. */
+/* Differentiate a correction of velocities, whose right-hand side is -C v - Phi_t for the constraints and the
+   residue of the rates for the ties. */
 void rated_tangents(Gradient *g, const Entry *e)
 {
     Instance *i = g->instance;
@@ -307,7 +307,7 @@ void rated_adjoints(Gradient *g, const Entry *e)
     split_adjoint(i, &J, y, w, z);
     for (int j = 0; j < s->ties; j++)
         g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += w[s->l + j];
-    /* T v of the ties: what constraints make of v goes through their function. */
+    /* The product T v of the ties is differentiated here; C v is part of the function of the constraints. */
     {
         double *of_ties = arena_alloc(i, count);
         memset(of_ties, 0, count * sizeof *of_ties);

@@ -47,7 +47,7 @@ static void tangent_of_call(Gradient *g, const Entry *e, Lanes *t)
                 t[words[j] + each] = g->lane_registers[function_result_place(f, k)];
 }
 
-/* Of a matrix that is factorised, in the place of its factors: those of a sum of parts by weights. */
+/* Propagate tangents to the factors of a matrix that is a weighted sum of parts. */
 static void tangent_of_factor(const Tape *tape, const Entry *e, Lanes *t)
 {
     const int32_t *words = tape->words + e->words;

@@ -1,4 +1,4 @@
-/* What FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log. */
+/* The part that FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log. */
 
 #include "component.h"
 
@@ -110,7 +110,7 @@ Status component_refuse(Component *c, Category category, const char *call, const
     return category == DISCARD ? STATUS_DISCARD : STATUS_ERROR;
 }
 
-/* What the instance said when it refused something. */
+/* Log the message of a refusal. */
 Status component_refused(Component *c, Status status)
 {
     component_say(c,
@@ -121,7 +121,7 @@ Status component_refused(Component *c, Status status)
     return status;
 }
 
-/* FINE, and what the instance warns of. */
+/* Log the warning of the instance, if any, and return STATUS_OK. */
 static Status log_messages(Component *c)
 {
     if (c->instance->warns) {
@@ -131,7 +131,7 @@ static Status log_messages(Component *c)
     return STATUS_OK;
 }
 
-/* A step of the instance, and what it warns of. */
+/* Make a step of the instance and log its warning. */
 static Outcome log_step(Component *c, double point, double step)
 {
     Instance *i = c->instance;
@@ -140,7 +140,7 @@ static Outcome log_step(Component *c, double point, double step)
     return outcome;
 }
 
-/* Whether the instance begins; what it says of the start, it says as a warning. */
+/* Initialise; messages of the start are logged as warnings. */
 int component_begun(Component *c)
 {
     if (instance_initialize(c->instance) != DONE)
@@ -290,7 +290,7 @@ static Status step_watched(Component *c, double point, double step, int *early)
         if (outcome != DONE && whole == DONE)
             k = count; /* It can be made, in one. */
         else if (outcome != DONE && may_return && k > 1.0) {
-            *early = 1; /* The next step says what is wrong. */
+            *early = 1; /* The next step reports the error. */
             ask_early_return(c, point, (k - 1.0) * length, (long)k - 1);
             return STATUS_OK;
         } else if (outcome != DONE) {
@@ -410,7 +410,7 @@ Status component_write(Component *c, void *state, void *bytes, size_t size, cons
     return STATUS_OK;
 }
 
-/* A copy of the bytes: what they say is looked at when they are restored. */
+/* Copy the bytes; they are checked when they are restored. */
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
 {
     State *made;

@@ -19,7 +19,7 @@ static int is_time(const Component *c, unsigned reference)
     return c->has_time && reference == (unsigned)scene_variable_count(c->instance->scene);
 }
 
-/* Whether a variable has values of a form. */
+/* Return whether a variable has values of this type. */
 static int component_has_form(const Variable *v, Value_type form)
 {
     static const unsigned kept[VALUE_TYPES] = {
@@ -27,7 +27,7 @@ static int component_has_form(const Variable *v, Value_type form)
     return (kept[form] >> (v->kind == CHOICE ? STRING : v->type)) & 1u;
 }
 
-/* Whether arrays can be looked at, and hold references of variables that have values of a form. */
+/* Return whether the arrays are complete and refer to variables of this type. */
 static int check_references(Component *c, const unsigned *references, size_t count, const void *values,
     size_t value_count, Value_type form, const char *call)
 {
@@ -45,7 +45,7 @@ static int check_references(Component *c, const unsigned *references, size_t cou
     return !why;
 }
 
-/* The same, where all are of a kind. */
+/* Return the same for variables that must be of one kind. */
 static int check_references_of(Component *c, const unsigned *references, size_t count, const void *values,
     size_t value_count, Kind kind, const char *call)
 {
@@ -176,7 +176,7 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     return STATUS_OK;
 }
 
-/* Whether outputs can be differentiated by these variables now. */
+/* Return whether outputs can be differentiated with respect to these variables now. */
 static int addressed_knowns(
     Component *c, const unsigned *references, size_t count, const void *values, size_t value_count, const char *call)
 {
@@ -194,7 +194,7 @@ static int addressed_knowns(
     return !why;
 }
 
-/* Along a direction of what is known, or back from one of what is not. */
+/* Differentiate along a direction of the knowns, or back from a direction of the unknowns. */
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
     const char *call)

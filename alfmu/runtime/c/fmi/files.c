@@ -32,7 +32,7 @@ static int digit(char c)
                                 : -1;
 }
 
-/* The path that a URI such as file:///tmp/a%20b names; what is no URI is a path already. */
+/* Return the path of a URI such as file:///tmp/a%20b; other texts are paths already. */
 void files_path_of(const char *uri, char *path)
 {
     size_t length = 0;

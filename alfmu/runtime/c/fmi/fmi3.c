@@ -11,7 +11,7 @@
 #include "fmi.h"
 #include "instance.h"
 
-/* What FMI hands over beside the component. */
+/* Arguments of FMI beside the component. */
 typedef struct {
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;
@@ -44,7 +44,7 @@ static fmi3Status unknown(Component *c, const char *call, ...)
                              : fmi3Error;
 }
 
-/* The same, where nothing is asked for, which is no error. */
+/* Return OK if nothing is asked for. */
 static fmi3Status none(Component *c, size_t count, const char *call, ...)
 {
     return component_good(c) && !count ? fmi3OK : unknown(c, call);

@@ -14,7 +14,7 @@
 #include "rank.h"
 #include "scene.h"
 
-/* What corrections of first order leave of residues (l) of constraints that are in force. */
+/* Compute the residues (l) that first-order corrections leave in the constraints in force. */
 static void find_uncorrectable(Instance *i, const Rows *J, const double *r, double *left)
 {
     const Scene *s = i->scene;
@@ -27,7 +27,7 @@ static void find_uncorrectable(Instance *i, const Rows *J, const double *r, doub
     arena_release(i, arena);
 }
 
-/* How far from a place (n) that is displaced along a motion the constraints lead back, over the displacement. */
+/* Return the distance that the constraints lead back from a place displaced along a motion, over the displacement. */
 static double find_restoring_share(
     Instance *i, const Rows *J, const double *weights, const double *q, const double *way, double size)
 {
@@ -67,7 +67,7 @@ static void list_joints(const Scene *s, const double *residue, char *names, size
     }
 }
 
-/* Whether redundant constraints (l: those in force) can be judged at q: it is no singular position. */
+/* Return whether redundant constraints can be judged at q, which must not be singular. */
 static int is_regular_place(Instance *i, const unsigned char *held, const double *q)
 {
     const Scene *s = i->scene;
@@ -77,8 +77,8 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
     return *i->rank < active && s->n <= DENSE && rank_at(i, q, held) == (int)*i->rank;
 }
 
-/* DONE, or which constraints contradict each other: by what corrections of first order leave of |Phi|, or of
-   |Phi-dot|, at a regular position. */
+/* Return DONE, or report which constraints contradict each other, judged by the residue |Phi| or |Phi-dot| that
+   first-order corrections leave at a regular position. */
 Outcome agreement_check(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per)
 {
     const Scene *s = i->scene;

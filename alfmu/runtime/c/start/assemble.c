@@ -59,7 +59,7 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
     return from;
 }
 
-/* Whether an assembly leads back to itself from a place beside it: start values determine it. */
+/* Return whether start values determine the assembly: it is found again from a place beside it. */
 static int start_values_determine(Instance *i, Loops *loops, const double *assembly)
 {
     const Scene *s = i->scene;
@@ -192,7 +192,7 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     }
     if (from < 0 && moved == INFINITY)
         return report_not_closed(i, loops, guess, q);
-    if (from >= 0 && away < 0.99 * moved) { /* From the guess the way leads elsewhere, or nowhere. */
+    if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess leads to another assembly, or to none. */
         tape_cut(i, begin);
         loops_beside_guess(s, guess, size, from, q);
         tape_copy(i, q, guess, (size_t)s->n);
@@ -247,7 +247,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     }
     if (outcome == DONE) {
         guesses_check(i, &loops, guess, q);
-        tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
+        tape_closing(i, held, q, NULL, NULL, 1.0); /* The loops are closed at its end. */
         outcome = start_rates(i, &loops, q, v);
     }
     arena_release(i, arena);

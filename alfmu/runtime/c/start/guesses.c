@@ -15,7 +15,8 @@
 #include "record.h"
 #include "scene.h"
 
-/* How far an assembly has an angle or a length from its guess, over what is told; a guess of zero may be none. */
+/* Return the distance of an angle or a length of an assembly from its guess, relative to its tolerance; a guess of
+   zero may be none. */
 static double find_missed_start(const Instance *i, int c, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
@@ -24,8 +25,8 @@ static double find_missed_start(const Instance *i, int c, const double *guess, c
     return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / told : 0.0;
 }
 
-/* Whether the loops close elsewhere, near the guess whose angles that are missed or beyond a turn are read as
-   degrees: `meant` is that guess, and `there` the assembly beside it. */
+/* Return whether the loops close if angles that are missed, or beyond a turn, are read as degrees: `meant` is that
+   guess, and `there` the assembly near it. */
 static int fits_in_degrees(
     Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
 {
@@ -91,7 +92,7 @@ void guesses_check(Instance *i, Loops *loops, const double *guess, const double 
     arena_release(i, arena);
 }
 
-/* How far (limits) displacements are beyond their limits at q; `J` (limits x n, by columns) may be NULL. */
+/* Compute the excess of each displacement over its limit at q; `J` (limits x n, by columns) may be NULL. */
 static void evaluate_limits(Instance *i, const double *q, double *beyond, double *J)
 {
     const Scene *s = i->scene;
@@ -120,8 +121,7 @@ static double find_worst_limit(Instance *i, const double *q, const double *allow
     return most;
 }
 
-/* Whether closing the loops and going back from limits, one after the other, leads from q to an assembly within
-   limits. */
+/* Return whether alternate corrections of loops and of limits lead from q to an assembly within limits. */
 static int bring_within_limits(Instance *i, Loops *loops, const double *allowed, double *q)
 {
     const Scene *s = i->scene;

@@ -32,7 +32,7 @@ static double find_weakest_motion(Instance *i, Matrix M, Matrix C, double scale,
     return least;
 }
 
-/* The same for many coordinates, by inverse iteration: eigenvalue of M / scale + C' C. */
+/* Find the weakest motion of many coordinates by inverse iteration: an eigenvector of M / scale + C' C. */
 static double find_weakest_of_many(Instance *i, Matrix M, Matrix C, double scale, double *motion)
 {
     const Scene *s = i->scene;
@@ -46,7 +46,7 @@ static double find_weakest_of_many(Instance *i, Matrix M, Matrix C, double scale
             if (m->indices[k] <= c)
                 *envelope_entry(e, a, c, m->indices[k]) += M.values[k] / scale;
     }
-    /* Rows of C by products of its columns, where the envelope has room for what they have in common. */
+    /* Compute C' C within the envelope. */
     for (int c = 0; c < s->n; c++)
         for (int d = 0; d <= c; d++) {
             double sum = 0.0;

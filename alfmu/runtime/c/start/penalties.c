@@ -10,7 +10,7 @@
 #include "row_units.h"
 #include "scene.h"
 
-/* Whether two rows are directions of one joint, which are square to each other. */
+/* Return whether two rows are directions of one joint, which are orthogonal. */
 static int are_of_one_joint(const Scene *s, int a, int b)
 {
     return a == b || (s->rows[a].size > 0.0 && s->rows[b].size > 0.0 && !strcmp(s->rows[a].name, s->rows[b].name));

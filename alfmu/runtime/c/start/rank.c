@@ -54,7 +54,7 @@ static int count_rank(Instance *i, Matrix C)
     return rank;
 }
 
-/* The same of many coordinates: rows that those before them do not make up, by the pivots of C C'. */
+/* Count the independent rows of many coordinates by the pivots of C C'. */
 static int count_rank_of_many(Instance *i, const Rows *J)
 {
     const Envelope *e = &i->scene->closing;
@@ -68,7 +68,7 @@ static int count_rank_of_many(Instance *i, const Rows *J)
     return rank;
 }
 
-/* How many of these constraints are independent at q. */
+/* Return the number of independent constraints at q. */
 int rank_at(Instance *i, const double *q, const unsigned char *held)
 {
     const Scene *s = i->scene;
@@ -85,7 +85,8 @@ int rank_at(Instance *i, const double *q, const unsigned char *held)
     return rank;
 }
 
-/* The correction of least norm with which a rank is told: where coordinates are few, it takes what C hardly holds. */
+/* Compute the correction of least norm by which a rank is judged; with few coordinates it includes motions that C
+   hardly holds. */
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
 {
     const Scene *s = i->scene;
@@ -151,7 +152,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
         }
         for (int c = 0; c < s->n; c++)
             near[c] = q[c] + side_places[c];
-        if (s->timed) /* Where time stands still, what is prescribed may have no regular position. */
+        if (s->timed) /* With time fixed, a prescribed motion may have no regular position. */
             near[s->n - 1] += (k % 2 ? -LATER : LATER) * pow(0.1, (k / 2) % 4);
         for (int pass = 0;; pass++) {
             rank_weighted_rows(i, near, weights, C, phi);
@@ -212,7 +213,7 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
 }
 
-/* The same for any place on the motion near the start. */
+/* Return the same for any place of the motion near the start. */
 static int rank_changes_near(Instance *i, const double *q, const double *v)
 {
     const Scene *s = i->scene;

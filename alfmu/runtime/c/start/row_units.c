@@ -145,8 +145,8 @@ double units_constant(const Row_units *row)
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
 }
 
-/* Whether some coefficients tell the unit of their row: at a place that closes the loops, those of a slide across
-   the row and of the attitude of a body that carries the whole loop are round-off. */
+/* Return whether these coefficients determine the unit of their row. At a place that closes the loops, those of a
+   slide across the row, and of the attitude of a body that carries the whole loop, are round-off. */
 int units_are_telling(const Row_units *row, Sum sum)
 {
     return units_sum(sum) > HARDLY * row->most;

@@ -16,7 +16,8 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
+/* Find velocities that keep the loops closed and have the given start rates, nearest to the guess v; `left` is the
+   residue. */
 static void solve_rates(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
 {
     const Scene *s = i->scene;
@@ -32,7 +33,7 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     matrix_weigh_rows(J.constraints, weights);
     for (int pass = 0; pass < 3; pass++) {
         rows_times(&J, v, made);
-        if (s->timed) { /* Also what constraints move by themselves. */
+        if (s->timed) { /* Include the motion that constraints prescribe. */
             constraints_evaluate(i, q, v, NULL, NULL, NULL, made);
             for (int r = 0; r < s->l; r++)
                 made[r] *= weights[r];
@@ -95,7 +96,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
         left[r] *= weights[r];
-    /* A motion keeps what C hardly holds within that times its acceleration: two passes leave it. */
+    /* Two passes leave residues in directions that C hardly holds, which a motion violates in proportion to its
+       acceleration. */
     rows_least_correction(i, &J, left, 2, dv);
     matrix_times(J.constraints, dv, made);
     most = linear_largest(left, s->l);
