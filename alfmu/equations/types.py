@@ -299,7 +299,7 @@ class Equations:
     limited: Sequence[Variable] = ()
     """Stops, by their names and units, one for each of their limits."""
     breaks: list[int] = field(default_factory=list)
-    """Numbers of thresholds at which a scene jumps or bends by itself, by level (`kernel.breaks`)."""
+    """Levels of the functions of time and inputs whose sign changes mark jumps and kinks (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
     """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
     peaks: dict[str, list[str]] = field(default_factory=dict)
