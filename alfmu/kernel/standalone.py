@@ -1,11 +1,11 @@
-"""What a scene needs where nothing runs but its C: the oracle's loops as programs, and functions for the start.
+"""Programs and functions that a scene needs in C alone: the oracle's loops as programs, and functions for the start.
 
-The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
-`move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
-`limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs. `instant_quick` reads by as few iterations as a quick step makes; `onward` is one that goes on with what
-was read, `short_onward` a short step that does. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an
-`instant` of their own, and `keep` ends a step without projections.
+After the tiers of `alfmu.kernel.trace` comes a patient one, whose loops stop on convergence: `move` and
+`move_on_branch` integrate to the end of a step, `close` projects it onto the constraints, `instant_patient` and
+`limit_patient` evaluate outputs. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity`
+differentiate outputs by the inputs. `instant_quick` evaluates outputs by as few iterations as a quick step; `onward` is
+a quick step that continues from that evaluation, `short_onward` a short step that does. Other formulations
+(`alfmu.kernel.alternatives`) have their own `move` and `instant`, and `keep` ends a step without projections.
 """
 
 from __future__ import annotations
@@ -37,10 +37,13 @@ __all__ = ["READ", "beginning", "passed", "standalone"]
 
 
 def passed(equations: Equations) -> dict[str, int]:
-    """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
-    where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
-    there; iterations of (8) as printed after the first one; zeta and omega; whether steps end with projections; where
-    past inputs are kept, whether the communication step under way began before."""
+    """Return the values that the C runtime passes to programs, with their lengths.
+
+    They are: the limit of multiplier iterations, and whether the motion may end; a direction of the inputs; the
+    communication point and the time derivatives of the inputs there; the number of iterations of (8) as printed after
+    the first; zeta and omega; whether steps end with projections; storage of past inputs, and whether the current
+    communication step began before.
+    """
     names = ["most", "patient", "du", "slopes", "again", "stabilisation", "projects"]
     names += ["within"] * ("reach" in equations.kernel)
     lengths = lengths_of(equations)
@@ -48,14 +51,14 @@ def passed(equations: Equations) -> dict[str, int]:
 
 
 def standalone(equations: Equations) -> Equations:
-    """The same equations, traced, with the programs and functions that a native FMU has beside those of the kernel."""
+    """Return traced equations with the programs and functions that a native FMU needs beside those of the kernel."""
     e = equations
     tracer = _Patient(e)
     kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
-        # The work of what moves by itself is not handed on.
+        # Power of prescribed motion is not passed on.
         if not (e.timed or tracer.timed()):
             name, step = ("short_onward", "short") if "method" in kernel else ("onward", "quick")
             kernel[name] = tracer.onward(kernel[step])
@@ -93,9 +96,9 @@ def standalone(equations: Equations) -> Equations:
 
 
 def beginning(equations: Equations) -> Equations:
-    """The same equations, untraced, with what they need to be started, and no steps.
+    """Return untraced equations with everything for the start, and no steps.
 
-    What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
+    Functions that detect singular positions and correct residuals of the assembly are replaced by stand-ins.
     """
     e, tracer, nothing = equations, _Patient(equations), Program((), Plan(CAREFUL, 3))
     kernel = {"quick": nothing, "careful": nothing, "instant": Program((Call("seen", (), ("seen",)),))}
@@ -121,8 +124,8 @@ _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
 
 READ = ("read_a", "read_power", "read_watch")
-"""What `instant_quick` hands to `onward` and `short_onward`: the evaluation that a quick or short step at this instant
-would begin with."""
+"""Values that `instant_quick` passes to `onward` and `short_onward`: the first evaluation of a quick or short step at
+this instant."""
 
 
 class _Patient(Alternatives):
@@ -137,14 +140,14 @@ class _Patient(Alternatives):
     # Programs ------------------------------------------------------------------------------------------------------
 
     def move(self, plan: Plan) -> Program:
-        """A step of RK4 up to its end, which does not keep the constraints yet."""
+        """Return a step of RK4 up to its end, before projection."""
         calls = Calls(self, plan)
         self._moved(calls)
         return Program(calls.steps, plan)
 
     def reads_quickly(self) -> bool:
-        """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps may be
-        those of RK4, whose first evaluation it is, and take no rates of further states from there, nor dry friction."""
+        """Whether outputs at an instant need no more multiplier iterations than a quick step, and RK4 steps can reuse
+        this evaluation: without rates of states or dry friction."""
         e = self.e
         quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
         plain = "method" not in e.kernel or default_settings(e).method == "auto"
@@ -152,15 +155,15 @@ class _Patient(Alternatives):
         return plain and read and bool(quick and quick.quick)
 
     def timed(self) -> bool:
-        """Whether the equations of motion depend on time itself."""
+        """Whether the equations of motion depend explicitly on time."""
         e, x = self.e, symbols(self.e)
         known = x["q"], x["v"], x["u"], x["p"], x["t"]
         terms = ca.vertcat(*(ca.vec(ca.densify(each)) for each in (*e.dynamics(*known), e.power(*known))))
         return any(ca.which_depends(terms, x["t"], 1, True))
 
     def instant_quick(self) -> Program:
-        """What `instant` gives, by the evaluation that a quick step begins with, where its iterations leave nothing but
-        round-off; READ for `onward`."""
+        """Return `instant` by the first evaluation of a quick step, if its iterations converge to round-off; it passes
+        READ to `onward`."""
         plan = self.e.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
@@ -181,7 +184,7 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def onward(self, step: Program) -> Program:
-        """The same step from an instant that has been read: its first evaluation is taken from there."""
+        """Return the step from an instant whose outputs were evaluated, with its first evaluation taken from there."""
         first = next(k for k, x in enumerate(step.steps) if "rate1" in x.results)
         given = dict(zip(("a1", "power1", "watch1"), READ, strict=True))
         rest = rewritten(
@@ -191,7 +194,7 @@ class _Patient(Alternatives):
         return replace(step, steps=(*begin, *rest))
 
     def close(self, plan: Plan) -> Program:
-        """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
+        """Return S5: projection of q and v after `move` onto the constraints, and the resulting state."""
         calls, again = Calls(self, plan), Calls(self, plan)
         self.place(again, "q", "q")
         self.settle(again)
@@ -200,17 +203,17 @@ class _Patient(Alternatives):
         return self._ended(calls)
 
     def keep(self) -> Program:
-        """The state that q and v after `move` make as they are."""
+        """Return the state of q and v after `move` without projection."""
         calls = Calls(self)
         calls("unprojected", "k", "pivot left", lambda: (SX(math.inf), SX.zeros(2)))
         return self._ended(calls)
 
     def _ended(self, calls: Calls) -> Program:
-        """With the end of a careful step."""
+        """Add the end of a careful step."""
         return Program((*calls.steps, self.e.kernel["careful"].steps[-1]))
 
     def impact(self, plan: Plan) -> Program:
-        """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""
+        """Return the velocity after constraints were switched on, their impulses, and the energy lost."""
         e, calls, nothing = self.e, Calls(self, plan), SX(self.e.driven, 1)
         scene = calls.scene
 
@@ -238,7 +241,7 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def gripping(self, plan: Plan) -> Program:
-        """What decides of sticking and sliding of joints with dry friction."""
+        """Return the quantities that decide on sticking and sliding of joints with dry friction."""
         calls = Calls(self, plan)
         self._unpacked(calls)
         u = self.here(calls)
@@ -249,7 +252,8 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def sensitivity(self, plan: Plan) -> Program:
-        """How outputs change with the inputs in the direction `du`: accelerations and multipliers by one more solve."""
+        """Return changes of outputs along the direction `du` of the inputs: accelerations and multipliers by one more
+        solve."""
         calls = Calls(self, plan)
         self._unpacked(calls)
         u = self.here(calls)
@@ -259,7 +263,7 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def limit_sensitivity(self, plan: Plan) -> Program:
-        """The same where limits are read: the derivative of the limit by what it is taken from."""
+        """Return these changes where limits are read: the derivative of the limit by the values it is taken from."""
         calls, count = Calls(self, plan), len(branch.READ_MEAN)
         scene = calls.scene
         self._unpacked_limit(calls)
@@ -289,9 +293,10 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def _forced(self, calls: Calls, time: str, i: str, given: str) -> None:
-        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam as joints carry it.
+        """Compute da and dlam, with i in their names, due to the forces of `du` at q0, v0; lam with least loads of
+        joints.
 
-        `given` is the name of the inputs, and of the states behind them, which stay as they are.
+        `given` is the name of the inputs and the states behind them, which do not change.
         """
         e, scene = self.e, calls.scene
 
@@ -309,7 +314,7 @@ class _Patient(Alternatives):
         calls("forced", f"{known} p k du", f"F xi da{i} dlam{i} dwatch", forces)
         if e.l:
             self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
-        else:  # One solution is exact.
+        else:  # one solution is exact
             self._iterate_once(calls, f"da{i}", f"dlam{i}", "dwatch")
         if self.redundant and self.loaded:
             calls("bear_change", f"{known} p k du C a{i} lam{i} da{i} dlam{i}", f"dlam{i}", carried)
@@ -317,7 +322,7 @@ class _Patient(Alternatives):
             self._least(calls, f"dlam{i}")
 
     def _changed(self, calls: Calls, found: str) -> None:
-        """The changes of outputs."""
+        """Compute the changes of outputs."""
         e, scene = self.e, calls.scene
 
         def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
@@ -328,7 +333,7 @@ class _Patient(Alternatives):
         calls("sensitivity", f"z u p k du {found}", "dy", reading)
 
     def pivots(self, plan: Plan) -> None:
-        """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
+        """S1, S2: trace pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -342,8 +347,8 @@ class _Patient(Alternatives):
         calls("pivots", "q p k", "pivots diagonal columns margin", found)
 
     def extrapolated(self, program: Program) -> Program:
-        """The same program with inputs that go on from the communication point by their derivatives, to the time of
-        each call; of past ones, those that have no derivative."""
+        """Return the program with inputs extrapolated from the communication point to the time of each call, by their
+        derivatives; past inputs only if they have no derivative."""
         if not self.e.inputs:
             return program
 
@@ -351,14 +356,14 @@ class _Patient(Alternatives):
             moved = u + (t - slopes[0]) * slopes[1:]
             return moved if past is None else ca.if_else(slopes[1:] < ca.inf, moved, past)
 
-        # This names and traces the function; a program calls it where its inputs are used.
+        # This names and traces the function; programs call it where they use inputs.
         Calls(self)("inputs_at", spaced("u slopes t", "inputs" * bool(self.order)), "inputs", there)
         return replace(program, steps=rewritten(program.steps, _inputs_moved))
 
     # Loops that stop on convergence --------------------------------------------------------------------------------
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """S4: where the motion does not reach the places of a limit, accelerations are taken as they are."""
+        """S4: where the motion does not reach the positions of a limit, accelerations are evaluated directly."""
         super()._on_branch(calls, i, u, length, kept)
         watch, scene, plan = f"watch{i}", calls.scene, calls.plan
         end, last = calls.inside(), calls.inside()
@@ -398,7 +403,7 @@ class _Patient(Alternatives):
             self.once(calls, own)
 
     def _iterate(self, calls: Calls, a: str, lam: str, watch: str, most: str = "most") -> None:
-        """The multiplier iteration until it converges."""
+        """Repeat the multiplier iteration until it converges."""
         if not self.e.l:
             return
         again, plan = calls.inside(), calls.plan
@@ -407,11 +412,11 @@ class _Patient(Alternatives):
         self.repeat(calls, "more", most, again)
 
     def doubles(self, plan: Plan) -> bool:
-        """Always: no tier comes after this one."""
+        """Return True: no tier follows this one."""
         return True
 
     def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
-        """With spacings that are doubled until they can tell."""
+        """Double spacings until the positions are distinguishable."""
         again = calls.inside()
         calls("stretch", length, "stretched", lambda dt: dt)
         super()._read_places(again, places, "stretched")
@@ -424,7 +429,7 @@ class _Patient(Alternatives):
         self.repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
-        """By passes until they change no more; of other formulations where a step projects."""
+        """Repeat passes until they converge; for other formulations if steps project."""
         if self.formulation != OWN:
             own = calls.inside()
             self.by(OWN)._least(own, lam)
@@ -437,7 +442,7 @@ class _Patient(Alternatives):
             calls("share", f"k M C {lam}", lam, lambda M, C, lam: share(scene.light(M), C, lam, CORRECTIONS))
 
     def _settle(self, calls: Calls, lam: str) -> None:
-        """Multipliers of least norm, without the round-off that (8) leaves in directions that it does not resolve."""
+        """Compute multipliers of least norm, without the round-off that (8) leaves in unresolved directions."""
         again = calls.inside()
         calls("least_begin", "k", "least_z before", lambda: (SX(self.e.n, 1), SX(math.inf)))
         passed = "least_z least_norm more before"
@@ -446,7 +451,7 @@ class _Patient(Alternatives):
         calls("least_end", "least_norm", lam, lambda lam: lam)
 
     def _share(self, calls: Calls, known: str, found: str) -> None:
-        """By more passes, which are enough near singular positions too."""
+        """Make more passes, which suffice near singular positions too."""
         if not self.loaded:
             super()._share(calls, known, found)
             return
@@ -460,12 +465,12 @@ class _Patient(Alternatives):
 
 
 def _made(program: Program) -> Iterator[str]:
-    """Names of all that a program without choices makes."""
+    """Yield names of all results of a program without choices."""
     return (name for step in program.steps for name in step.results)
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:
-    """A call with its inputs at its own time; past ones are moved where they are found."""
+    """Yield a call with its inputs at its own time; past ones are moved where they are determined."""
     if not isinstance(step, Call):
         yield step
     elif step.function == "inputs":
