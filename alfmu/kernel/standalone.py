@@ -227,7 +227,7 @@ class _Patient(Alternatives):
 
         calls("impact", "z p k", spaced(MATRICES, "a0 lam0 watch0"), begun)
         self._iterate(calls, "a0", "lam0", "watch0")
-        if self.redundant and self.loaded and e.switches:  # Without switches nobody reads impulses.
+        if self.redundant and self.loaded and e.switches:  # Without switches there are no outputs of impulses.
 
             def shared(z: SX, C: SX, dv: SX, lam: SX) -> SX:
                 t, q, v = self._position(z)
