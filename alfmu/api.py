@@ -1,4 +1,4 @@
-"""What takes anything that alfmu knows, and hands it to the room that it is for."""
+"""The functions of alfmu for all kinds of subjects; each calls the responsible room."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def plot(result: Result, names: Sequence[str] | None = None) -> Figure:
 
 
 def animate(result: Result, path: str | Path | None, fps: float, speed: float) -> Film | None:
-    """A film of the motion, written or handed back: see `Result.animate`."""
+    """Write or return a film of the motion: see `Result.animate`."""
     from .view.drawing import from_data
     from .view.picture import animate
 

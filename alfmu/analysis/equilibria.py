@@ -521,7 +521,7 @@ class _Search:
             stability = "not judged"
             reason = (
                 f"it is a singular position, where {counted(mobility.freedom_here, 'velocity')} are possible with "
-                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one motion tell nothing of others"
+                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one do not describe others"
             )
         else:
             try:

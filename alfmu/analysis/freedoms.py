@@ -242,12 +242,14 @@ def mobility(
     """
     if isinstance(mechanism, Instance):
         if stop_time:
-            raise InputError(f"{mechanism.name}: of an Instance the present position is told; leave stop_time out")
+            raise InputError(
+                f"{mechanism.name}: only the present position of an Instance is analysed; leave stop_time out"
+            )
         return freedoms(subject(mechanism, parameters))
     found = source(mechanism, parameters or {})
     if stop_time and time:
         raise InputError(
-            f"{found.equations.name}: the position at {time!r} s alone is told, and a motion is followed from 0 s; "
+            f"{found.equations.name}: only the position at {time!r} s is analysed, and a motion begins at 0 s; "
             "give time or stop_time"
         )
     stop_time = (0.0 if time else found.equations.stop_time) if stop_time is None else stop_time
@@ -348,11 +350,11 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
     found: list[Way] = []
     reason, followed = "", None
     if e.timed:
-        reason = "branches are not told where laws of time or inputs move something"
+        reason = "branches are not determined if laws of time or inputs prescribe motion"
     elif loops.freedom != 1:
-        reason = f"branches are not told apart: with {loops.freedom} degrees of freedom they are surfaces, not lines"
+        reason = f"branches are not separated: with {loops.freedom} degrees of freedom they are surfaces, not lines"
     elif motions > MOST:
-        reason = f"branches are not told apart: of {motions} motions there may be {2 ** (motions - 1)}"
+        reason = f"branches are not separated: of {motions} motions there may be {2 ** (motions - 1)}"
     else:
         found = ways(loops, y, motions)
         if not found:

@@ -291,8 +291,8 @@ def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: S
     if mobility.freedom_here > mobility.freedom:
         raise InputError(
             f"{where.name}, t = {s.t:.6g} s: the position is singular, {mobility.freedom_here} motions begin there "
-            f"instead of {mobility.freedom}, so that no independent coordinates tell them and nothing can be said of "
-            "small motions; start beside it, or name a time at which the motion is past it"
+            f"instead of {mobility.freedom}, so that no independent coordinates describe them and nothing can be said "
+            "of small motions; start beside it, or name a time at which the motion is past it"
         )
     small = small_motions(where, mobility.freedom, wanted)
     names = [v.name for v in e.outputs]
@@ -338,7 +338,7 @@ def _notes(where: Situation, redundant: int) -> list[str]:
     if where.equations.switches:
         notes.append("locks and released joints stay as they are")
     if where.equations.timed:
-        notes.append("what is prescribed is as it is at this instant: time stands still")
+        notes.append("prescribed motions are frozen at this instant: time stands still")
     if "sticks" in where.frictions.values():
         notes.append("a joint that sticks is held, as long as its load stays within its limit")
     return notes

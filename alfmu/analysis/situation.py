@@ -89,7 +89,9 @@ def source(
     Raises AlfmuError if a name or a value is invalid.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
-        raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
+        raise InputError(
+            f"{mechanism}: an FMU does not contain its equations; name the mechanism that it was exported from"
+        )
     parameters = by_name(mechanism, "parameters", parameters)
     if isinstance(mechanism, Source):
         given = {**mechanism.given, **parameters}

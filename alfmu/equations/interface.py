@@ -100,7 +100,7 @@ MONITORS = (
     Variable(
         "monitor.step_error",
         "1",
-        description="what the last communication step changed of energy less work, over the largest kinetic energy or "
+        description="change of energy minus work in the last communication step, over the largest kinetic energy or "
         "work so far",
     ),
     Variable(

@@ -86,7 +86,7 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
     """Return how far closing the loops moved coordinates, as text."""
     said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
     if closed.left > _OPEN:
-        return f"{said}, and were not closed: what is nearest leaves {closed.left:.2g} m or rad"
+        return f"{said}, and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
     units = {c.name: c.unit for c in mechanism.coordinates}
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
@@ -350,7 +350,7 @@ class _Declaring:
                 given["second_axis"] = tuple(two.tolist())
         if any(closure.stiffness) and differ and closure.kind == "revolute":
             closure.node.fail(
-                "its spring is told from where its two frames coincide, which its links do not do at zero; give both "
+                "its spring is measured from where its two frames coincide, which they do not at zero; give both "
                 "frames the same directions there"
             )
         if closure.kind == "screw":

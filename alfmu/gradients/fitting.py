@@ -144,7 +144,7 @@ def fit(
     sizes = _sizes(runs, measured, seen, known, by_name(mechanism, "deviations", deviations))
     if (count := int(known.sum())) < len(runs.by):
         has, wants = counted(count, "measurement"), counted(len(runs.by), "number")
-        raise InputError(f"{has} cannot tell {wants}; vary fewer, or measure more")
+        raise InputError(f"{has} cannot determine {wants}; vary fewer, or measure more")
     low, high = _bounds(runs, by_name(mechanism, "bounds", bounds))
     scale = [_scale(runs, name) for name in runs.by]
     first = np.array([runs.unit.get(name) for name in runs.by], float)
@@ -350,7 +350,7 @@ def _covariance(
     if hidden.any():
         names = ", ".join(np.array(runs.by)[free][hidden])
         _LOGGER.warning(
-            "%s: the data do not tell %s, or tell a combination of them alone; vary fewer, or measure more",
+            "%s: the data do not determine %s, or only a combination of them; vary fewer, or measure more",
             *(runs.unit.name, names),
         )
         among[hidden, :] = among[:, hidden] = np.nan

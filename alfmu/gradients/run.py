@@ -129,7 +129,7 @@ class Runs:
         known = {*self.names[: count + starts], *self.names[states : states + len(e.states)], *inputs}
         for k, name in enumerate(self.by):
             if name in self.by[:k]:
-                raise InputError(f"{e.name}: {name} is named twice among what it is differentiated by; leave one out")
+                raise InputError(f"{e.name}: {name} is named twice in by; leave one out")
             if name not in known:
                 raise InputError(
                     f"{e.name} has no parameter, start value or input {name!r} to differentiate by; "

@@ -1,4 +1,4 @@
-"""What a scene needs where nothing runs but its C: the oracle's loops as programs, and functions for the start.
+"""Programs and functions that a scene needs in C alone: the oracle's loops as programs, and functions for the start.
 
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
 `move` leads to the end of a step, `close` brings it back to the constraints, `instant_patient` and `limit_patient`
@@ -47,14 +47,14 @@ def passed(equations: Traced) -> dict[str, int]:
 
 
 def standalone(equations: Traced) -> Traced:
-    """The same scene with the programs and functions that a native FMU has beside those of the kernel."""
+    """Return traced equations with the programs and functions that a native FMU needs beside those of the kernel."""
     e = equations
     tracer = _Patient(e)
     kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
-        # The work of what moves by itself is not handed on.
+        # Power of prescribed motion is not passed on.
         if not (e.timed or tracer.timed()):
             step = "short" if "method" in kernel else "quick"
             kernel[step] = tracer.onward(kernel[step])
@@ -80,9 +80,9 @@ def standalone(equations: Traced) -> Traced:
 
 
 def beginning(equations: Configuration) -> Traced:
-    """A configuration with what it needs to be started, and no steps.
+    """Return untraced equations with everything for the start, and no steps.
 
-    What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
+    Functions that detect singular positions and correct residuals of the assembly are replaced by stand-ins.
     """
     e, tracer, nothing = equations, _Patient(equations), Program((), Plan(CAREFUL, 3))
     kernel = {"quick": nothing, "careful": nothing, "instant": Program((Call("seen", (), ("seen",)),))}
@@ -107,7 +107,8 @@ _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
 
 READ = ("read_a", "read_power", "read_watch")
-"""What `instant_quick` hands to a quick or a short step: the evaluation that the step would begin with."""
+"""Values that `instant_quick` passes to `onward` and `short_onward`: the first evaluation of a quick or short step at
+this instant."""
 
 
 class _Patient(Alternatives):
@@ -123,14 +124,14 @@ class _Patient(Alternatives):
     # Programs ------------------------------------------------------------------------------------------------------
 
     def move(self, plan: Plan) -> Program:
-        """A step of RK4 up to its end, which does not keep the constraints yet."""
+        """Return a step of RK4 up to its end, before projection."""
         calls = Calls(self, plan)
         self._moved(calls)
         return Program(calls.steps, plan)
 
     def reads_quickly(self) -> bool:
-        """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps may be
-        those of RK4, whose first evaluation it is, and take no rates of further states from there, nor dry friction."""
+        """Whether outputs at an instant need no more multiplier iterations than a quick step, and RK4 steps can reuse
+        this evaluation: without rates of states or dry friction."""
         e = self.e
         quick, read = self.kernel["quick"].plan, any(x == "a0" for x in _made(self.kernel["instant"]))
         plain = "method" not in self.kernel or default_settings(e).method == "auto"
@@ -138,15 +139,15 @@ class _Patient(Alternatives):
         return plain and read and quick.quick
 
     def timed(self) -> bool:
-        """Whether the equations of motion depend on time itself."""
+        """Whether the equations of motion depend explicitly on time."""
         e, x = self.e, symbols(self.e)
         known = x["q"], x["v"], x["u"], x["p"], x["t"]
         terms = ca.vertcat(*(ca.vec(ca.densify(each)) for each in (*e.dynamics(*known), e.power(*known))))
         return any(ca.which_depends(terms, x["t"], 1, True))
 
     def instant_quick(self) -> Program:
-        """What `instant` gives, by the evaluation that a quick step begins with, where its iterations leave nothing but
-        round-off; READ for that step."""
+        """Return `instant` by the first evaluation of a quick step, if its iterations converge to round-off; it passes
+        READ to `onward`."""
         plan = self.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
@@ -167,7 +168,7 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def onward(self, step: Program) -> Program:
-        """The same step, which has its first evaluation from what was read, where `onward` says so."""
+        """Return the step from an instant whose outputs were evaluated, with its first evaluation taken from there."""
         first = next(k for k, x in enumerate(step.steps) if "rate1" in x.results)
         steps = renamed(step.steps, dict(zip(("a1", "power1", "watch1"), READ, strict=True)))
         begin = [x for x in steps[:first] if {"v1", "step"} & set(x.results)]
@@ -189,7 +190,7 @@ class _Patient(Alternatives):
         return Program((*calls.steps, self.kernel["careful"].steps[-1]))
 
     def impact(self, plan: Plan) -> Program:
-        """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""
+        """Return the velocity after constraints were switched on, their impulses, and the energy lost."""
         e, calls, nothing = self.e, Calls(self, plan), SX(self.e.driven, 1)
         scene = calls.scene
 
@@ -203,7 +204,7 @@ class _Patient(Alternatives):
 
         calls("impact", "z p k", spaced(MATRICES, "a0 lam0 watch0"), begun)
         self._iterate(calls, "a0", "lam0", "watch0")
-        if self.redundant and self.loaded and e.switches:  # Without switches nobody reads impulses.
+        if self.redundant and self.loaded and e.switches:  # Without switches there are no outputs of impulses.
 
             def shared(z: SX, C: SX, dv: SX, lam: SX) -> SX:
                 t, q, v = self._position(z)
@@ -217,7 +218,7 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def gripping(self, plan: Plan) -> Program:
-        """What decides of sticking and sliding of joints with dry friction."""
+        """Return the quantities that decide on sticking and sliding of joints with dry friction."""
         calls = Calls(self, plan)
         self._unpacked(calls)
         u = self.here(calls)
@@ -228,7 +229,7 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def pivots(self, plan: Plan) -> None:
-        """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
+        """S1, S2: trace pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -242,8 +243,8 @@ class _Patient(Alternatives):
         calls("pivots", "q p k", "pivots diagonal columns margin", found)
 
     def extrapolated(self, program: Program) -> Program:
-        """The same program with inputs that go on from the communication point by their derivatives, to the time of
-        each call; of past ones, those that have no derivative."""
+        """Return the program with inputs extrapolated from the communication point to the time of each call, by their
+        derivatives; past inputs only if they have no derivative."""
         if not self.e.inputs:
             return program
 
@@ -251,14 +252,14 @@ class _Patient(Alternatives):
             moved = u + (t - slopes[0]) * slopes[1:]
             return moved if past is None else ca.if_else(slopes[1:] < ca.inf, moved, past)
 
-        # This names and traces the function; a program calls it where its inputs are used.
+        # This names and traces the function; programs call it where they use inputs.
         Calls(self)("inputs_at", spaced("u slopes t", "inputs" * bool(self.order)), "inputs", there)
         return replace(program, steps=rewritten(program.steps, _inputs_moved))
 
     # Loops that stop on convergence --------------------------------------------------------------------------------
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """S4: where the motion does not reach the places of a limit, accelerations are taken as they are."""
+        """S4: where the motion does not reach the positions of a limit, accelerations are evaluated directly."""
         super()._on_branch(calls, i, u, length, kept)
         watch, scene, plan = f"watch{i}", calls.scene, calls.plan
         end, last = calls.inside(), calls.inside()
@@ -331,11 +332,11 @@ class _Patient(Alternatives):
         self.repeat(calls, "more", most, again)
 
     def doubles(self, plan: Plan) -> bool:
-        """Always: no tier comes after this one."""
+        """Return True: no tier follows this one."""
         return True
 
     def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
-        """With spacings that are doubled until they can tell."""
+        """Double spacings until the positions are distinguishable."""
         again = calls.inside()
         calls("stretch", length, "stretched", lambda dt: dt)
         super()._read_places(again, places, "stretched")
@@ -348,7 +349,7 @@ class _Patient(Alternatives):
         self.repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
-        """By passes until they change no more; of other formulations where a step projects."""
+        """Repeat passes until they converge; for other formulations if steps project."""
         if self.chooses:
             own = calls.inside()
             self.of_all(False)._least(own, lam)
@@ -361,7 +362,7 @@ class _Patient(Alternatives):
             calls("share", f"k M C {lam}", lam, lambda M, C, lam: share(scene.light(M), C, lam, CORRECTIONS))
 
     def _settle(self, calls: Calls, lam: str) -> None:
-        """Multipliers of least norm, without the round-off that (8) leaves in directions that it does not resolve."""
+        """Compute multipliers of least norm, without the round-off that (8) leaves in unresolved directions."""
         again = calls.inside()
         calls("least_begin", "k", "least_z before", lambda: (SX(self.e.n, 1), SX(math.inf)))
         passed = "least_z least_norm more before"
@@ -370,7 +371,7 @@ class _Patient(Alternatives):
         calls("least_end", "least_norm", lam, lambda lam: lam)
 
     def _share(self, calls: Calls, known: str, found: str) -> None:
-        """By more passes, which are enough near singular positions too."""
+        """Make more passes, which suffice near singular positions too."""
         if not self.loaded:
             super()._share(calls, known, found)
             return
@@ -384,12 +385,12 @@ class _Patient(Alternatives):
 
 
 def _made(program: Program) -> Iterator[str]:
-    """Names of all that a program without choices makes."""
+    """Yield names of all results of a program without choices."""
     return (name for step in program.steps for name in step.results)
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:
-    """A call with its inputs at its own time; past ones are moved where they are found."""
+    """Yield a call with its inputs at its own time; past ones are moved where they are determined."""
     if not isinstance(step, Call):
         yield step
     elif step.function == "inputs":

@@ -40,7 +40,7 @@ _OWN = re.compile(r"(decision|kernel|runtime|scene|start)_[0-9a-f]{32}_[0-9a-f]{
 
 
 def is_off() -> bool:
-    """Return whether nothing is kept from one process to the next."""
+    """Return whether the cache is disabled."""
     return os.environ.get(VARIABLE, "").lower() in _OFF
 
 

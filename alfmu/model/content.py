@@ -39,7 +39,7 @@ def content(mechanism: Mechanism) -> str | None:
 
 
 def told(value: Any) -> str:
-    """Return a value without expressions as text; raise TypeError if it is of a kind that has none."""
+    """Return a value without expressions as text; raise TypeError if its type has no text."""
     said = _Said()
     text = repr(said.of(value))
     if said.expressions:
@@ -55,7 +55,7 @@ class _Said:
         self.places: dict[int, int] = {}
 
     def of(self, value: Any) -> Any:
-        """Return a value as text; raise TypeError if it is of a kind that has none."""
+        """Return a value as text; raise TypeError if its type has no text."""
         if isinstance(value, _PLAIN):
             return type(value).__name__, repr(value)
         if isinstance(value, ca.SX):

@@ -58,11 +58,11 @@ class Settings:
     penalty: float | Sequence[float] = 0.0
     """alpha [kg or kg.m2 by row], one for all or one per constraint; 0 (alone) scales it with the masses."""
     tolerance: float = 1e-13
-    """Of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
+    """Tolerance of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
     max_iterations: int = 10
-    """Of the multiplier iteration."""
+    """Most multiplier iterations."""
     formulation: str = "residual"
-    """One of FORMULATIONS."""
+    """Formulation, one of FORMULATIONS."""
     method: str = "auto"
     """One of METHODS; `auto` means `rk4` for formulations other than `residual` and for `branch` = paper."""
     relative_tolerance: float = 1e-6

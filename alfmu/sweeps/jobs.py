@@ -270,7 +270,7 @@ def _compiled(scene: Scene, code: Code) -> None:
 # FMUs ----------------------------------------------------------------------------------------------------------------
 
 _ONE_AT_A_TIME = threading.RLock()
-"""Serialises runs of FMUs in a process: fmpy's messages do not tell their FMU."""
+"""Serialises runs of FMUs in a process: fmpy's messages do not name their FMU."""
 
 
 class _FmuRunner:

@@ -233,9 +233,7 @@ class _How:
                 wrong = {"Integer": column != np.round(column), "Boolean": (column != 0) & (column != 1)}
                 if (found := wrong.get(v.type)) is not None and found.any():
                     what = "a whole number" if v.type == "Integer" else "0 or 1"
-                    raise InputError(
-                        f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}"
-                    )
+                    raise InputError(f"{name}: {v.name} = {column[found][0]:g} is among its variations; it is {what}")
                 if v.unit in _DOUBTS:
                     _DOUBTS[v.unit](f"{name}: {v.name}", float(column[np.abs(column).argmax()]))
                 place += 1

@@ -112,7 +112,7 @@ class Coupling:
         """Return all results as a table."""
         said = [f"{self.system}: {', '.join(f'{a} against {b}' for a, b in self.compared.items())}"]
         bonds = "; ".join(self.bonds)
-        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so that no energy is told"]
+        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so that no energy is reported"]
         exact = f"{self.reference_error:.1e}"
         said += [f"the one mechanism agrees with itself to {exact} at a tighter tolerance and half the step", ""]
         said += ["master        step [s]    error    energy made [J]   of that passed   tries   time [s]"]

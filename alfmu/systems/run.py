@@ -369,8 +369,8 @@ class Assembly:
                 end = end + np.linalg.solve(self._matrix, miss)
             except np.linalg.LinAlgError:
                 raise StepError(
-                    f"{self.name}, t = {self._time:.6g} s: outputs do not tell inputs at the end of a communication "
-                    f"step of {h:g} s, as the matrix is singular; take another step"
+                    f"{self.name}, t = {self._time:.6g} s: outputs do not determine inputs at the end of a "
+                    f"communication step of {h:g} s, as the matrix is singular; take another step"
                 ) from None
             last = size
         else:
