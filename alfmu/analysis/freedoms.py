@@ -439,8 +439,8 @@ class _Way:
         y = polished(loops, at(t))
         if y is None:
             return
-        told, _ = loops.situation.mobility(y * loops.scale)
-        if told.freedom_here > told.freedom:
+        there, _ = loops.situation.mobility(y * loops.scale)
+        if there.freedom_here > there.freedom:
             v = (at(min(t + 1e-4 * (t2 - t0), t2)) - at(max(t - 1e-4 * (t2 - t0), t0))) * loops.scale
             self.least, self.least_at = min(self.least, float(loops.sizes(y)[-1])), t
             if loops.situation.equations.timed and not loops.freedom:

@@ -82,9 +82,9 @@ def moved_by_law(where: Situation, state: State) -> str:
 
 def check_at_rest(where: Situation, state: State) -> None:
     """Raise InputError if a law of time prescribes motion in this state: there is no equilibrium then."""
-    if told := moved_by_law(where, state):
+    if moving := moved_by_law(where, state):
         raise InputError(
-            f"{where.name}, t = {state.t:.6g} s: {told}, so that nothing is at rest; name a time at which all laws "
+            f"{where.name}, t = {state.t:.6g} s: {moving}, so that nothing is at rest; name a time at which all laws "
             "stand still (their rates and accelerations are zero), or let an input prescribe the motion, which is held"
         )
 

@@ -127,7 +127,7 @@ class Situation:
     """Units of the rows (l,), as found at the start."""
     shares: Vector
     """Weights (l,) whose inverses are the compliances by which redundant constraints share a load."""
-    told: Callable[[Vector, str], tuple[Mobility, Vector]]
+    count_freedoms: Callable[[Vector, str], tuple[Mobility, Vector]]
     """Computes the result of `mobility`, for a position and a word of `COUNTED_ROWS`."""
     rubs: bool = False
     """Whether dry friction counts: sticking joints are fixed, sliding ones have their friction law."""
@@ -158,7 +158,7 @@ class Situation:
     def mobility(self, q: Vector) -> tuple[Mobility, Vector]:
         """Return degrees of freedom near a position (n,), and a regular position near it, by the rule of
         the runtime."""
-        return self.told(q, "in force" if self.rubs else "without friction")
+        return self.count_freedoms(q, "in force" if self.rubs else "without friction")
 
     def at_rest(self, q: Vector) -> State:
         """Return the state at rest in another position (n,), at the same rate of time."""
@@ -224,7 +224,7 @@ def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situatio
     if probe.unit.text:
         warnings.warn(probe.unit.text, AlfmuWarning, stacklevel=3)
 
-    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
+    def count_freedoms(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         probe.place(q)
@@ -232,7 +232,9 @@ def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situatio
 
     x = probe.numbers
     state = State(x["q"].copy(), x["v"].copy(), x["u"].copy(), float(x["t"][0]))
-    found = Situation(source, state, _here(e, x["p"], x["q"]), probe.penalty > 0, probe.units, probe.shares, told, True)
+    found = Situation(
+        source, state, _here(e, x["p"], x["q"]), probe.penalty > 0, probe.units, probe.shares, count_freedoms, True
+    )
     return found.without_friction() if e.frictions else found
 
 
@@ -243,7 +245,7 @@ def situation_of(instance: Instance) -> Situation:
     e, memory = instance.equations, instance.memory
     penalty = instance.penalty
 
-    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
+    def count_freedoms(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         before = instance.q.copy()
@@ -256,7 +258,9 @@ def situation_of(instance: Instance) -> Situation:
     u = np.array(instance.driven)
     state = State(instance.q.copy(), instance.v.copy(), u, instance.time)
     rows = penalty > 0, row_units(e, memory["k"]), row_shares(e, memory["k"], penalty)
-    return Situation(Source(e, changes(e), None, e, {}), state, _here(e, memory["p"], instance.q), *rows, told, True)
+    return Situation(
+        Source(e, changes(e), None, e, {}), state, _here(e, memory["p"], instance.q), *rows, count_freedoms, True
+    )
 
 
 def _by_rk4(equations: Equations) -> Equations:

@@ -328,9 +328,9 @@ def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list
     f = N.shape[1]
     if not f:
         return []
-    for told in (list(wanted), list(where.equations.telling)):
-        if len(told) == f and f and np.linalg.cond(N[told]) < WELL and np.linalg.norm(N[told], 2) > 1 / WELL:
-            return sorted(told)
+    for choice in (list(wanted), list(where.equations.telling)):
+        if len(choice) == f and f and np.linalg.cond(N[choice]) < WELL and np.linalg.norm(N[choice], 2) > 1 / WELL:
+            return sorted(choice)
     # Of coordinates that describe them equally well, the one declared first is preferred.
     weights = 1 - EARLIER * np.arange(len(N)) / len(N)
     return sorted(int(i) for i in qr((weights[:, None] * N).T, mode="r", pivoting=True)[1][:f])

@@ -160,9 +160,9 @@ def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
         declared, plain = pattern.ldl(False)
         if _work(declared) <= MORE * _work(factor):
             return list(plain)
-    told = sorted(order, key=lambda i: i in telling)
-    if _work(ca.DM(pattern, 1)[told, told].sparsity().ldl(False)[0]) <= _work(factor):
-        return told
+    reordered = sorted(order, key=lambda i: i in telling)
+    if _work(ca.DM(pattern, 1)[reordered, reordered].sparsity().ldl(False)[0]) <= _work(factor):
+        return reordered
     return list(order)
 
 

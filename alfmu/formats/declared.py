@@ -67,19 +67,19 @@ def plain_name(name: str) -> str:
 def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str], list[str], str]:
     """Return the declaration, changed names by old ones, notes on the start, and a warning."""
     guessed = _Declaring(linkage, description)
-    mechanism, told, warned = guessed.script.mechanism, [], ""
+    mechanism, notes, warned = guessed.script.mechanism, [], ""
     chosen = {c.name for c in mechanism.coordinates}
     values = guessed.values
     if mechanism.closures:
         closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
         chosen, values = closed.independent, closed.values
         if not chosen:
-            told.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
+            notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
         if closed.gap > _OPEN:
-            told.append(_moved(mechanism, guessed.values, closed))
-            warned = told[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
+            notes.append(_moved(mechanism, guessed.values, closed))
+            warned = notes[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
     final = _Declaring(linkage, description, chosen, values)
-    return final.script, final.renamed, told, warned
+    return final.script, final.renamed, notes, warned
 
 
 def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> str:

@@ -117,10 +117,10 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if not linkage.joints:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
-    script, renamed, told, moved = declared(linkage, title)
+    script, renamed, remarks, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
     warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
-    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *told)
+    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *remarks)
     script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
     doc = "\n".join(
         [f"{title}.", *([""] if (warned or left or notes) else [])]

@@ -59,7 +59,7 @@ def read(root: Node, model: str = "", contacts: str = "refuse") -> Linkage:
     return _File(root, model, contacts).linkage
 
 
-def told(node: Node, tag: str, default: str | None = None) -> str:
+def child_text(node: Node, tag: str, default: str | None = None) -> str:
     """Return the text of a child."""
     child = node.one(tag)
     if child is None:
@@ -77,7 +77,7 @@ def number(node: Node, tag: str, default: float) -> float:
 
 def flag(node: Node, tag: str, default: bool) -> bool:
     """Return a Boolean, true or false, in a child."""
-    said = told(node, tag, str(default)).lower()
+    said = child_text(node, tag, str(default)).lower()
     if said not in ("true", "1", "false", "0"):
         node.fail(f"<{tag}> is {shown(said[:40])}; give true or false")
     return said in ("true", "1")
@@ -209,7 +209,7 @@ class _File:
             node.fail(f"frames are relative to each other in a circle ({' -> '.join([*self.pending, name])[:200]})")
         self.pending.append(name)
         posed = node.one("pose")
-        default = told(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
+        default = child_text(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
         base = (posed.attributes.get("relative_to", "") if posed is not None else "") or default or "__model__"
         found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ (self._given(posed) if posed is not None else Pose())
@@ -218,7 +218,7 @@ class _File:
 
     def _link_of(self, node: Node, tag: str) -> str:
         """Return the link of a joint's parent or child, through frames; empty for the world."""
-        name, seen = told(node, tag), set()
+        name, seen = child_text(node, tag), set()
         while name != "world":
             known(node, name, self.nodes, "link or frame")
             found = self.nodes[name]

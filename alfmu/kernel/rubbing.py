@@ -20,7 +20,7 @@ from ..method.singular import NOISE_FLOOR
 from .form import Loop, Step
 from .symbolic import MATRICES, Scene, Watch
 
-__all__ = ["power", "rub", "supply", "told"]
+__all__ = ["grip", "power", "rub", "supply"]
 
 
 class Calls(Protocol):
@@ -158,7 +158,7 @@ def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_po
     calls(name, f"{known} {a} p k", result, found)
 
 
-def told(calls: Calls, known: str, a: str, lam: str) -> None:
+def grip(calls: Calls, known: str, a: str, lam: str) -> None:
     """Compute the quantities that decide on sticking and sliding: multipliers of the constraints of joints, their
     limits, second rates, and the convergence of the laws."""
     scene, e = calls.scene, calls.scene.e

@@ -151,14 +151,14 @@ class _Patient(Alternatives):
         plan = self.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
-        def told(D: SX, watch: SX) -> SX:
+        def margin_of(D: SX, watch: SX) -> SX:
             near, margin = careful.scene.margin(D)
             return Watch.of(watch)._replace(near=near, margin=margin).vector()
 
         self._unpacked(calls)
         Tracer.evaluation(self, calls, "0")
         calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
-        careful("margin_told", "k D watch0", "watch0", told)
+        careful("margin_told", "k D watch0", "watch0", margin_of)
         calls.made += careful.made
         known = spaced("z u p k C xi a0 lam0 watch0 singular", self.losses)
         if self.redundant:
@@ -225,7 +225,7 @@ class _Patient(Alternatives):
         self.evaluation(calls, "0", {"u": u})
         if self.redundant:
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
-        rubbing.told(calls, f"t0 q0 v0 {u}", "a0", "lam0")
+        rubbing.grip(calls, f"t0 q0 v0 {u}", "a0", "lam0")
         return Program(calls.steps)
 
     def pivots(self, plan: Plan) -> None:

@@ -534,8 +534,8 @@ class Scene:
     def _rate(self, here: SX, before: SX, after: SX) -> SX:
         """S2: return the distance covered by one spacing along v, from margins; 0 if it is indistinguishable."""
         squared = branch.curvature(before, here, after)
-        told = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
-        return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+        clear = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
+        return ca.if_else(clear, ca.sqrt(ca.fmax(squared, 0)), 0)
 
     def places(self, q: SX, v: SX, spacing: SX, side: int) -> list[SX]:
         """S4: return the positions from which a limit is taken."""
@@ -585,8 +585,8 @@ class Scene:
         )
         margin = Watch.of(watch).margin
         limit, pole, magnified = self._with_pole(lam)
-        told, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
-        rough, coarse = (self._with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
+        use_pole, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
+        rough, coarse = (self._with_pole(x, use_pole)[0] for x in (fewer, branch.fewer(fewer)))
         change = ca.mmax(ca.fabs(limit - rough))
         lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
         direct = ca.logic_and(margin > self.settings.nothing, lost < change)
@@ -602,7 +602,7 @@ class Scene:
         loads = ca.mmax(ca.fabs(ca.vertcat(F, C.T @ lam))) / self.scale
         return branch.reading_error(Watch.of(watch).margin, EPSILON) * loads
 
-    def _with_pole(self, values: dict[int, SX], told: SX | float = 1.0) -> tuple[SX, SX, SX]:
+    def _with_pole(self, values: dict[int, SX], use_pole: SX | float = 1.0) -> tuple[SX, SX, SX]:
         """Compute `singular.with_pole`."""
         limit, first, second = map(ca.densify, branch.pole(values))
         least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
@@ -611,7 +611,7 @@ class Scene:
             more = ca.fabs(first[i]) > ca.fabs(steepest)
             steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
         pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
-        beside = told * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        beside = use_pole * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
         limit -= ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0)
         return limit, pole, ca.if_else(beside, (steepest / at) ** 2, 0)
 

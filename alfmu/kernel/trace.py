@@ -524,11 +524,10 @@ class Tracer:
         if self.e.l:
             calls(f"{calls.scene.kind}_along", f"q {dq} {dv} p k", f"{dq} {dv}", calls.scene.along)
 
-    def settle(self, calls: Calls, q: str = "q", v: str = "v", told: str = "pivot left") -> None:
-        """Compute v after corrections (10), and the names in `told`: the smallest pivot and the residuals (squared) of
-        q and v."""
+    def settle(self, calls: Calls, q: str = "q", v: str = "v", results: str = "pivot left") -> None:
+        """Compute v after corrections (10), and into `results` the smallest pivot and squared residuals of q, v."""
         corrections, settled = calls.plan.corrections, calls.scene.settled
-        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {told}", lambda q, v: settled(q, v, corrections))
+        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {results}", lambda q, v: settled(q, v, corrections))
 
     def settle_well(self, calls: Calls) -> None:
         """Do so at the end of a step; on the branch until converged, as corrections gain little near a singular

@@ -188,11 +188,11 @@ def limit_error(change: Array, before: Array, largest: Array, magnified: Array, 
     return change * change / (change + before + TINY) + noise * (1 + magnified)
 
 
-def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, bool, float]:
+def with_pole(values: dict[int, NDArray], use_pole: bool = True) -> tuple[NDArray, bool, float]:
     """S4: return reactions (l,) from those before and after, whether a pole is near, and by how much it magnifies
     round-off.
 
-    Near a pole this is the value here; at the pole itself, or with `told` false, it is the finite part.
+    Near a pole this is the value here; at the pole itself, or with `use_pole` false, it is the finite part.
     """
     limit, first, second = pole(values)
     largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)
@@ -200,7 +200,7 @@ def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, b
     if not np.abs(first[steepest]) > POLE_SEEN * largest or not abs(second[steepest]) < abs(first[steepest]):
         return limit, False, 0.0
     place = second[steepest] / first[steepest]
-    if not told or abs(place) <= POLE_ZERO:
+    if not use_pole or abs(place) <= POLE_ZERO:
         return limit, True, 0.0
     return limit - np.where(np.abs(first) > POLE_SEEN * largest, first, 0.0) / place, True, 1 / place**2
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .mechanism import Mechanism
 
-__all__ = ["content", "told"]
+__all__ = ["content", "value_text"]
 
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -38,7 +38,7 @@ def content(mechanism: Mechanism) -> str | None:
     return hashlib.sha256(f"{text!r}{program.serialize()}".encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def told(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Return a value without expressions as text; raise TypeError if its type has no text."""
     said = _Said()
     text = repr(said.of(value))

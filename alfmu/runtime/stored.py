@@ -25,7 +25,7 @@ from ..equations.evaluation import ARGUMENTS, EVALUATED
 from ..equations.types import Decision, Survey
 from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
-from ..model.content import told
+from ..model.content import value_text
 from ..model.kept import latest
 
 __all__ = ["Start", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
@@ -165,7 +165,7 @@ def _digest(value: Any) -> str:
     """Return a digest of a field or a function; found once for what cannot change and many equations may share."""
 
     def made() -> tuple[Any, str]:
-        text = value.serialize() if hasattr(value, "serialize") else told(value)
+        text = value.serialize() if hasattr(value, "serialize") else value_text(value)
         return value, hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
     shared = isinstance(value, tuple) or hasattr(value, "serialize")

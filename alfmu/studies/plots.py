@@ -40,16 +40,16 @@ def against_time(
     rows: Sequence[Row],
     quantities: Sequence[str],
     time: str,
-    told: str,
+    style_by: str,
     group: str,
     floors: Mapping[str, float | None],
 ) -> Figure:
-    """Plot quantities against run time, with a panel for each; values of the column `told` have a line style each.
+    """Plot quantities against run time, with a panel for each, and a line style for each value of `style_by`.
 
     Buttons select a value of the column `group`; other codes are always visible. `floors` are errors of the reference.
     """
     own = [r for r in rows if r["code"] == "alfmu"]
-    kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (told, group))
+    kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (style_by, group))
     figure = _panels(quantities, 2, f"run time, {time}")
     data = figure["data"]
     of: list[str | None] = []
@@ -59,8 +59,8 @@ def against_time(
         lines.setdefault((integrator(row), *(row[x] for x in ("code", "formulation", "way"))), []).append(row)
     for key, line in lines.items():
         mine = line[0]["code"] == "alfmu"
-        name = f"{key[0]}, {line[0][told]}" if mine else f"{key[0]} ({line[0]['language']})"
-        kind = line_of(str(line[0][told]), kinds) if mine else LINE_OF_OTHERS
+        name = f"{key[0]}, {line[0][style_by]}" if mine else f"{key[0]} ({line[0]['language']})"
+        kind = line_of(str(line[0][style_by]), kinds) if mine else LINE_OF_OTHERS
         first = True
         for i, quantity in enumerate(quantities):
             known = [r for r in line if _drawn(r.get(quantity)) and _drawn(r.get(time))]

@@ -62,7 +62,7 @@ class Stop:
 
     def __init__(self) -> None:
         self.asked = 0
-        self.told: Callable[[], None] = bool  # type: ignore[assignment]
+        self.on_request: Callable[[], None] = bool  # type: ignore[assignment]
 
     def __call__(self) -> bool:
         return self.asked > 0
@@ -71,7 +71,7 @@ class Stop:
         self.asked += 1
         if self.asked > 1:
             raise KeyboardInterrupt
-        self.told()
+        self.on_request()
 
 
 @contextmanager

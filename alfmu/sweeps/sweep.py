@@ -131,7 +131,7 @@ def sweep(
             _check_form(form)
             store = stack.enter_context(Folder.opened(plan, Path(folder), form))
         stop = stack.enter_context(stopping())
-        stop.told = partial(
+        stop.on_request = partial(
             _LOGGER.warning, "%s: ending once the runs under way are kept; once more ends at once", job.name
         )
         done = show(progress, plan.cases)
