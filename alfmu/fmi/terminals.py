@@ -15,7 +15,7 @@ _MEMBERS = {
     "N.m": {"torque": "", "angle": "angle", "angular_velocity": "angular_velocity"},
     "N": {"force": "", "position": "position", "velocity": "velocity"},
 }
-"""Members of a terminal and their variables, by the unit of its driving input; the first is the input."""
+"""Members of a terminal, the first its driving input, with suffixes of their variables, by the unit of that input."""
 
 
 def terminals(mechanism: Mechanism, names: Collection[str]) -> dict[str, dict[str, str]]:

@@ -462,7 +462,7 @@ class Scene:
     # Singular positions --------------------------------------------------------------------------------------------
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
-        """S2: whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[self.e.order]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue

@@ -54,7 +54,7 @@ class Body(Protocol):
 
 
 class Marker(Protocol):
-    """`mechanism.Marker`."""
+    """Interface of `mechanism.Marker`."""
 
     @property
     def body(self) -> Body: ...
@@ -103,7 +103,7 @@ _RUN = 4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rim(Brief):
-    """A line that pictures show on a body: points (x, y) [m] of its frame; `filled` where it goes around a disc."""
+    """A curve on a body in pictures: points (x, y) [m] in its frame; `filled` if it bounds a disc."""
 
     body: Body
     points: tuple[tuple[Scalar, Scalar], ...]

@@ -676,9 +676,9 @@ _NONE = 1e-30
 
 
 def with_turns(sine: ca.SX, cosine: ca.SX, near: ca.SX) -> ca.SX:
-    """Return the angle of a sine and a cosine, times one length, that is within half a turn of where it was last [rad].
+    """Return the angle [rad] within half a turn of `near`, from its sine and cosine times a common length.
 
-    Without jumps, and atan2 alone where it was at zero.
+    It has no jumps near `near`; for `near` = 0 it is atan2.
     """
     c, s = ca.cos(near), ca.sin(near)
     return near + ca.atan2(sine * c - cosine * s, cosine * c + sine * s)

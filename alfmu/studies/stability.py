@@ -418,7 +418,7 @@ def _of(study: Study) -> dict[str, list[Row]]:
 
 
 def maps_of(study: Study) -> list[Map]:
-    """Return the maps of a mechanism; if there are others, maps without time are left out."""
+    """Return the maps of a mechanism; maps skipped for lack of time are left out, unless all are."""
     drawn = []
     for title, cells in _of(study).items():
         columns, rows = (list(dict.fromkeys(c[x] for c in cells)) for x in ("column", "row"))

@@ -194,7 +194,7 @@ def shade(color: str, share: float = RIM) -> str:
 
 
 def rim_of(color: str) -> str:
-    """Return the colour of a rim; both may be names."""
+    """Return the colour of the rim of a colour, either by name or as #rrggbb."""
     return INK if color in ("white", "steel", "faint") else shade(PALETTE.get(color, color))
 
 

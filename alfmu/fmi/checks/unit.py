@@ -52,7 +52,7 @@ TYPES = {
 """Types with functions to get and set them; Binary and Clock of FMI 3 are left out."""
 
 _STATE_2 = {"Deserialize": "DeSerialize"}
-"""Spelling in FMI 2 of functions of the state."""
+"""Names of state functions in FMI 2 that FMI 3 spells differently."""
 
 
 _ONCE = "canBeInstantiatedOnlyOncePerProcess is true, and this check takes more than one instance"
