@@ -34,11 +34,14 @@ __all__ = ["READ", "beginning", "passed", "standalone"]
 
 
 def passed(equations: Traced) -> dict[str, int]:
-    """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
-    where the motion may end; the communication point and the time derivatives of the inputs there; iterations of (8) as
-    printed after the first one; zeta and omega; whether steps end with projections, and multipliers are those of least
-    norm; which formulation is chosen beside `residual`; whether a step follows the branch of the motion, and whether it
-    goes on with what was read; where past inputs are kept, whether the communication step under way began before."""
+    """Return the values that the C runtime passes to programs, with their lengths.
+
+    They are: the limit of multiplier iterations, and whether the motion may end; the communication point and the time
+    derivatives of the inputs there; the number of iterations of (8) as printed after the first; zeta and omega; whether
+    steps end with projections, and multipliers have least norm; which formulation other than `residual` is selected;
+    whether a step follows the branch of the motion, and whether it continues from the evaluated outputs; storage of
+    past inputs, and whether the current communication step began before.
+    """
     names = ["most", "patient", "slopes", "again", "stabilisation", "projects", "of_least_norm", *CHOSEN.values()]
     names += ["on_branch", "onward"]
     names += ["within"] * ("reach" in equations.kernel)

@@ -310,7 +310,7 @@ class Tracer:
         return found
 
     def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
-        """What an integrator needs of a stage, as the plan has it; i is part of each name."""
+        """Make the calls that an integrator needs for a stage, by the plan; i is part of each name."""
         if calls.plan.branch:
             self._on_branch(calls, i, u, length, i == "1")
         else:

@@ -216,8 +216,8 @@ PROFILES = {
     "paper": (PAPER, replace(PAPER, paper=paper.QUICK)),
     "peers": (PEERS, replace(PEERS, factors=PEERS.factors[:4], tolerances=PEERS.tolerances[:3], limit=3.0, repeats=3)),
 }
-"""What a report is about, and its quick form: all of it; tolerances over whole runs; the study of the paper in full;
-run times at equal error beside codes that are tuned to a mechanism."""
+"""Profiles of a report, with their quick forms: all of it; tolerances over whole runs; the complete study of the paper;
+run times at equal error against codes tuned to a mechanism."""
 
 
 @dataclass(frozen=True)
