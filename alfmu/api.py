@@ -145,6 +145,7 @@ def export(
     kind: str | None = None,
     platforms: Sequence[str] | None = None,
     fmi: int | None = None,
+    derivatives: bool | None = None,
     reference: bool | None = None,
 ) -> Path:
     """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
@@ -154,8 +155,15 @@ def export(
     The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
     ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
     """
-    own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
-    recipe = recipe_of(mechanism).changed(**own, kernel=kernel, start=start, kind=kind, platforms=platforms, fmi=fmi)
+    own: dict[str, Any] = {
+        "options": options,
+        "parameters": parameters,
+        "outputs": outputs,
+        "freeze": freeze,
+        "kernel": kernel,
+    }
+    own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi}
+    recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference)
     return _written(recipe, path, rest_of(recipe))
 
 

@@ -450,7 +450,7 @@ def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypa
 @pytest.mark.slow
 def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
     few, many = (tables.alone(e) for e in chains)
-    for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limit_change"):
+    for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limits"):
         one, two = code(few.functions[name]), code(many.functions[name])
         assert many.functions[name].n_instructions() > 1.9 * few.functions[name].n_instructions()
         assert two.words.size + two.results.size < 1.25 * (one.words.size + one.results.size), name

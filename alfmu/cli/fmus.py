@@ -32,11 +32,10 @@ not forbid and what hides mistakes of importers; a note is worth knowing. Exit c
 3: nothing did, and most could not be judged."""
 
 NOT_JUDGED = 3
-"""Exit code where an FMU could not be judged."""
+"""Exit code if an FMU could not be judged."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
     add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
@@ -61,6 +60,11 @@ def add(command: Command) -> None:
         *STEP, dest="step", type=float, metavar="S", help="communication step of the default experiment in s"
     )
     add_start(sub)
+    sub.add_argument(
+        "--derivatives",
+        action=argparse.BooleanOptionalAction,
+        help="have directional derivatives in a native FMU (default) or, to be smaller, leave them out",
+    )
     sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
@@ -123,9 +127,10 @@ def _export(chosen: argparse.Namespace) -> None:
         kernel=chosen.kernel,
         stop_time=chosen.stop_time,
         communication_step=chosen.step,
+        derivatives=chosen.derivatives,
         reference=chosen.reference,
     )
-    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
+    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # empty if -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
     glibc = libraries_in(path, recipe.kind)
@@ -143,7 +148,7 @@ def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
     own = ["kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
-    own += ["option", "set", "compliances", "reference"]
+    own += ["option", "set", "compliances", "derivatives", "reference"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
     if not chosen.ssp:

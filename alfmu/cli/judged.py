@@ -1,4 +1,4 @@
-"""Commands that judge: report, stability."""
+"""Commands for studies of accuracy: report, stability."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ network; --quick takes less than a minute for a mechanism. Needs pip install 'al
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
     sub.add_argument(

@@ -40,7 +40,6 @@ with."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     command("list", _list, "list the mechanisms that have a name: registered ones, and those of the gallery")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
@@ -180,7 +179,7 @@ def _live(chosen: argparse.Namespace) -> None:
 
 
 def _scene_options(chosen: argparse.Namespace) -> list[str]:
-    """What was said of a scene, as options of the command line."""
+    """Return the given options of a scene as a command line."""
     said = [
         text
         for name in ("option", "set")

@@ -1,4 +1,4 @@
-"""Commands that concern this machine: cache, completion."""
+"""Commands for this machine: cache, completion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..model.errors import InputError
 from .options import Command
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
-"""Shells whose completion argcomplete knows."""
+"""Shells with completion by argcomplete."""
 
 
 _CACHE = f"""Scenes and compiled kernels are kept for the next start, up to {LIMIT / 1e6:.0f} MB; files that nobody used
@@ -18,7 +18,6 @@ for longest go first. {VARIABLE}=FOLDER in the environment moves the folder, {VA
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("cache", _cache, "show or clear the folder in which scenes and compiled kernels are kept")
     sub.epilog = _CACHE
     sub.add_argument("--clear", action="store_true", help="remove all files that alfmu keeps there")

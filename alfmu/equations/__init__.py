@@ -1,4 +1,4 @@
-"""Declaration to equations: what derivation hands on, and what numbers need of it.
+"""Equations derived from a declaration, and their evaluation.
 
 Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`, `types`.
 """

@@ -1,5 +1,4 @@
-"""Change what a scene begins with before it is traced: leave out outputs nobody reads and parameters that never change,
-start elsewhere."""
+"""Specialise a scene before it is traced: leave out outputs, freeze parameters, change the start."""
 
 from __future__ import annotations
 
@@ -28,14 +27,14 @@ ALL = "all"
 def specialised(
     equations: Equations, outputs: Iterable[str] | None = None, freeze: Sequence[str] | None = None
 ) -> Equations:
-    """Return the same equations with what is not needed left out: outputs but those that match, parameters to freeze.
+    """Return the same equations with only the outputs that match, and with frozen parameters folded in.
 
-    `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
-    `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
-    outputs that they are of; one such as `A.force.peak` for the largest magnitude of an output, or of a vector of them,
-    within each communication step; `monitor.reaction_error` is left out unless it is named. `freeze` are parameters of
-    the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in but what
-    has to be asked for. Raises InputError if a pattern matches no output, or a name is no parameter.
+    `outputs` are names or patterns such as `link*.angle`; other outputs are not computed. A pattern such as
+    `link*.angle/A.torque` requests entries of the interface Jacobian, which no other pattern matches, and their
+    outputs; one such as `A.force.peak` requests the largest magnitude of an output, or of a vector of outputs, within
+    each communication step; `monitor.reaction_error` must be named. `freeze` names parameters of the mechanism that
+    become constants at their defaults, `["all"]` for every one. None leaves out only outputs that must be requested.
+    Raises InputError if a pattern matches no output, or a name is no parameter.
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
@@ -47,12 +46,11 @@ def starting_at(
     states: Mapping[str, float] | None = None,
     kept: Sequence[float] | NDArray[np.float64] = (),
 ) -> Stage:
-    """Return the same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved
-    along.
+    """Return the same equations that start at rest at q (n,), with start values and guesses adapted.
 
-    Further states, by name, start at the given values. With other defaults they start beside it, as far as guesses and
-    start values lead. What is traced stays. `kept` are the numbers of `Equations.held`, which guesses contain where
-    laws of time and signals move something.
+    States, by name, start at the given values. With other parameters they start nearby, as far as guesses and start
+    values lead. Traced programs stay valid. `kept` are the values of `Equations.held`, which guesses contain if laws of
+    time and signals prescribe motion.
     """
     e, x = equations, symbols(equations)
     p = [v.start for v in e.parameters] + (list(kept) or [0.0] * len(e.held))
@@ -75,18 +73,18 @@ def starting_at(
 
 
 def plain(outputs: Iterable[str]) -> list[str]:
-    """Patterns of outputs, with the outputs in place of entries of the interface Jacobian."""
+    """Return patterns of outputs, with entries of the interface Jacobian replaced by their outputs."""
     return [pattern.partition("/")[0] for pattern in ([outputs] if isinstance(outputs, str) else outputs)]
 
 
 def without_steps(outputs: Iterable[str]) -> list[str]:
-    """Return the same, with the outputs in place of peaks, too."""
+    """Return patterns of outputs, with peaks and entries of the interface Jacobian replaced by their outputs."""
     return [f"{x.removesuffix(PEAK)}*" if x.endswith(PEAK) else x for x in plain(outputs)]
 
 
 def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
-    """Return entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for
-    none."""
+    """Return entries of the interface Jacobian that match a pattern such as `link*.angle/A.torque`; none for other
+    patterns."""
     output, by, wanted = pattern.partition("/")
     if not by:
         return set()
@@ -100,7 +98,7 @@ def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
 
 
 def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
-    """Return the same equations with those outputs and monitors alone that match a pattern."""
+    """Return the same equations with only the outputs and monitors that match a pattern."""
     e = equations
     asked = [patterns] if isinstance(patterns, str) else list(patterns)
     entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
@@ -123,7 +121,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     return evaluable(
         _changed(
             e,
-            # Work is integrated for the balance of energy.
+            # Only the energy balance needs integrated work.
             works=e.works and bool(BALANCE - {*left, *monitors}),
             outputs=[e.outputs[i] for i in kept],
             wrapped={name: at for name, at in e.wrapped.items() if name in needed or _matches(name, patterns)},
@@ -136,7 +134,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
 
 
 def _magnitudes(e: Equations) -> dict[str, list[str]]:
-    """What can have a peak, and the outputs that it consists of: each output, and vectors of them."""
+    """Return what can have a peak, with its outputs: each output, and vectors of outputs."""
     found = {v.name: [v.name] for v in e.outputs}
     for name in found.copy():
         base, _, axis = name.rpartition(".")
@@ -146,7 +144,7 @@ def _magnitudes(e: Equations) -> dict[str, list[str]]:
 
 
 def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
-    """Return the same equations with parameters folded into them; start values and numbers of the solver stay."""
+    """Return the same equations with parameters folded in; start values and solver variables stay."""
     e = equations
     own = [p.name for p in e.parameters]
     names = own if list(names) == [ALL] else list(names)
@@ -173,7 +171,7 @@ def _changed(e: Equations, **changes: Any) -> Equations:
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:
-    """Return the functions that derivation gave, without what was made of them."""
+    """Return the functions from derivation, without those derived from them."""
     return {name: e.functions[name] for name in ARGUMENTS if name in e.functions}
 
 

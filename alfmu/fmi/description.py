@@ -1,4 +1,4 @@
-"""The modelDescription.xml of an FMU, and its documentation page: everything a tool shows before the first step."""
+"""The modelDescription.xml of an FMU and its documentation page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 LICENSE = "MIT"
 
 Choices = Mapping[str, Mapping[str, str]]
-"""Variables of a native FMU that are text: what each can be in it, and what that is."""
+"""Text variables of a native FMU: their possible values, with descriptions."""
 
 _LOG_CATEGORIES = {
     "logStatusWarning": "Something was left as it was",
@@ -47,10 +47,12 @@ def model_description(
     sources: Sequence[str] = (),
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    directional: bool = True,
 ) -> bytes:
-    """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
+    """Return modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
+    A native FMU may have directional derivatives.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -79,7 +81,7 @@ def model_description(
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative=str(native).lower(),
+        providesDirectionalDerivative=str(native and directional).lower(),
         maxOutputDerivativeOrder=str(2 * native),
     )
     if sources:
@@ -109,8 +111,9 @@ def model_description3(
     variables: Sequence[tuple[str, Variable]],
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    directional: bool = True,
 ) -> bytes:
-    """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
+    """Return modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
     e, variables = equations, enumerated(variables, choices)
     root = ET.Element(
         "fmiModelDescription",
@@ -130,8 +133,8 @@ def model_description3(
         modelIdentifier=e.name,
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        providesDirectionalDerivatives="true",
-        providesAdjointDerivatives="true",
+        providesDirectionalDerivatives=str(directional).lower(),
+        providesAdjointDerivatives=str(directional).lower(),
         canHandleVariableCommunicationStepSize="true",
         maxOutputDerivativeOrder="2",
         canReturnEarlyAfterIntermediateUpdate="true",
@@ -167,11 +170,11 @@ def model_description3(
 
 
 _TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
-"""Types of FMI 2 and of FMI 3."""
+"""FMI 3 types of FMI 2 types."""
 
 
 def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:
-    """The same variables, those that are text as numbers of what this FMU takes, from 1 on."""
+    """Return the variables with text ones as enumerations, whose items are the values of this FMU, counted from 1."""
 
     def numbered(v: Variable) -> Variable:
         items = list(choices[v.name])
@@ -184,7 +187,7 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
 
 
 def _convention(e: Equations) -> str:
-    """How variables are called: names of the interface Jacobian have a slash, which structured ones cannot have."""
+    """Return the naming convention: names of the interface Jacobian have a slash, which structured names forbid."""
     return "flat" if e.jacobian else "structured"
 
 
@@ -194,7 +197,7 @@ def _items(element: ET.Element, items: Mapping[str, str]) -> None:
 
 
 def build_description(identifier: str, sources: Sequence[str]) -> bytes:
-    """buildDescription.xml (FMI 3.0) of C files."""
+    """Return buildDescription.xml (FMI 3.0) of C files."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")
@@ -226,7 +229,7 @@ def _units(root: ET.Element, names: Sequence[str]) -> None:
 
 
 def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str], dict[str, str]]:
-    """What is said of a variable, and of the values it can have."""
+    """Return the attributes of a variable, and those of its type."""
     continuous = v.type == "Real" and not v.of_step
     variability = "fixed" if causality == "parameter" else "continuous" if continuous else "discrete"
     head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
@@ -251,7 +254,7 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
 
 
 def _structure(root: ET.Element, e: Equations, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
-    """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none.
+    """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
 
     A Boolean input takes effect in the next step.
     """
@@ -274,20 +277,20 @@ def _structure(root: ET.Element, e: Equations, causalities: Sequence[str], varia
 
 
 _LATER = ("step_size", "relative_tolerance", "absolute_tolerance", "input_order", "method")
-"""Of the solver: what has no effect before the first step."""
+"""Solver variables without effect before the first step."""
 
 
 def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], output: Variable) -> list[int]:
-    """Places of the variables that an output may depend on when a run begins.
+    """Return the indices of the variables on which an output may depend at initialisation.
 
-    Those are parameters, Boolean inputs, which take effect at once at the start, inputs that move something, as the run
-    starts where these are, and what the output follows later too. What belongs to a communication step is zero then.
+    These are parameters, Boolean inputs (effective at once at the start), inputs that prescribe motion (the run starts
+    at their values), and the output's dependencies in steps. Outputs of a communication step are zero then.
     """
     if output.of_step:
         return []
     later = {f"solver.{name}" for name in _LATER}
     moving = {v.name for each in e.followed for v in e.inputs[each.input : each.input + 1 + each.derivatives]}
-    if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
+    if output.name == "monitor.iterations":  # counts the iterations of the start, which differ between methods
         later -= {"solver.method"}
     return [
         i
@@ -298,7 +301,7 @@ def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], outpu
 
 
 def _display(unit_name: str) -> str | None:
-    """Angles are read in degrees."""
+    """Return the display unit: degrees for angles."""
     return {"rad": "deg", "rad/s": "deg/s"}.get(unit_name)
 
 
@@ -337,7 +340,8 @@ def documentation(
     picture: str,
     variables: Sequence[tuple[str, Variable]] | None = None,
 ) -> str:
-    """documentation/index.html: the picture that stands in the archive, sketch, equations, all variables, needs."""
+    """Return documentation/index.html: sketch, equations, all variables, requirements; the picture is in
+    the archive."""
     e = equations
     body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
     sketch_block = f"<pre>{html.escape(sketch.strip())}</pre>" if sketch and not readme else ""
@@ -367,7 +371,7 @@ def documentation(
 
 
 def dependencies() -> str:
-    """What an FMU for Python needs from outside, in one line."""
+    """Return the requirements of an FMU for Python, in one line."""
     return (
         "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later), and "
         "no package. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."

@@ -51,10 +51,10 @@ from .terminals import document, terminals
 __all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
 
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
-"""Modules of alfmu that travel inside an FMU for Python, beside the C library."""
+"""Modules of alfmu packed into an FMU for Python, beside the C library."""
 
 HOSTS = ("linux64", "win64")
-"""Platforms that pythonfmu has a library for."""
+"""Platforms supported by pythonfmu's library."""
 
 _ENTRY = '''"""FMU entry of {name}: the class that pythonfmu runs."""
 
@@ -66,11 +66,12 @@ class {title}(Slave):
 '''
 
 _PINNED = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every file in the archive: the earliest that zip can hold."""
+"""Time stamp of every file in the archive, the earliest of the zip format."""
 
 
 class Rest(Protocol):
-    """A position of rest, as `alfmu.Equilibrium` has it: coordinates, states, and what locks and motions keep."""
+    """An equilibrium with the interface of `alfmu.Equilibrium`: coordinates, states, stored values of locks and
+    motions."""
 
     @property
     def q(self) -> Any: ...
@@ -81,8 +82,8 @@ class Rest(Protocol):
 
 
 def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = None) -> Path:
-    """Write the FMU of a recipe, which starts in a position of rest where one is given, and return its path; see
-    `alfmu.export`."""
+    """Write the FMU of a recipe and return its path; `rest` is an equilibrium in which it starts;
+    see `alfmu.export`."""
     declared = recipe.declared()
     every, equations = _scene(recipe, declared, rest)
     path = Path(path or f"{equations.name}.fmu")
@@ -102,7 +103,7 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
 
 
 def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
-    """The files of an FMU of kind python."""
+    """Return the files of an FMU of kind python."""
     from pythonfmu.builder import FmuBuilder
 
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
@@ -140,7 +141,7 @@ def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
 
 
 def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dict[str, bytes]]:
-    """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
+    """Return the description of an FMU of kind python and the files of its scene, for pythonfmu's own command."""
     recipe = recipe.changed(kind="python")
     declared = recipe.declared()
     _, equations = _scene(recipe, declared, rest)
@@ -157,7 +158,7 @@ def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equa
 
 
 def _resources(recipe: Recipe, equations: Traced, scene: bytes, guid: str) -> dict[str, bytes]:
-    """The files of a scene by name, with compiled functions where there are any."""
+    """Return the files of a scene by name, with compiled functions if there are any."""
     files = {SCENE: identified(scene, guid), OPTIONS: _options(recipe, equations)}
     if equations.library:
         library = compiled_scene(equations, files[SCENE])
@@ -166,7 +167,7 @@ def _resources(recipe: Recipe, equations: Traced, scene: bytes, guid: str) -> di
 
 
 def _generator() -> str:
-    """What makes FMUs of kind python."""
+    """Return the generator of FMUs of kind python."""
     return f"alfmu {importlib.metadata.version('alfmu')} with pythonfmu {importlib.metadata.version('pythonfmu')}"
 
 
@@ -194,10 +195,10 @@ def packed_scene(
 
 
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
-    """The files of a native FMU."""
+    """Return the files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi), packed(e)
+    files, scene = native.sources(recipe.fmi, native.left_out(e, recipe.derivatives)), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
@@ -206,11 +207,12 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
+    facts = _credits(declared), choices, recipe.derivatives
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
+        described = model_description(e, version, generator, guid, variables, compiled, *facts)
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
+        described = model_description3(e, version, generator, guid, variables, *facts)
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
@@ -234,11 +236,11 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
 
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
-"""Where tools look for a picture."""
+"""Path of the picture by version of FMI."""
 
 
 def _credits(declared: Mechanism) -> dict[str, str]:
-    """Author and copyright; the date where SOURCE_DATE_EPOCH gives one, as the same arguments give the same bytes."""
+    """Return author and copyright, and the date if SOURCE_DATE_EPOCH is set, so that exports are reproducible."""
     rights = next((line for line in _license("alfmu").splitlines() if line.startswith("Copyright")), "")
     date = ""
     if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
@@ -250,7 +252,7 @@ def _credits(declared: Mechanism) -> dict[str, str]:
 
 
 def _options(recipe: Recipe, equations: Equations) -> bytes:
-    """What the FMU is of: the mechanism, by which it is drawn, and its options."""
+    """Return the file with the mechanism, from which it is drawn, and its options."""
     registered = isinstance(recipe.mechanism, str) and not is_file(recipe.mechanism)
     facts = {"mechanism": recipe.mechanism if registered else equations.name, "options": equations.options}
     return json.dumps(facts, indent=1).encode()
@@ -271,7 +273,7 @@ def _write(path: Path, text: str) -> Path:
 
 
 def _license(distribution: str) -> str:
-    """Licence text of an installed package, or its declared licence."""
+    """Return the licence text of an installed package, or its declared licence."""
     for file in importlib.metadata.files(distribution) or ():
         if re.search(r"LICEN[CS]E", file.name) and Path(str(file.locate())).is_file():
             return file.read_text()
@@ -282,7 +284,7 @@ def _license(distribution: str) -> str:
 
 @contextmanager
 def _imports_undone(*names: str) -> Iterator[None]:
-    """Leave no trace of modules and search paths that packing imports."""
+    """Remove modules and search paths that packing imports."""
     path = list(sys.path)
     try:
         yield
@@ -294,7 +296,7 @@ def _imports_undone(*names: str) -> Iterator[None]:
 
 @contextmanager
 def _temporary_in(folder: Path) -> Iterator[None]:
-    """Have a library make its temporary folders in this one, which is removed even after a kill."""
+    """Redirect a library's temporary folders to this folder, which is removed even after a kill."""
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
     try:
         yield
@@ -303,7 +305,7 @@ def _temporary_in(folder: Path) -> Iterator[None]:
 
 
 def archive(path: Path, files: Mapping[str, bytes]) -> None:
-    """A zip archive of these files, sorted, compressed, and free of time stamps and owners."""
+    """Write a zip archive of these files, sorted, compressed, without time stamps and owners."""
     with atomic(path) as file, zipfile.ZipFile(file, "w") as packed_files:
         for name in sorted(files):
             info = zipfile.ZipInfo(name, _PINNED)

@@ -23,10 +23,13 @@ from .form import Call, LeastNorm
 from .symbolic import MATRICES, Scene, Watch
 from .trace import Calls, Tracer, spaced
 
-__all__ = ["OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
+__all__ = ["CHOSEN", "OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
 
 OWN = Settings.formulation
-"""The formulation of every program whose name says no other."""
+"""The formulation of every program but those that serve all of them."""
+
+CHOSEN = {name: f"by_{name}" for name in FORMULATIONS if name != OWN}
+"""Names of the numbers by which the runtime tells programs that another formulation is chosen."""
 
 SYSTEMS = ("baumgarte", "dae")
 """Formulations that solve the dense system (9) of all coordinates and constraints."""
@@ -44,32 +47,29 @@ def formulations(equations: Equations) -> list[str]:
 
 
 def alternatives(equations: Equations) -> list[str]:
-    """The formulations that have programs of their own."""
-    return [name for name in formulations(equations) if name != OWN and equations.l]
+    """The formulations beside `residual` that programs can choose; dry friction belongs to `residual` alone."""
+    e = equations
+    return [name for name in formulations(e) if name != OWN and e.l and not e.frictions]
 
 
 class Alternatives(Tracer):
     """Traces evaluations by the formulation that is chosen."""
 
-    formulation = OWN
+    chooses = False
+    """Whether evaluations serve all formulations, not `residual` alone."""
 
-    def by(self, formulation: str) -> Self:
-        """The same tracer, sharing its functions, for another formulation."""
+    def of_all(self, chooses: bool = True) -> Self:
+        """The same tracer, sharing its functions, for all formulations."""
         other = copy.copy(self)
-        other.formulation = formulation
+        other.chooses = chooses
         return other
-
-    def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
-        """Dry friction belongs to the multiplier iteration alone; the runtime refuses it with other formulations."""
-        if self.formulation == OWN:
-            super().rub(calls, i, names)
 
     def classic(self, calls: Calls, a: str, lam: str, watch: str) -> None:
         """a, lam and watch after one more iteration (8) as printed."""
         found = f"{a} {lam} {watch}"
         calls("classic_iterate", spaced("k", MATRICES, found), found, lambda *x: _classic(calls.scene, *x))
 
-    def once(self, calls: Calls, names: Mapping[str, str]) -> None:
+    def once(self, calls: Calls, names: Mapping[str, str], formulation: str) -> None:
         """a, lam and watch by a formulation that does not iterate, after an evaluation by `residual`.
 
         `names` are those of q, v, a, lam and watch.
@@ -79,14 +79,14 @@ class Alternatives(Tracer):
         residues = ("residue_mass", "residue_matrix", "Phi", "Cv")
         results = spaced([names[x] for x in ("a", "lam", "watch")])
         right = "xi"
-        if self.formulation != "dae":
+        if formulation != "dae":
             calls.made.append(Call("constraints", (names["q"], names["v"], "p"), residues))
-        if self.formulation in ("penalty", "baumgarte"):
+        if formulation in ("penalty", "baumgarte"):
             right = "stabilised"
             calls("by_stabilised", "xi Phi Cv stabilisation", right, _stabilised)
-        if self.formulation == "penalty":  # (6)
+        if formulation == "penalty":  # (6)
             calls("by_penalty", f"k C F D L {right} {watch}", results, lambda *x: _penalty(scene, *x))
-        elif self.formulation == "stiffness":  # (5)
+        elif formulation == "stiffness":  # (5)
             known = f"k M C F Phi stabilisation {watch}"
             calls("by_stiffness", known, results, lambda *x: _stiffness(scene, *x))
         else:  # (9), with Baumgarte's stabilisation or without

@@ -1,34 +1,31 @@
 """What a scene needs where nothing runs but its C: the oracle's loops as programs, and functions for the start.
 
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
-`move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
-`limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs. `instant_quick` reads by as few iterations as a quick step makes; `onward` is one that goes on with what
-was read, `short_onward` a short step that does. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an
-`instant` of their own, and `keep` ends a step without projections.
+`move` leads to the end of a step, `close` brings it back to the constraints, `instant_patient` and `limit_patient`
+read, `impact` makes the velocity consistent. `move` and `instant_patient` serve every formulation
+(`alfmu.kernel.alternatives`) and, near singular positions, the branch of the motion: numbers that the runtime hands to
+them choose. `instant_quick` reads by as few iterations as a quick step makes, which can go on with what was read.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
-import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
 from ..equations.evaluation import symbols, with_functions
 from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
-from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
 from . import rubbing
-from .alternatives import OWN, Alternatives, alternatives
+from .alternatives import CHOSEN, Alternatives, alternatives
 from .breaks import breaks
-from .form import Call, Choice, Plan, Program, Routine, Traced, called, rewritten
+from .form import Call, Choice, Plan, Program, Routine, Traced, called, renamed, rewritten
 from .memory import SEEN
 from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
@@ -38,10 +35,12 @@ __all__ = ["READ", "beginning", "passed", "standalone"]
 
 def passed(equations: Traced) -> dict[str, int]:
     """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
-    where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
-    there; iterations of (8) as printed after the first one; zeta and omega; whether steps end with projections; where
-    past inputs are kept, whether the communication step under way began before."""
-    names = ["most", "patient", "du", "slopes", "again", "stabilisation", "projects"]
+    where the motion may end; the communication point and the time derivatives of the inputs there; iterations of (8) as
+    printed after the first one; zeta and omega; whether steps end with projections, and multipliers are those of least
+    norm; which formulation is chosen beside `residual`; whether a step follows the branch of the motion, and whether it
+    goes on with what was read; where past inputs are kept, whether the communication step under way began before."""
+    names = ["most", "patient", "slopes", "again", "stabilisation", "projects", "of_least_norm", *CHOSEN.values()]
+    names += ["on_branch", "onward"]
     names += ["within"] * ("reach" in equations.kernel)
     lengths = lengths_of(equations)
     return {name: lengths[name] for name in names}
@@ -57,35 +56,23 @@ def standalone(equations: Traced) -> Traced:
         kernel["instant_quick"] = tracer.instant_quick()
         # The work of what moves by itself is not handed on.
         if not (e.timed or tracer.timed()):
-            name, step = ("short_onward", "short") if "method" in kernel else ("onward", "quick")
-            kernel[name] = tracer.onward(kernel[step])
+            step = "short" if "method" in kernel else "quick"
+            kernel[step] = tracer.onward(kernel[step])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
     if e.l:
         careful = Plan(CAREFUL, 3, weighted=True)
-        for name, plan in {"move": careful, "move_on_branch": replace(careful, branch=True)}.items():
-            kernel[name] = tracer.extrapolated(tracer.move(plan))
+        chosen, redundant = tracer.of_all(), tracer.redundant
+        kernel["move"] = tracer.extrapolated(chosen.move(careful))
         kernel["close"] = tracer.close(careful)
-        kernel["keep"] = tracer.keep()
-        read, redundant = len(e.kernel["instant"].steps) > 1, tracer.redundant
-        if read:
-            kernel["instant_patient"] = tracer.instant(careful, redundant)
+        if len(e.kernel["instant"].steps) > 1:
+            kernel["instant_patient"] = chosen.instant(careful, redundant)
         if "limit" in e.kernel:
             kernel["limit_patient"] = tracer.limit(careful, redundant)
         kernel["impact"] = tracer.impact(careful)
         if e.frictions:
             kernel["gripping"] = tracer.gripping(careful)
-        for name in alternatives(e):
-            other = tracer.by(name)
-            kernel[f"move_{name}"] = other.extrapolated(other.move(careful))
-            if read:
-                kernel[f"instant_{name}"] = other.instant(careful, redundant)
         tracer.pivots(careful)
-    if e.inputs and any(v.instant for v in e.outputs):
-        plan = Plan(CAREFUL, 3, weighted=e.l > 0)
-        kernel["sensitivity"] = tracer.sensitivity(plan)
-        if "limit" in e.kernel:
-            kernel["limit_sensitivity"] = tracer.limit_sensitivity(plan)
     found = breaks(e)
     if found is not None:
         tracer.functions["breaks"] = found[0]
@@ -101,8 +88,7 @@ def beginning(equations: Configuration) -> Traced:
     kernel = {"quick": nothing, "careful": nothing, "instant": Program((Call("seen", (), ("seen",)),))}
     tracer.functions["seen"] = ca.Function("seen", [], [ca.SX.zeros(len(SEEN) + len(variables_of(e).outputs))])
     if e.l:
-        moves = ["move", *(f"move_{name}" for name in alternatives(e))]
-        kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], nothing)
+        kernel |= dict.fromkeys(("move", "close", "impact"), nothing)
         if any(switch.start and switch.holds for switch in e.switches):
             kernel["impact"] = tracer.impact(Plan(CAREFUL, 3, weighted=True))
         q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)
@@ -121,8 +107,7 @@ _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
 
 READ = ("read_a", "read_power", "read_watch")
-"""What `instant_quick` hands to `onward` and `short_onward`: the evaluation that a quick or short step at this instant
-would begin with."""
+"""What `instant_quick` hands to a quick or a short step: the evaluation that the step would begin with."""
 
 
 class _Patient(Alternatives):
@@ -161,7 +146,7 @@ class _Patient(Alternatives):
 
     def instant_quick(self) -> Program:
         """What `instant` gives, by the evaluation that a quick step begins with, where its iterations leave nothing but
-        round-off; READ for `onward`."""
+        round-off; READ for that step."""
         plan = self.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
@@ -182,32 +167,25 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def onward(self, step: Program) -> Program:
-        """The same step from an instant that has been read: its first evaluation is taken from there."""
+        """The same step, which has its first evaluation from what was read, where `onward` says so."""
         first = next(k for k, x in enumerate(step.steps) if "rate1" in x.results)
-        given = dict(zip(("a1", "power1", "watch1"), READ, strict=True))
-        rest = rewritten(
-            step.steps[first:], lambda x: (replace(x, arguments=tuple(given.get(y, y) for y in x.arguments)),)
-        )
-        begin = [x for x in step.steps[:first] if {"v1", "step"} & set(x.results)]
-        return replace(step, steps=(*begin, *rest))
+        steps = renamed(step.steps, dict(zip(("a1", "power1", "watch1"), READ, strict=True)))
+        begin = [x for x in steps[:first] if {"v1", "step"} & set(x.results)]
+        return replace(step, steps=(Choice("onward", zero=steps[:first]), *begin, *steps[first:]))
 
     def close(self, plan: Plan) -> Program:
-        """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
+        """S5: the state that q and v after `move` make, brought back to the constraints where steps project.
+
+        It ends as a careful step does.
+        """
         calls, again = Calls(self, plan), Calls(self, plan)
+        brought, kept = calls.inside(), calls.inside()
         self.place(again, "q", "q")
         self.settle(again)
         self.unsettled(again)
-        self.repeat(calls, "more", CORRECTIONS, again)
-        return self._ended(calls)
-
-    def keep(self) -> Program:
-        """The state that q and v after `move` make as they are."""
-        calls = Calls(self)
-        calls("unprojected", "k", "pivot left", lambda: (SX(math.inf), SX.zeros(2)))
-        return self._ended(calls)
-
-    def _ended(self, calls: Calls) -> Program:
-        """With the end of a careful step."""
+        self.repeat(brought, "more", CORRECTIONS, again)
+        kept("unprojected", "k", "pivot left", lambda: (SX(math.inf), SX.zeros(2)))
+        calls.choice("projects", brought, kept)
         return Program((*calls.steps, self.kernel["careful"].steps[-1]))
 
     def impact(self, plan: Plan) -> Program:
@@ -248,85 +226,6 @@ class _Patient(Alternatives):
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
         rubbing.told(calls, f"t0 q0 v0 {u}", "a0", "lam0")
         return Program(calls.steps)
-
-    def sensitivity(self, plan: Plan) -> Program:
-        """How outputs change with the inputs in the direction `du`: accelerations and multipliers by one more solve."""
-        calls = Calls(self, plan)
-        self._unpacked(calls)
-        u = self.here(calls)
-        self.evaluation(calls, "0", {"u": u})
-        self._forced(calls, "t0", "0", u)
-        self._changed(calls, "a0 lam0 da0 dlam0")
-        return Program(calls.steps)
-
-    def limit_sensitivity(self, plan: Plan) -> Program:
-        """The same where limits are read: the derivative of the limit by what it is taken from."""
-        calls, count = Calls(self, plan), len(branch.READ_MEAN)
-        scene = calls.scene
-        self._unpacked_limit(calls)
-        u = self.here(calls)
-        self._read_places(calls, [f"place{j}" for j in range(count)])
-        for j in range(count):
-            self._beside(calls, f"place{j}", str(j), u)
-            self._forced(calls, "tz", str(j), u)
-        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
-        calls("here", "qz vz", "q0 v0", lambda q, v: (q, v))
-        self._forced(calls, "tz", "l", u)
-        sizes = [self.e.n, self.e.l]
-
-        def derived(*known: SX) -> tuple[SX, ...]:
-            values, watches = known[: 2 * count], known[2 * count : 3 * count]
-            here, changes = known[3 * count : 3 * count + 3], known[3 * count + 3 :]
-            found = scene.limits(*values, *watches, *here)[:2]
-            change = ca.jtimes(ca.vertcat(*found), ca.vertcat(*values, *here[:2]), ca.vertcat(*changes))
-            return *found, *ca.vertsplit(change, np.cumsum([0, *sizes]).tolist())
-
-        values, watches, changes = (
-            [f"{name}{j}" for name in names.split() for j in range(count)] for names in ("a lam", "watch", "da dlam")
-        )
-        known = spaced("k", values, watches, "al laml watchl", changes, "dal dlaml")
-        calls("limit_change", known, "al laml dal dlaml", derived)
-        self._changed(calls, "al laml dal dlaml")
-        return Program(calls.steps)
-
-    def _forced(self, calls: Calls, time: str, i: str, given: str) -> None:
-        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam as joints carry it.
-
-        `given` is the name of the inputs, and of the states behind them, which stay as they are.
-        """
-        e, scene = self.e, calls.scene
-
-        def forces(t: SX, q: SX, v: SX, u: SX, du: SX) -> tuple[SX, ...]:
-            F = ca.jtimes(scene.terms(t, q, v, u)[2], u, ca.vertcat(du, SX(len(e.states), 1)))
-            return F, *(SX(size, 1) for size in (e.l, e.n, e.l, len(Watch._fields)))
-
-        def carried(t: SX, q: SX, v: SX, u: SX, du: SX, C: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
-            both = scene.carried(t, q, v, u, C, a, lam, PATIENT_LOADED)
-            return ca.jtimes(both, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du, SX(len(e.states), 1)))
-
-        known = f"{time} q0 v0 {given}"
-        if self.redundant:
-            self._share(calls, known, f"a{i} lam{i}")
-        calls("forced", f"{known} p k du", f"F xi da{i} dlam{i} dwatch", forces)
-        if e.l:
-            self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
-        else:  # One solution is exact.
-            self._iterate_once(calls, f"da{i}", f"dlam{i}", "dwatch")
-        if self.redundant and self.loaded:
-            calls("bear_change", f"{known} p k du C a{i} lam{i} da{i} dlam{i}", f"dlam{i}", carried)
-        elif self.redundant:
-            self._least(calls, f"dlam{i}")
-
-    def _changed(self, calls: Calls, found: str) -> None:
-        """The changes of outputs."""
-        e, scene = self.e, calls.scene
-
-        def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
-            t, q, v = self._position(z)
-            y = e.readings(q, v, a, lam / scene.scale, scene.given(z, u), scene.p, t)
-            return ca.jtimes(y, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du))
-
-        calls("sensitivity", f"z u p k du {found}", "dy", reading)
 
     def pivots(self, plan: Plan) -> None:
         """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
@@ -388,22 +287,46 @@ class _Patient(Alternatives):
         iterations: int | None = None,
         most: str = "most",
     ) -> None:
-        if self.e.frictions and self.formulation == OWN:
-            super().evaluation(calls, i, names, 1)
-            return
         super().evaluation(calls, i, names, 1)
+        if self.e.frictions:
+            return
         own = {x: names.get(x + i, x + i) for x in ("q", "v", "a", "lam", "watch")}
-        if self.formulation in (OWN, "classic"):
-            self._iterate(calls, own["a"], own["lam"], own["watch"], most if self.formulation == OWN else "again")
-        else:
-            self.once(calls, own)
+        found = calls.inside()
+        self._iterate(found, own["a"], own["lam"], own["watch"], most)
+        for name in alternatives(self.e) if self.chooses else ():
+            found, other = calls.inside(), found
+            way = found.inside()
+            if name == "classic":
+                self._iterate(way, own["a"], own["lam"], own["watch"], "again", self.classic)
+            else:
+                self.once(way, own, name)
+            found.choice(CHOSEN[name], way, other)
+        calls.made += found.made
 
-    def _iterate(self, calls: Calls, a: str, lam: str, watch: str, most: str = "most") -> None:
-        """The multiplier iteration until it converges."""
+    def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
+        """On the branch of the motion where `on_branch` says so, for `residual` alone."""
+        if not self.chooses:
+            super().evaluated(calls, i, u, length)
+            return
+        plain, branch = calls.inside(), Calls(self, replace(calls.plan, branch=True))
+        super().evaluated(plain, i, u, length)
+        self.of_all(False).evaluated(branch, i, u, length)
+        calls.choice("on_branch", branch, plain)
+
+    def _iterate(
+        self,
+        calls: Calls,
+        a: str,
+        lam: str,
+        watch: str,
+        most: str = "most",
+        once: Callable[[Calls, str, str, str], None] | None = None,
+    ) -> None:
+        """The multiplier iteration until it converges, each time by what makes it `once`."""
         if not self.e.l:
             return
         again, plan = calls.inside(), calls.plan
-        (self._iterate_once if self.formulation == OWN else self.classic)(again, a, lam, watch)
+        (once or self._iterate_once)(again, a, lam, watch)
         again("unconverged", f"k {watch}", "more", lambda watch: again.scene.unconverged(plan, [Watch.of(watch)]))
         self.repeat(calls, "more", most, again)
 
@@ -426,10 +349,10 @@ class _Patient(Alternatives):
 
     def _least(self, calls: Calls, lam: str) -> None:
         """By passes until they change no more; of other formulations where a step projects."""
-        if self.formulation != OWN:
+        if self.chooses:
             own = calls.inside()
-            self.by(OWN)._least(own, lam)
-            calls.choice("projects", own)
+            self.of_all(False)._least(own, lam)
+            calls.choice("of_least_norm", own)
             return
         scene = calls.scene
         self._settle(calls, lam)
@@ -451,10 +374,10 @@ class _Patient(Alternatives):
         if not self.loaded:
             super()._share(calls, known, found)
             return
-        if self.formulation != OWN:
+        if self.chooses:
             own = calls.inside()
-            self.by(OWN)._share(own, known, found)
-            calls.choice("projects", own)
+            self.of_all(False)._share(own, known, found)
+            calls.choice("of_least_norm", own)
             return
         self._settle(calls, found.split()[1])
         self._bear(calls, known, found)

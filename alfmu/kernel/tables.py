@@ -34,11 +34,11 @@ from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from ..model.units import rate_of
 from . import memory, thresholds
-from .alternatives import OWN
+from .alternatives import CHOSEN
 from .alternatives import formulations as carried
 from .controlled import whole
 from .emit import compiled_code
-from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
 from .joined import joined
 from .lanes import laned
 from .memory import TIERS, Layout
@@ -60,7 +60,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 19
+VERSION = 20
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -80,14 +80,14 @@ def _same(names: str) -> dict[str, str]:
 
 
 HANDED = {
-    **_same("most patient du slopes within q v dy struck lost again stabilisation projects"),
+    **_same("most patient slopes within q v struck lost again stabilisation projects of_least_norm on_branch onward"),
+    **{name: name for name in CHOSEN.values()},
     "impulse": "impulses",
     **_same(" ".join(f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4))),
     **_same("watch0 read_watch grip"),
 }
 """What the runtime and programs hand to each other, by its name in C."""
 
-OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
     **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
     **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
@@ -95,12 +95,10 @@ FUNCTIONS = {
 """Functions that the runtime calls, by their names in C."""
 
 PROGRAMS = {
-    **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
+    **_same("quick careful instant limit move close impact reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
     **{"stiff_step": "stiff", "regular_step": "regular"},
-    **_same("short_beside onward short_onward instant_quick"),
-    **_same("instant_patient limit_patient keep gripping"),
-    **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
+    **_same("short_beside instant_quick instant_patient limit_patient gripping"),
 }
 """Programs that the runtime runs, by their names in C."""
 
@@ -155,6 +153,9 @@ NUMBERS: dict[str, Number] = {
     "method": lambda t: 1 + (t.method in FIXED) if t.rule else 0,
     "rk4_choice": lambda t: list(t.known["solver.method"]).index("rk4") if "rk4" in t.known["solver.method"] else -1,
     "automatic": lambda t: default_settings(t.e).method == "auto",
+    "reuses": lambda t: any(
+        "onward" in taken(t.e.kernel[name].steps) for name in ("quick", "short") if name in t.e.kernel
+    ),
     "implicit": lambda t: bool(t.rule) and t.e.kernel["method"].nodes > 0,
     "method_cost": lambda t: t.cost("method"),
     "short_cost": lambda t: t.cost("short"),
@@ -191,7 +192,7 @@ REALS: dict[str, Number] = {
 NODE_COST = 6
 """Evaluations that a node of an implicit step costs, with its tangents and passes of Newton's method."""
 
-HOT = ("quick", "onward", "instant", "instant_quick", "method", "short", "short_onward")
+HOT = ("quick", "instant", "instant_quick", "method", "short")
 """Programs whose calls are joined: they run in every step."""
 
 
@@ -261,7 +262,7 @@ def layout_header() -> str:
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]
     tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
-    tables |= {"OTHERS": OTHERS}
+    tables |= {"OTHERS": CHOSEN.values()}
     for name, names in tables.items():
         rows = "".join(f" \\\n    X({each})" for each in names)
         lines += ["", f"#define SCENE_{name}(X){rows}"]

@@ -295,11 +295,7 @@ class Tracer:
             results = f"t{i} q{i} v{i}" + f" x{i}" * bool(self.e.states)
             calls(f"{name}{i}", spaced("z", length, rates, settled), results, lambda *_: stage)
             u = self.inputs(calls, str(i))
-            if calls.plan.branch:
-                self._on_branch(calls, str(i), u, length, i == 1)
-            else:
-                self.evaluation(calls, str(i), {"u": u})
-                self._supply(calls, str(i), {"u": u})
+            self.evaluated(calls, str(i), u, length)
             self._supplied(calls, str(i))
             known = f"v{i} a{i} power{i}"
             if self.e.states:
@@ -310,6 +306,14 @@ class Tracer:
             return calls.scene.symbol(rates[-1])
 
         return found
+
+    def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
+        """What an integrator needs of a stage, as the plan has it; i is part of each name."""
+        if calls.plan.branch:
+            self._on_branch(calls, i, u, length, i == "1")
+        else:
+            self.evaluation(calls, i, {"u": u})
+            self._supply(calls, i, {"u": u})
 
     def _beside(self, calls: Calls, place: str, j: str, u: str) -> None:
         """An evaluation at a place from which a limit is read; j is part of the names of its results, u the name of the

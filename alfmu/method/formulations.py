@@ -41,26 +41,26 @@ CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
 LIGHT = 1e-8
-"""largest mass over the largest penalty [1]: multipliers of least norm are found with masses no larger than this, so
-that each pass gains as much, whatever penalty is given."""
+"""Largest mass over the largest penalty [1] with which multipliers of least norm are found. The bound makes every pass
+gain as much, whatever penalty is given."""
 
 GAIN = 2 / 3
-"""change of a pass over that of the one before [1]: where passes gain less, round-off is all that changes."""
+"""Change of a pass over that of the one before [1] above which only round-off is left to gain."""
 
 SETTLING = 1000
-"""Most passes of `minimum_norm` after (8) [1]: as many as a user may ask of (8) itself."""
+"""Most passes of `minimum_norm` after (8) [1]: the largest number of iterations that a user may set for (8)."""
 
 SETTLED = 1e-10
-"""change of multipliers in a pass of `minimum_norm` that gains less than GAIN, over what they are [1]: (8) has left a
-direction unresolved then, whose part is round-off of its passes; one that is resolved gains as much here as there."""
+"""Relative change of the multipliers [1] up to which a slow pass of `minimum_norm` ends it. A direction that (8) has
+not resolved by then contains round-off alone; one that it has resolved converges as fast here."""
 
 HELD_SHARES = 1e9
-"""what keeps C' lam as it is over what joints carry, where these share a load [1]: a pass gains as much at a regular
-position, and less by the distance squared beside a singular one."""
+"""Weight of C' lam over that of the loads of joints where they share a load [1]. A pass gains this factor at a regular
+position, and less by the squared distance beside a singular one."""
 
 EASE = 1e-6
-"""what is added to the factors of such a pass, over what joints carry [1]: multipliers that no joint carries leave a
-pivot that round-off of HELD_SHARES does not hide."""
+"""Regularisation of the factors of such a pass, over the loads of joints [1]. Multipliers that no joint transmits keep
+a pivot above the round-off of HELD_SHARES."""
 
 Array = Any
 Solve = Callable[[Array], Array]

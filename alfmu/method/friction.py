@@ -11,16 +11,17 @@ from typing import Any
 __all__ = ["JAM_PIVOT", "JAM_SETTLED", "LAW_ENOUGH", "LAW_PASSES", "newton"]
 
 LAW_PASSES = 12
-"""number of passes [1]: most of Newton's method in an evaluation; near a jam it takes more than six."""
+"""most iterations of Newton's method in an evaluation [1]: near a jam it takes more than six."""
 
 LAW_ENOUGH = 1e-7
-"""what is left of a law over the friction [1]: Newton's method makes no other pass, as this one then left round-off."""
+"""residual of a law over the friction [1]: Newton's method ends below it, as one more iteration would leave
+round-off."""
 
 JAM_SETTLED = 1e-6
-"""what the last pass leaves of a law over the friction [1]: a pass that is no better has found none."""
+"""residual of a law over the friction after the last iteration [1]: Newton's method has failed above it."""
 
 JAM_PIVOT = 1e-3
-"""pivot of I - D [1]: where it is less a motion that cannot go on has met a jam; it is 1 without friction, and negative
+"""pivot of I - D [1]: below it a motion that cannot continue has met a jam; it is 1 without friction, and negative
 beyond a fold."""
 
 Number = Any

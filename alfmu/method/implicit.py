@@ -198,7 +198,7 @@ RULES: dict[str, Collocation | Newmark] = {
     "trapezoidal": TRAPEZOIDAL,
     "generalized_alpha": damped(DAMPED),
 }
-"""What the methods that need tangents of the equations (`alfmu.equations.evaluation.with_tangents`) stand for."""
+"""Methods that need tangents of the equations (`alfmu.equations.evaluation.with_tangents`), by name."""
 
 
 def moved(rule: Newmark, dt: Array, q: Array, v: Array, w: Array, a: Array, change: Array) -> tuple:

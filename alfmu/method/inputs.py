@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 __all__ = ["KEPT", "Past", "extrapolated", "memory_size", "reached"]
 
 KEPT = 3
-"""Communication points that are kept: enough for order 2."""
+"""Number of communication points recorded: enough for order 2."""
 
 Array = Any
 Where = Callable[[Any, Any, Any], Any]

@@ -35,96 +35,97 @@ __all__ = [
 Array = Any
 
 BRANCH_MARGIN = 2.5e-4
-"""margin [1]: a step that comes below it is made on the branch; at four times the value a third more
-steps are made there, and errors change by 0.4 % at most."""
+"""margin [1]: a step below it is made on the branch; at four times the value a third more steps are made there, and
+errors change by 0.4 % at most."""
 
 SMALL_PIVOT = 0.03
 """pivot over its scale [1]: only pivots below it enter the margin; larger ones vary with the position and do not
 vanish."""
 
 REGULAR_PRODUCT = 0.1
-"""product of all pivots over its typical value [1]: a position above it is regular although a pivot is small, as
-where Euler parameters hardly describe the motion."""
+"""product of all pivots over its typical value [1]: a position above it is regular although a pivot is small, as where
+Euler parameters hardly describe the motion."""
 
 NOISE_FLOOR = 25.0
-"""margin over the pivot contributed by masses [1]: up to it a margin cannot be told from that of the singular position
-itself, where masses contribute several such pivots."""
+"""margin over the pivot contributed by masses [1]: below it a margin is indistinguishable from that of the singular
+position itself, where masses contribute several such pivots."""
 
 SPACING = 0.25
-"""distance between places over the step [1]: at 0.1 the N-four-bar of 10 loops in natural coordinates is 1.5e-6 rad off
-after 10 s instead of less than 1e-8, by the round-off of margins."""
+"""distance between positions over the step [1]: at 0.1 round-off of margins puts the N-four-bar of 10 loops in natural
+coordinates 1.5e-6 rad off after 10 s, instead of less than 1e-8."""
 
 LEAST_DISTANCE = 0.011
-"""distance of the first place [rad]: accelerations on the branch lose digits with the third power of the distance; at
-0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of 2e-11;
-at half and twice the value `stiff` at 1e-9 refuses one or two steps in 3 s, as at the value
+"""distance of the first position [rad]: accelerations on the branch lose digits with the third power of the distance;
+at 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of
+2e-11; at half and twice the value `stiff` at 1e-9 rejects one or two steps in 3 s, as at the value
 (`tests/test_methods.py`)."""
 
 CONVERGENCE = 7.0
-"""distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
-the square of it, 49, and the five of the careful step gain 3e8; it counts where the penalty is small."""
+"""distance of the first position over the root of the pivot contributed by masses [1]: each multiplier iteration gains
+the square of it, 49, and the five of the careful step gain 3e8; it applies where the penalty is small."""
 
 DOUBLINGS = 20
-"""doublings of a spacing [1]: a slow motion, whose places are too near to be told apart, gets a spacing of up to a
-million times its own."""
+"""most doublings of a spacing [1]: positions of a slow motion are too close to be distinguished until the spacing has
+grown up to a million times."""
 
 LIMIT_ZONE = 0.5
-"""distance to the singular position over that of the first place [1]: closer stages take the limit; at this distance
-its places are on both sides of the position."""
+"""distance to the singular position over that of the first position [1]: closer stages take the limit, whose positions
+are then on both sides of the singular one."""
 
 INDEPENDENT_MASS = 1e3
-"""mass added to independent coordinates over that of the motion [1]: large enough that a stage is brought to the branch
-by moving dependent coordinates instead."""
+"""mass added to independent coordinates over that of the motion [1]: large enough that a stage reaches the branch by
+moving dependent coordinates instead."""
 
 READ_DISTANCE = 0.03
-"""distance of the first place where reactions are read [rad]: reactions lose digits with its fourth power, so it is
-larger than that of accelerations."""
+"""distance of the first position where reactions are evaluated [rad]: reactions lose digits with its fourth power, so
+it is larger than that of accelerations."""
 
 READ_ZONE = 0.2
-"""distance to the singular position over READ_DISTANCE [1]: reactions read closer than this are limits; farther ones
-are as exact by themselves."""
+"""distance to the singular position over READ_DISTANCE [1]: closer reactions are limits; farther away, direct
+evaluation is as exact."""
 
 FARTHEST = 0.1
-"""distance of the first place [rad]: above it steps with error control take no limit; penalties of 200 times the masses
-ask for 0.5, and a four-bar is 2e-5 rad off then at a tolerance of 1e-6, which no estimate sees."""
+"""distance of the first position [rad]: above it steps with error control take no limit; penalties of 200 times the
+masses would require 0.5, and a four-bar is then 2e-5 rad off at a tolerance of 1e-6, which no estimate detects."""
 
 PLACES = 4
-"""places on either side [1]: a limit of order 8, whose places can be so far apart that round-off does not count; with 2
-the N-four-bar in natural coordinates is 8e-10 rad off after 10 s of steps of 0.3 ms instead of 2e-11."""
+"""positions on either side [1]: a limit of order 8, whose positions can be far enough apart to make round-off
+negligible; with 2 the N-four-bar in natural coordinates is 8e-10 rad off after 10 s of steps of 0.3 ms instead of
+2e-11."""
 
 LONG_PLACES = 4
-"""places on either side where reactions are read, and of integrators beside RK4 [1]: a limit of order 8, the order of
-the best integrator."""
+"""positions on either side for reactions, and for integrators other than RK4 [1]: a limit of order 8, the order of the
+best integrator."""
 
 LONG_SPACING = 0.1
-"""distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
+"""distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
 READ_LOSS = 40.0
-"""error of reactions at a regular position over round-off of the loads [1]: what the tolerance of constraints and of
-(8) leaves."""
+"""error of reactions at a regular position over round-off of the loads [1]: it is due to the tolerances of constraints
+and of (8)."""
 
 NEAR_LOSS = 0.1
-"""the same over one over the fourth power of the distance where that is more [1]: runs of four-bars and five-bars left
-half of it to 400 times less."""
+"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]:
+runs of four-bars and five-bars had between half of it and 1/400 of it."""
 
 LIMIT_LOSS = 3.0
-"""error of a limit over round-off of its first places [1]: of four-bars and five-bars it was 0.05 to 5."""
+"""error of a limit over round-off of its nearest positions [1]: in runs of four-bars and five-bars it was 0.05 to 5."""
 
 POLE_SEEN = 1e-6
-"""what a pole makes of reactions at the places over the largest of them [1]: less of it is none, as round-off leaves
+"""contribution of a pole to reactions over the largest of them [1]: a smaller pole is ignored, as round-off leaves
 1e-8."""
 
 POLE_ZERO = 1e-7
-"""distance of a pole over that of the first place [1]: a smaller one is zero to round-off, which leaves 1e-9 of it, and
-the position is the pole itself."""
+"""distance of a pole over that of the first position [1]: below it the position counts as the pole itself; round-off
+leaves 1e-9."""
 
 FROZEN = 1e-6
-"""motion that is left where time stands still over the motion itself [1]: below it a mechanism has no motion but the
-prescribed one, along which no place is displaced; round-off leaves 1e-12 near a singular position."""
+"""motion at fixed time over the whole motion [1]: below it a mechanism has only its prescribed motion, along which no
+position is displaced; round-off leaves 1e-12 near a singular position."""
 
 TINY = 1e-300
-"""number [1]: added to a divisor that may be zero, as that of a mechanism at rest."""
+"""number [1]: added to a divisor that may be zero, as for a mechanism at rest."""
 
 
 def weights(m: int) -> dict[int, float]:
@@ -137,10 +138,10 @@ def weights(m: int) -> dict[int, float]:
 
 
 MEAN = weights(PLACES)
-"""Places [spacings] from which a step takes an acceleration, and their weights."""
+"""Positions [spacings] from which a step takes the limit of an acceleration, and their weights."""
 
 READ_MEAN = weights(LONG_PLACES)
-"""The same where reactions are read."""
+"""Positions [spacings] from which a limit of reactions is taken, and their weights."""
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:

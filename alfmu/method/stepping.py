@@ -47,13 +47,13 @@ class Explicit:
 
     order: int
     estimate: int
-    """Order of the embedded method; the estimated error is of one order more in the step."""
+    """Order of the embedded method; its local error is one order higher in the step."""
     nodes: tuple[float, ...]
     stages: tuple[tuple[float, ...], ...]
-    """Weights of the rates that make the second stage, the third, and so on."""
+    """Weights of the rates in the second stage, the third, and so on."""
     weights: tuple[float, ...]
     errors: tuple[tuple[float, ...], ...]
-    """Weights of the rates that make each estimate; one more than `weights` where the rate at the end counts too."""
+    """Weights of the rates in each estimate; one more than `weights` if the rate at the end is used."""
 
     @property
     def name(self) -> str:
@@ -73,12 +73,12 @@ class Collocation:
     order: int
     estimate: int
     gamma: float
-    """Weight of the rate at the begin in the embedded method, and what its error is filtered with."""
+    """Weight of the rate at the start in the embedded method, and the factor of its filter."""
     nodes: tuple[float, ...]
     matrix: tuple[tuple[float, ...], ...]
-    """Weights of the rates at the nodes that make the place of each node."""
+    """Weights of the rates at the nodes in the state at each node."""
     errors: tuple[float, ...]
-    """Weights of the rates at the nodes, beside gamma for the one at the begin, that make the estimate."""
+    """Weights of the rates at the nodes in the estimate, beside gamma for the one at the start."""
 
     @property
     def name(self) -> str:
@@ -122,7 +122,7 @@ EXPLICIT5_SHORT = Explicit(
     ),
 )
 """Cash and Karp, "A variable order Runge-Kutta method for initial value problems with rapidly varying right-hand
-sides", ACM Trans. Math. Softw. 16 (1990) 201-222: for short steps, as its estimate takes no rate at the end."""
+sides", ACM Trans. Math. Softw. 16 (1990) 201-222: for short steps, as its estimate needs no rate at the end."""
 
 EXPLICIT8 = Explicit(
     order=8,
@@ -341,8 +341,8 @@ EXPLICIT8_BESIDE = Explicit(
     ),
 )
 """Prince and Dormand, "High order embedded Runge-Kutta formulae", J. Comput. Appl. Math. 7 (1981) 67-75: for steps on
-the branch near a singular position, where rates are noisy. Its weights are below 1, those of `EXPLICIT8` reach 32 and
-leave 40 times as much of the noise; on smooth motions it takes 1.5 times the steps."""
+the branch near a singular position, where rates are noisy. Its weights are below 1; those of `EXPLICIT8` reach 32 and
+amplify the noise 40 times more. On smooth motions it takes 1.5 times the steps."""
 
 RADAU9 = Collocation(
     order=9,
@@ -359,7 +359,7 @@ RADAU9 = Collocation(
     errors=(-0.2523433122495464, 0.16035712210296996, -0.11627313434096281, 0.08100664894556402, -0.03181316888549383),
 )
 """Radau IIA with five nodes (Hairer and Wanner, "Stiff differential equations solved by Radau methods", J. Comput.
-Appl. Math. 111 (1999) 93-111): order 9, L-stable, and of order 5 at least whatever is stiff."""
+Appl. Math. 111 (1999) 93-111): order 9, L-stable, of order at least 5 for stiff components."""
 
 
 # Steps ------------------------------------------------------------------------------------------------------------
@@ -479,7 +479,7 @@ def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
 
 
 LOOSE = 1e-4
-"""Tolerance of a run above which the pair of order 5 serves better than that of order 8."""
+"""Tolerance of a run above which the pair of order 5 is more efficient than that of order 8."""
 
 
 EXPLICIT_METHODS = {"order8": EXPLICIT8}
@@ -503,16 +503,17 @@ def rule_beside(rule: Explicit) -> Explicit:
 
 
 SHARE = 0.0016
-"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion: a slider-crank of equal
-links that turns twice is at most 7e-8 rad off at the default tolerance in 12,000 phases, at 0.002 1.2e-7."""
+"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion. At the default tolerance
+a slider-crank of equal links that turns twice is at most 7e-8 rad off in 12,000 phases; at 0.002 it is 1.2e-7."""
 
 
 STEADY = 1e-6
-"""Tolerance of a run up to which that of a long explicit step is in proportion to it."""
+"""Tolerance of a run up to which the tolerance of a long explicit step is proportional to it."""
 
 LOOSER = 0.25
-"""Exponent by which it is less above: such steps are so long that the estimate misses a part of their errors. Without,
-Bennett's linkage is 35 tolerances off at 1e-4 after 10 s, with it 2, by a seventh more evaluations."""
+"""Exponent by which the step tolerance falls further above STEADY, where steps are so long that the estimate misses
+part of their errors. Without it, Bennett's linkage is 35 tolerances off at 1e-4 after 10 s; with it 2, at a cost of a
+seventh more evaluations."""
 
 
 def share(method: Explicit | Collocation) -> tuple[float, float]:
@@ -525,32 +526,33 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
 
 
 SPLIT = 2.0
-"""Steps that are left up to an end below which they are made equal."""
+"""Number of steps left up to an end below which they are made equal."""
 
 NOISE = 8.0
-"""Errors that round-off is taken for, over one sample of what it leaves: so much of an error is none. With 4 steps of
-the flyball governor by an explicit method collapse at 1e-12."""
+"""Error attributed to round-off, over one sample of it; errors below it are ignored. At a factor of 4, steps of the
+flyball governor by an explicit method collapse at 1e-12."""
 
 SHORTEST = 1e-12
-"""Step [s] below which a run ends."""
+"""Step [s] below which a run fails."""
 
 SAFETY = 0.9
-"""Of a new step, over that which would just meet the tolerance."""
+"""Safety factor of a new step, over the one that would just meet the tolerance."""
 
 INTEGRAL = 0.7
-"""Exponent of this error, over that of a step that just meets the tolerance."""
+"""Exponent of the current error over the tolerance."""
 
 PROPORTIONAL = 0.4
-"""The same of the error before, against it."""
+"""Exponent of the previous error over the tolerance, with opposite sign."""
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
-"""Of a step over the one before."""
+"""Bounds of a step over the one before."""
 
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
-"""Errors over the tolerance below which one counts no more, as this error and as the one before."""
+"""Lower bounds of the current and of the previous error over the tolerance."""
 
 Where = Callable[[Any, Any, Any], Any]
-"""Takes a condition, and what is chosen where it holds and where not: the rules below run on numbers and on symbols."""
+"""Takes a condition and two values, and returns the first where it holds, else the second, for numbers and
+for symbols."""
 
 
 def chosen(condition: bool, a: float, b: float) -> float:
@@ -595,10 +597,10 @@ def judged(
 
 
 CONVERGED = 1e-5
-"""What Newton's method with tangents that are kept may leave, over the tolerance of the step."""
+"""Largest last change of Newton's method with fixed tangents, over the tolerance of the step."""
 
 SLOW = 0.2
-"""Change of one pass of it over that of the one before, from which on new tangents cost less than further passes."""
+"""Ratio of successive changes above which new tangents cost less than further iterations."""
 
 
 def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
@@ -620,7 +622,7 @@ class Control:
 
     def __init__(self, order: int, dt: float, numbers: MutableSequence[float] | None = None):
         self.order = order
-        """Of the estimate of the error in the step: `estimate` + 1 of the method."""
+        """Order of the error estimate in the step: `estimate` + 1 of the method."""
         self.numbers = [0.0] * 3 if numbers is None else numbers
         self.numbers[:] = dt, LEAST_BEFORE, 0.0
 

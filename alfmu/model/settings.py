@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings"]
+__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings", "internal_steps"]
 
 FORMULATIONS: dict[str, str] = {
     "residual": "augmented Lagrangian (8) in residual form",
@@ -115,3 +116,8 @@ class Settings:
     def continues(self) -> bool:
         """Whether the branch of the motion is followed through singular positions."""
         return self.formulation == "residual" and self.branch == "continue" and self.projects
+
+
+def internal_steps(length: float, step_size: float) -> int:
+    """The least number of internal steps in a communication step, to round-off of its length."""
+    return max(1, math.ceil(length / step_size * (1 - 1e-12)))

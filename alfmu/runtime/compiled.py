@@ -1,4 +1,4 @@
-"""Compile a scene's C into a shared library, kept in the user's cache folder (`model.cache`)."""
+"""Compile a scene's C into a shared library in the user's cache folder (`model.cache`)."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from .stored import software
 __all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
-"""`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
+"""`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
 
 _BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
-"""A header before all others, so that compiled scenes run where the runtime does."""
+"""Header included first, so that compiled scenes run wherever the runtime does."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-"""Of shared libraries here."""
+"""Suffix of shared libraries on this system."""
 
 
 def compiled_scene(equations: Traced, scene: bytes) -> Path:
-    """The functions of a scene file of these equations as a library, from the cache or built now.
+    """Return the compiled functions of a scene file of these equations, from the cache or built now.
 
-    Raises ExportError where there is no compiler, or where it fails.
+    Raises ExportError without a compiler, or if it fails.
     """
     if (command := compiler()) is None:
         raise ExportError(
@@ -48,7 +48,7 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
 
 
 def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
-    """C of a scene as a library in the cache."""
+    """Return the library of a scene's C from the cache, or build it."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
     named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
@@ -57,14 +57,15 @@ def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
 
 
 def verified(scene: str, path: Path) -> bytes:
-    """The content of a library in the cache; ExportError where it is not what was written there."""
+    """Return the content of a library in the cache; raise ExportError if it was modified."""
     if (content := whole(path)) is None:
         raise ExportError(f"{scene}: the library {path} was damaged a moment ago; try again")
     return content
 
 
 def build(scene: str, command: list[str], files: Mapping[str, str], name: str, suffix: str, otherwise: str) -> Path:
-    """Compile files (headers among them) into a shared library in the cache; `otherwise` says what else can be done."""
+    """Compile files, including headers, into a shared library in the cache; `otherwise` names the alternatives in an
+    error."""
     try:
         with scratch() as folder:
             for each, text in files.items():
@@ -83,7 +84,7 @@ def build(scene: str, command: list[str], files: Mapping[str, str], name: str, s
 
 
 def _run(scene: str, command: list[str], made: str, folder: Path, otherwise: str) -> str:
-    """Compile or link in a folder; the name of the file that is made."""
+    """Compile or link in a folder; return the name of the output file."""
     done = subprocess.run([*command, "-o", made], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode or not (folder / made).is_file():
         said = done.stderr.strip().splitlines() or ["no message" if done.returncode else "it writes no file"]

@@ -1,4 +1,4 @@
-"""Libraries of the runtime for other machines than this one: those that alfmu came with, others by zig."""
+"""Libraries of the runtime for other machines: those in this installation, others built by zig."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["library", "there"]
 
 
 def there(name: str) -> Path:
-    """Where the library of a platform, or of browsers, is if alfmu came with it."""
+    """Return the path of the library of a platform or for browsers, if it is installed."""
     return Path(build.__file__).with_name(file_name(name))
 
 
 def library(name: str, scene: str) -> bytes:
-    """The library of a platform, or of browsers, with which alfmu came or which zig builds now.
+    """Return the library of a platform or for browsers, installed or built now by zig.
 
-    Raises ExportError, on behalf of a scene, where it cannot be built.
+    Raises ExportError, with the name of the scene, if it cannot be built.
     """
     return (there(name) if there(name).is_file() else _built(scene, name)).read_bytes()
 
 
 def _built(scene: str, name: str) -> Path:
-    """The library of another platform, kept in the user's cache under a hash of its sources."""
+    """Return the library of another platform from the user's cache, built if its sources changed."""
     texts = [path.read_text(encoding="ascii") for path in (Path(build.__file__), *build.sources())]
     identity = hashlib.sha256("\0".join([name, *texts]).encode()).hexdigest()[:32]
     kept_as = f"runtime_{identity}", Path(file_name(name)).suffix

@@ -1,7 +1,7 @@
-"""Scenes in the cache folder: what starts and runs a mechanism without tracing its equations again.
+"""Scenes in the cache folder, from which a mechanism starts and runs without tracing its equations again.
 
-Three files belong to equations: the method of integration, what else tracing finds (`Start`), and the bytes of the
-scene. The name of each is a fingerprint of everything that it depends on, so that none is ever out of date.
+Three files belong to equations: the integrator, other results of tracing (`Start`), and the bytes of the scene. Their
+names are fingerprints of everything that they depend on, so they are never out of date.
 """
 
 from __future__ import annotations
@@ -33,16 +33,17 @@ __all__ = ["Start", "fingerprint", "software", "stored_decision", "stored_scene"
 _Made = TypeVar("_Made")
 
 _WORTH = 0.05
-"""Time [s] that something takes to make from which on it is kept."""
+"""Time [s] of a computation above which its result is stored."""
 
 _MOST = 2**30
-"""Size [bytes] of a file's content up to which it is unpacked."""
+"""Largest size [bytes] of a file's unpacked content."""
 
 _ROOMS = ("equations", "kernel", "method", "model", "runtime")
 """Rooms whose code scenes depend on."""
 
 _LATER = ("functions", "signatures", "kept")
-"""Fields that a fingerprint leaves out: functions are added one by one, the rest follows from them."""
+"""Fields of equations without influence on a fingerprint: functions are added one by one, the others follow
+from them."""
 
 _FIELDS = [field.name for field in fields(Configuration) if field.name not in _LATER]
 
@@ -56,20 +57,20 @@ _LOGGER = logging.getLogger("alfmu")
 
 @dataclass(frozen=True)
 class Start:
-    """What tracing decides and finds of a scene before there are bytes."""
+    """Results of tracing a scene that are needed before its bytes."""
 
     decision: Decision
     survey: Survey
     programs: dict[str, Program]
-    """Without their steps."""
+    """Programs without their steps."""
     seen: int
-    """Length of what can be read at an instant."""
+    """Number of outputs readable at an instant."""
     tangents: bool
-    """Whether the scene has the derivatives that implicit methods need."""
+    """Whether the scene has the derivatives for implicit methods."""
 
     @classmethod
     def of(cls, e: Traced) -> Self:
-        """Return that of traced equations."""
+        """Return the start of traced equations."""
         programs = {name: Program((), *_head(program)) for name, program in e.kernel.items()}
         seen = e.signatures["seen"]["outputs"][0][0]
         return cls(e.decision or Decision(""), e.survey, programs, seen, "tangents" in e.signatures)
@@ -81,7 +82,7 @@ class Start:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """Return what `written` has written; raise ValueError, TypeError or KeyError if it is something else."""
+        """Return the start written by `written`; raise ValueError, TypeError or KeyError for anything else."""
         data = json.loads(content)
         survey = data["survey"]
         survey["mobility"] = survey["mobility"] and Mobility(**survey["mobility"])
@@ -95,7 +96,7 @@ def _head(program: Program) -> tuple[Any, ...]:
 
 
 def stored_decision(equations: Equations, make: Callable[[], Decision]) -> Decision:
-    """Return the method of integration of equations with their defaults, from the cache or decided now."""
+    """Return the integrator for equations with their defaults, from the cache or decided now."""
     return _stored(
         *("decision", equations, make),
         *(lambda made: json.dumps(asdict(made)).encode(), lambda content: Decision(**json.loads(content))),
@@ -103,7 +104,7 @@ def stored_decision(equations: Equations, make: Callable[[], Decision]) -> Decis
 
 
 def stored_start(equations: Equations, make: Callable[[], Start]) -> Start:
-    """Return the start of equations that are not decided, from the cache or made now."""
+    """Return the start of equations without a decision, from the cache or made now."""
     return _stored("start", equations, make, Start.written, Start.read)
 
 
@@ -119,7 +120,7 @@ def _stored(
     written: Callable[[_Made], bytes],
     read: Callable[[bytes], _Made],
 ) -> _Made:
-    """Return something that follows from equations, from the cache or made now; it is kept if that takes long."""
+    """Return a result that follows from equations, from the cache or made now; a slow one is stored."""
     identity = None if is_off() else fingerprint(equations)
     if identity is None:
         return make()
@@ -149,7 +150,7 @@ def _unpacked(path: Path | None) -> bytes | None:
 
 
 def fingerprint(equations: Equations) -> str | None:
-    """Return a digest of everything that a scene of these equations depends on; None if it has no text."""
+    """Return a digest of everything on which a scene of these equations depends; None if it cannot be serialised."""
     e = equations
     known = [name for name in dict.fromkeys([*ARGUMENTS, *EVALUATED]) if name in e.functions and name != "tangents"]
     try:
@@ -173,7 +174,7 @@ def _digest(value: Any) -> str:
 
 @cache
 def software() -> str:
-    """Return a digest of the code that makes scenes, with what it builds on and the kind of the machine."""
+    """Return a digest of the code that makes scenes, its dependencies and the kind of machine."""
     package = Path(__file__).parent.parent
     files = [path for room in _ROOMS for path in sorted((package / room).rglob("*.py"))]
     files += [*sorted(Path(__file__).parent.glob("alfmu-*")), *sorted(Path(__file__).parent.rglob("*.h"))]

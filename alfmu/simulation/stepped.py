@@ -29,6 +29,7 @@ from ..method import formulations as method
 from ..method import singular as branch
 from ..method.inputs import Past
 from ..model.errors import AlfmuError, InputError, OpenError, StepError
+from ..model.settings import internal_steps
 
 __all__ = ["EPS", "Reading", "Stepped", "least_squares", "unchanged"]
 
@@ -199,7 +200,7 @@ class Stepped(runtime.Instance, ABC):
                     self.q[:] += (begin - self.time) * self.v
                     self.time, self._seen = begin, (None, None, None)
                 length = end - begin if (begin, end) != (start, start + h) else h
-                n = max(1, math.ceil(length / self.settings.step_size * (1 - 1e-12)))
+                n = internal_steps(length, self.settings.step_size)
                 for k in range(n):
                     self._step(begin + k * (length / n), length / n)
         except AlfmuError:

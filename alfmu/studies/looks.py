@@ -1,4 +1,4 @@
-"""How integrators look in every picture of a study: one colour and one marker each; lines tell what else differs."""
+"""Styles in all figures of a study: one colour and marker for each integrator; line styles for other differences."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ LINES += tuple(Line(*each) for each in (((0, (8, 3)), "longdash"), ((0, (8, 2, 2
 
 
 def integrator(row: Row) -> str:
-    """The integrator of a run: a method of alfmu, or another code and its method."""
+    """Return the integrator of a run: a method of alfmu, or another code and its method."""
     return str(row["method"]) if row["code"] == "alfmu" else f"{row['code']}, {row['method']}"
 
 
 def line_of(value: object, values: Sequence[object]) -> Line:
-    """The line of one of some values, which are told apart by lines."""
+    """Return the line style of a value among several."""
     return LINES[list(values).index(value) % len(LINES)]
 
 
@@ -56,4 +56,4 @@ def _looks() -> dict[str, Look]:
 
 
 LOOKS = _looks()
-"""The look of every integrator that a report may run, by the name that `integrator` gives it."""
+"""Styles of all integrators in a report, by the name that `integrator` returns."""

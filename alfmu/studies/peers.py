@@ -1,11 +1,11 @@
-"""Pinocchio, Exudyn and MuJoCo on mechanisms that are built for them by hand, where they are installed.
+"""Models of two mechanisms in Pinocchio, Exudyn and MuJoCo, coded by hand; each runs if its package is installed.
 
 five_bar      links of 1 m and 1 kg; one constraint is redundant
 slider_crank  crank 0.5 m, rod 1 m, 1 kg each and for the slider
 
-Both under gravity alone, from an angle and a rate of the first link. Reactions are forces on the second body from the
+Gravity alone acts on both, from an angle and a rate of the first link. Reactions are forces on the second body from the
 first in ground axes [N], named as in alfmu: A to F (x and y) of the five-bar, A, B, C (x and y) and the guide of the
-slider-crank. A run delivers the angle of the first link and all of them at times that are equally spaced.
+slider-crank. A run returns the angle of the first link and all reactions at equidistant times.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ __all__ = [
 GRAVITY = 9.81
 
 EVALUATIONS = 100_000
-"""Evaluations after which an adaptive integrator is stopped."""
+"""Number of evaluations after which an adaptive integrator is stopped."""
 
 PART = 0.02
-"""Steps are parts of it [s]; times are apart by a multiple of it."""
+"""Steps divide this interval [s], and intervals of times are multiples of it."""
 
 CRANK, ROD = 0.5, 1.0
 """Lengths of the slider-crank [m]."""
@@ -70,23 +70,24 @@ class Start(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """What one run delivers at the samples."""
+    """Results of one run at its sample times."""
 
     times: NDArray
-    """(k,) s"""
+    """Times (k,) [s]."""
     angle: NDArray
-    """(k,) of link 1 or crank, rad"""
+    """Angles (k,) of link 1 or crank [rad]."""
     reactions: NDArray
-    """(k, number of REACTIONS), N"""
+    """Reactions (k, number of REACTIONS) [N]."""
     note: str = ""
 
 
 Simulation = Callable[[], Trajectory]
-"""One run from the start; may be called again and again."""
+"""A run from the start, which can be called repeatedly."""
 
 
 def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times: NDArray) -> NDArray:
-    """States at the times by `solve_ivp`, (k, 2 n); fewer where it gives up, TimeoutError where it does not end."""
+    """Return states at the times by `solve_ivp`, (k, 2 n); fewer if it fails; raise TimeoutError if it takes
+    too long."""
     count = itertools.count()
 
     def counted(t: float, y: NDArray) -> NDArray:
@@ -99,9 +100,9 @@ def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times:
 
 @dataclass(frozen=True)
 class Peer(ABC):
-    """One way to simulate: `build` makes a simulation of a mechanism with a step [s] or tolerance, for those times.
+    """A simulation code: `build` prepares a mechanism with a step [s] or tolerance, for given times.
 
-    Times are equally spaced; a step divides their distance.
+    Times are equidistant; a step divides their distance.
     """
 
     package: str
@@ -111,13 +112,13 @@ class Peer(ABC):
     steps: Mapping[str, Sequence[float]]
     """Steps [s], or tolerances, by mechanism; the coarsest first."""
     control: str = "step"
-    """What the step is: `step` [s] or `rtol`."""
+    """Meaning of the step: `step` [s] or `rtol`."""
     quick: int = 2
-    """How many of the steps a quick study takes."""
+    """Number of steps in a quick study."""
 
     @abstractmethod
     def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
-        """A mechanism from a start, with a step or tolerance, to be run over these times [s]."""
+        """Prepare a mechanism at a start, with a step or tolerance, for a run over these times [s]."""
 
     @property
     def installed(self) -> bool:
@@ -128,18 +129,18 @@ class Peer(ABC):
 
 
 def _each(times: NDArray, step: float) -> int:
-    """Steps from one time to the next."""
+    """Return the number of steps from one time to the next."""
     return round((times[1] - times[0]) / step)
 
 
 def _rod(start: Start) -> tuple[float, float]:
-    """Angle and rate of the rod of the slider-crank."""
+    """Return angle and rate of the rod of the slider-crank."""
     angle = math.asin(-CRANK / ROD * math.sin(start.angle))
     return angle, -CRANK * math.cos(start.angle) * start.rate / (ROD * math.cos(angle))
 
 
 def _joints(mechanism: str, start: Start) -> tuple[NDArray, NDArray]:
-    """Coordinates of the tree of joints (A, B, E, D of the five-bar; A, B and the slider) and their rates."""
+    """Return coordinates of the tree of joints (A, B, E, D of the five-bar; A, B and the slider) and their rates."""
     th, w = start
     if mechanism == "five_bar":
         signs = np.array([1.0, -1.0, -1.0, 1.0])
@@ -177,7 +178,7 @@ class Pinocchio(Peer):
         felt, inner = np.empty((len(times), n, 3)), [force.linear for force in data.f][1:]  # views
 
         def record(k: int, y: NDArray, a: NDArray) -> None:
-            """Forces without those of the closures in the frames of the joints, where y gave a just now."""
+            """Store forces without those of the closures in the frames of the joints, right after y gave a."""
             states[k], contacts[k] = y, data.lambda_c
             rnea(model, data, y[:n], y[n:], a)
             felt[k] = inner
@@ -215,7 +216,8 @@ class Pinocchio(Peer):
 
 
 def _pinocchio_model(pin: ModuleType, mechanism: str, start: Start) -> tuple:
-    """Model, loop closures, q and v at the start; joints turn about z or slide along x, and are added depth first."""
+    """Return model, loop closures, q and v at the start; joints turn about z or slide along x, and are added depth
+    first."""
 
     def at(x: float) -> object:
         return pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
@@ -246,7 +248,8 @@ def _pinocchio_model(pin: ModuleType, mechanism: str, start: Start) -> tuple:
 
 
 def _pinocchio_reactions(mechanism: str, q: NDArray, felt: NDArray, contacts: NDArray) -> NDArray:
-    """REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own frames."""
+    """Return REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own
+    frames."""
 
     def ground(angle: NDArray, force: NDArray) -> NDArray:
         c, s, x, y = np.cos(angle), np.sin(angle), force[:, 0], force[:, 1]
@@ -318,11 +321,11 @@ class Exudyn(Peer):
 
 
 def _exudyn_model(mbs: Any, mechanism: str, start: Start) -> tuple[object, list[tuple[object, float]]]:
-    """Node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
+    """Return node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
     from exudyn import itemInterface as item
 
     def bar(length: float, along: float, begin: tuple = (0.0, 0.0), drift: tuple = (0.0, 0.0), w: float = 0.0) -> tuple:
-        """A bar at an angle that begins at a point with a velocity."""
+        """Add a bar at an angle, with one end at a point with a velocity."""
         half = length / 2 * np.array([math.cos(along), math.sin(along)])
         speed = np.add(drift, w * np.array([-half[1], half[0]]))
         places = {"referenceCoordinates": [*np.add(begin, half), 0], "initialCoordinates": [0, 0, along]}
@@ -375,7 +378,7 @@ def _exudyn_model(mbs: Any, mechanism: str, start: Start) -> tuple[object, list[
 
 @dataclass(frozen=True)
 class MuJoCo(Peer):
-    """MuJoCo on the tree of joints that Pinocchio has, closed by `connect`; reactions by `mj_rnePostConstraint`."""
+    """MuJoCo on the same tree of joints as Pinocchio, closed by `connect`; reactions by `mj_rnePostConstraint`."""
 
     integrator: str = "RK4"
     hardness: Mapping[str, float] = field(default_factory=dict)
@@ -385,7 +388,7 @@ class MuJoCo(Peer):
         import mujoco
 
         warnings: list[str] = []
-        mujoco.set_mju_user_warning(warnings.append)  # otherwise it writes a file into the working folder
+        mujoco.set_mju_user_warning(warnings.append)  # by default it writes a file into the working folder
         text = _mujoco_model(mechanism, step, self.integrator, self.hardness[mechanism] / step**2)
         q_0, v_0 = _joints(mechanism, start)
         model = mujoco.MjModel.from_xml_string(text)
@@ -413,7 +416,7 @@ class MuJoCo(Peer):
 
 
 def _mujoco_model(mechanism: str, step: float, integrator: str, stiffness: float) -> str:
-    """MJCF text, all links along the x axis."""
+    """Return MJCF text, with all links along the x axis."""
 
     def bar(name: str, x: float, length: float, children: str = "") -> str:
         moment = length**2 / 12
@@ -463,4 +466,4 @@ def _tuned() -> tuple[Peer, ...]:
 
 
 TUNED = _tuned()
-"""All of them, each in the best of the settings that were tried on these mechanisms (`scripts/peers.py` says which)."""
+"""All codes, each with the best settings of those tried on these mechanisms (listed in `scripts/peers.py`)."""

@@ -1,8 +1,7 @@
 """Error against run time: every formulation, method and way to run a mechanism, judged by a reference.
 
-Beside them other codes, the study of Blajer (2002) where it is about the mechanism, and maps of stability. `report`
-writes `report.html`, one page that needs nothing else; `report.md`, CSV files with every number in them, and pictures
-of each mechanism beside it.
+The report adds other codes, the study of Blajer (2002) for its mechanisms, and maps of stability. `report` writes
+`report.html`, a self-contained page; `report.md`, CSV files with every number, and pictures of each mechanism.
 """
 
 from __future__ import annotations
@@ -70,42 +69,42 @@ __all__ = ["PROFILES", "Effort", "report"]
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
 TIME = "least [s]"
-"""Of enough repeats (`cases.Case.enough`): what else a machine does only adds to a time."""
+"""Name of the run time: the fastest of enough repetitions (`cases.Case.enough`), since disturbances only add time."""
 
 LEVELS = (1e-3, 1e-6, 1e-9)
 """Position errors [m, rad] at which run times are compared."""
 
 LOST = 0.1
-"""Position error [m, rad] of a run that has lost the motion; it says nothing about an order."""
+"""Position error [m, rad] above which a run has lost the motion and does not count for an order."""
 
 ABOVE = 10.0
-"""Errors count towards an order as far as they are so many times that of the reference."""
+"""Errors count for an order if they exceed this multiple of the error of the reference."""
 
 LATE = "the time for this mechanism was used up"
 
 FITTING, STRAIGHT = 3, 1.5
-"""An order is the slope of a straight line through so many errors at least, each within this factor of the line."""
+"""Least number of errors in the line fit of an order, and the factor within which each must lie from the line."""
 
 FILMED, FRAME = 10.0, 0.02
-"""Longest time of a film, and between its poses [s]."""
+"""Longest duration of a film, and interval of its frames [s]."""
 
 CLEARLY = 2.0
 """Errors and times that differ by less than this factor are called equal."""
 
 ROUNDOFF = 1e-11
-"""Errors up to it are called equal."""
+"""Errors up to this value are called equal."""
 
 POINTS = 40
-"""About how many times a run is read: few, as methods that control their error have to land on each."""
+"""Approximate number of output times of a run: few, as methods with error control must end a step at each."""
 
 HELD = 10.0
-"""Error of a run over its tolerance up to which the tolerance counts as held."""
+"""Error of a run over its tolerance up to which it meets the tolerance."""
 
 MAPPED = 0.15
-"""Part of the time of a mechanism that is kept for its maps of stability."""
+"""Share of the time of a mechanism for its maps of stability."""
 
 FOR_PAPER = 0.2
-"""The same for the chapters of the paper's study, where some are about the mechanism."""
+"""Share for the chapters of the paper's study, if some treat the mechanism."""
 
 ABOUT = tuple(dict.fromkeys(name for name, _ in paper.STUDIES.values()))
 """Mechanisms that the paper's study is about."""
@@ -115,28 +114,28 @@ OWN = Settings.formulation
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured."""
+    """Extent of a report."""
 
     total: float
     """Wall time for all mechanisms together [s]."""
     each: float
-    """The same of one mechanism, at most [s]."""
+    """Time limit per mechanism [s]."""
     horizon: float
     """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
     steps: int
-    """Most of the mechanism's own steps in it."""
+    """Largest number of the mechanism's own steps in it."""
     factors: tuple[float, ...]
     """Steps over the mechanism's own, the longest first."""
     tolerances: tuple[float, ...]
-    """Of methods with tolerances, the largest first."""
+    """Tolerances of methods with error control, the largest first."""
     limit: float
-    """Wall time of one run [s]."""
+    """Wall time limit of one run [s]."""
     repeats: int
-    """Most runs of a case; fewer where they are long."""
+    """Most repetitions of a case; fewer if it is long."""
     reference: exact.Effort
     paper: paper.Effort
     stability: maps.Effort
-    """Its `total` does not count here."""
+    """Extent of the maps; its `total` is ignored."""
     wide: bool = True
     """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
     interpreter, which takes no compiler."""
@@ -202,7 +201,7 @@ PROFILES = {
 
 @dataclass(frozen=True)
 class Setting:
-    """A line in the pictures: what runs, and the steps [s] or tolerances with which it runs."""
+    """A line in the plots: the configuration to run, and its steps [s] or tolerances."""
 
     code: str
     formulation: str
@@ -211,18 +210,18 @@ class Setting:
     control: str
     values: tuple[float, ...]
     default: float
-    """The value whose errors stand in the report."""
+    """The value whose errors are in the report."""
     run: Callable[[float, Case], Run]
     language: str
-    """What it runs in."""
+    """Programming language that it runs in."""
 
     def row(self, value: float) -> Row:
-        """What tells a run of it from others."""
+        """Return the columns that identify a run of it."""
         names = ("code", "formulation", "method", "way", "language", "control")
         return {name: getattr(self, name) for name in names} | {"value": value}
 
     def growth(self, before: float, value: float) -> float:
-        """How much longer a run will take than the one before: guessed for tolerances with an order of 4."""
+        """Return the expected ratio of its run times; an order of 4 is assumed for tolerances."""
         return (before / value) ** (1.0 if self.control == STEP else 0.25)
 
 
@@ -230,22 +229,22 @@ class Setting:
 
 
 class Study(cases.Study):
-    """Everything that is measured of one mechanism, as rows of CSV files."""
+    """All measurements of one mechanism, as rows of CSV files."""
 
     def __init__(self, name: str | Path | Mechanism, effort: Effort):
         super().__init__(name, effort)
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
         self.chapters: list[paper.Chapter] = []
-        """Of the paper."""
+        """Chapters of the paper's study."""
         self.film = ""
-        """A page with the motion; none where there is nothing to draw."""
+        """Page with a film of the motion; empty if nothing can be drawn."""
         self.maps = maps.Study(self.mechanism, effort.stability)
         self._before: dict[Setting, tuple[float, float]] = {}
         self._traced: dict[str, Equations] = {}
 
     def measure(self, deadline: float, progress: Progress) -> None:
-        """Run all cases, as far as time allows until `deadline`."""
-        logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
+        """Run all cases until `deadline`."""
+        logging.getLogger("alfmu").addHandler(logging.NullHandler())  # messages of a failing FMU are in its row
         self.equations = prepared(self.derived, "oracle")
         parts, left = self.effort.parts, deadline - time.perf_counter()
         mapped = deadline - MAPPED * left * ("maps" in parts)
@@ -274,14 +273,14 @@ class Study(cases.Study):
         self._compare()
 
     def _points(self) -> NDArray:
-        """Times at which all runs are read: as far apart as the longest step, or a multiple of it."""
+        """Return the output times of all runs: their interval is the longest step, or a multiple of it."""
         e, longest = self.equations, max(self.effort.factors) * self.equations.step_size
         horizon = min(e.stop_time, self.effort.horizon, self.effort.steps * e.step_size)
         apart = max(1, round(horizon / (self.effort.points * longest))) * longest
         return communication_points(e.name, max(1, int(horizon / apart * (1 + 1e-12))) * apart, apart)
 
     def _paper(self, deadline: float) -> None:
-        """The chapters of the paper's study that are about this mechanism as it comes."""
+        """Run the chapters of the paper's study on this mechanism with its defaults."""
         for name, (mechanism, chapter) in paper.STUDIES.items():
             if mechanism != self.mechanism.name:
                 continue
@@ -293,7 +292,7 @@ class Study(cases.Study):
                 self._keep("skipped", {"code": "the paper's study", "method": name, "reason": str(error)})
 
     def _film(self) -> None:
-        """The motion of the mechanism as it comes."""
+        """Film the motion of the mechanism with its defaults."""
         try:
             with scratch() as folder:
                 animate(self.mechanism, simulate(self.mechanism, self._filmed(), FRAME), folder / "film.html")
@@ -302,14 +301,14 @@ class Study(cases.Study):
             self._keep("skipped", {"code": "the film", "reason": str(error)})
 
     def _filmed(self) -> float:
-        """Time that a film shows [s], a whole number of frames."""
+        """Return the duration of a film [s], a whole number of frames."""
         return FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
 
     def _keep(self, file: str, row: Row) -> None:
         self.files[file].append({"mechanism": self.name} | row)
 
     def _judge(self, horizon: float) -> None:
-        """The reference, and its error."""
+        """Compute the reference, and its error."""
         instance = Instance(self.equations)
         instance.initialize()
         self.mobility = instance.mobility()
@@ -339,7 +338,7 @@ class Study(cases.Study):
         }
 
     def _scenes(self) -> None:
-        """What scenes leave out, and the operations that this saves."""
+        """Collect parts that scenes leave out, and the operations that this saves."""
         everything = self.derived
         motion = [v.name for v in everything.outputs if not v.instant]
         scenes = {
@@ -355,7 +354,7 @@ class Study(cases.Study):
                 self._keep("scenes", {"scene": name, "left out": what} | saved)
 
     def _makers(self, folder: Path) -> dict[str, Callable[[str], Any]]:
-        """Every way to run that there is: what makes a unit of it that carries a method."""
+        """Return all ways to run: functions that make a unit for a method."""
         kernels = ["compiled"] * bool(compiler()) + ["vm", "oracle"]
         makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
@@ -370,13 +369,13 @@ class Study(cases.Study):
         return Fmu(export(self.mechanism, path, kind="python", kernel=kernel, parameters=given))
 
     def _unit(self, way: str, method: str) -> _Open:
-        """A unit of a way to run that carries a method, made when it is first wanted."""
+        """Return a unit of a way to run for a method, created on first use."""
         if (way, method) not in self._units:
             self._units[way, method] = self._stack.enter_context(closing(_Open(self._ways[way](method))))
         return self._units[way, method]
 
     def _settings(self) -> list[list[Setting]]:
-        """All settings in groups, those first whose rows are needed most."""
+        """Return all settings in groups, the most important first."""
         if self.effort.methods:
             way = next(iter(self._ways))
             own = [self._setting(OWN, method, way) for method in self.effort.methods]
@@ -386,7 +385,7 @@ class Study(cases.Study):
         every = "vm" if not self.effort.wide and "vm" in self._ways else next(iter(self._ways), None)
         fastest, slower = [way for way in self._ways if way == every], [way for way in self._ways if way != every]
         told = [method for method in more if self.effort.wide or method == Settings.method]
-        # The oracle integrates by the first method alone.
+        # The oracle supports the first method only.
         again = [way for way in self._ways if way != "oracle"]
         pairs = [
             [(OWN, m, way) for m in (first, *more) for way in fastest],
@@ -407,7 +406,7 @@ class Study(cases.Study):
         def once(value: float, case: Case) -> Run:
             opened = self._unit(way, method)
             case = replace(case, values={"solver.formulation": formulation} | exactness(method, value))
-            if not opened.warm:  # What is made when it is first wanted has no part in the time.
+            if not opened.warm:  # exclude initialisation on first use from the time
                 run(opened.unit, opened.restart, replace(case, most=1))
                 opened.warm = True
             return run(opened.unit, opened.restart, case)
@@ -417,7 +416,7 @@ class Study(cases.Study):
         return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once, language)
 
     def _rival(self, rival: Rival) -> Setting | None:
-        """Another code, None where it does not know the mechanism; as many values as alfmu gets."""
+        """Return the setting of another code with as many values as alfmu, None if it has no model of the mechanism."""
         values = tuple(rival.values(self.name))
         if rival.control == TOLERANCE:
             values = tuple(x for x in values if x >= min(self.effort.tolerances))
@@ -434,7 +433,7 @@ class Study(cases.Study):
         return Setting(rival.name, "dae", rival.method, way, rival.control, values, middle, once, rival.language)
 
     def _run(self, setting: Setting, value: float, deadline: float) -> None:
-        """A run of a setting; what would take too long is listed with its estimate."""
+        """Run a setting; if it would take too long, list it with its estimate."""
         before = self._before.get(setting)
         estimate = before[1] * setting.growth(before[0], value) if before else None
         late = time.perf_counter() > deadline
@@ -453,7 +452,7 @@ class Study(cases.Study):
         self._keep("errors", about | self.judge.errors(found) | found.cost())
 
     def _summarise(self) -> None:
-        """The row at the default step or tolerance of each setting, with its order and its slope over run time."""
+        """Add the row at the default step or tolerance of each setting, with its order and its slope over run time."""
         lines: dict[tuple, list[Row]] = {}
         for row in self.files["errors"]:
             lines.setdefault(_line(row), []).append(row)
@@ -471,7 +470,7 @@ class Study(cases.Study):
                     )
 
     def _order(self, rows: Sequence[Row]) -> tuple[float | None, str]:
-        """The order that errors of one setting over its steps show, or why they show none."""
+        """Return the order in the errors of one setting over its steps, or why there is none."""
         if rows[0]["control"] != STEP:
             return None, "a tolerance chooses the steps"
         fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
@@ -487,7 +486,7 @@ class Study(cases.Study):
         return order, ""
 
     def _tolerances(self) -> None:
-        """Errors over the tolerances that were asked for."""
+        """Compare errors with the requested tolerances."""
         for row in self.files["errors"]:
             if row["code"] == "alfmu" and row["formulation"] == OWN and row["control"] == TOLERANCE:
                 told = {"method": row["method"], "way": row["way"], TOLERANCE: row["value"], POSITION: row[POSITION]}
@@ -497,13 +496,14 @@ class Study(cases.Study):
                 self._keep("tolerances", told)
 
     def _tells(self, error: float | None) -> bool:
-        """Whether an error says something about an order."""
+        """Return whether an error counts for an order."""
         return error is not None and max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF) < error < LOST
 
     # Comparisons -------------------------------------------------------------------------------------------------
 
     def _compare(self) -> None:
-        """alfmu as it comes against all else: run times at equal error, errors at equal step; also where it loses."""
+        """Compare the defaults of alfmu with all others, also where alfmu is worse: run times at equal error, errors at
+        equal step."""
         rows = [r for r in self.files["errors"] if r[TIME] is not None]
         own = [r for r in rows if (r["code"], r["formulation"]) == ("alfmu", OWN)]
         in_python = [r for r in own if r["language"] == PYTHON]
@@ -535,7 +535,7 @@ class Study(cases.Study):
 
 @dataclass
 class _Open:
-    """A unit that can be run again and again."""
+    """A unit that can be run repeatedly."""
 
     unit: Unit
     warm: bool = False
@@ -549,7 +549,7 @@ class _Open:
 
 
 def _passes(settings: Sequence[Setting]) -> list[tuple[Setting, float]]:
-    """All settings with the largest step or tolerance each, then with the next one: nothing is left without a run."""
+    """Return all settings with their largest step or tolerance, then with the next: each runs at least once."""
     most = max((len(setting.values) for setting in settings), default=0)
     return [(setting, setting.values[i]) for i in range(most) for setting in settings if i < len(setting.values)]
 
@@ -559,7 +559,7 @@ def _middle(values: Sequence[float]) -> float:
 
 
 LINE = ("code", "formulation", "method", "way")
-"""Columns that tell settings apart."""
+"""Columns that distinguish settings."""
 
 
 def _line(row: Row) -> tuple:
@@ -575,7 +575,7 @@ def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
 
 
 def _fastest(rows: Sequence[Row], level: float) -> Row | None:
-    """The run that takes least among those with a position error up to a level."""
+    """Return the fastest run with a position error up to a level."""
     reached = [r for r in rows if r[POSITION] is not None and r[POSITION] <= level]
     return min(reached, key=lambda r: r[TIME], default=None)
 
@@ -656,7 +656,7 @@ def report(
     effort: Effort | None = None,
     profile: str = "usual",
 ) -> Path:
-    """Measure mechanisms and write the report into a folder; returns the path of its page.
+    """Measure mechanisms and write the report into a folder; return the path of its page.
 
     `profile` is one of PROFILES; of the paper's study only mechanisms that it is about are measured. Raises AlfmuError
     where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any run.
@@ -698,11 +698,11 @@ def report(
 SKIPPED = ("mechanism", "reason", "runs", "what")
 
 NAMED = 6
-"""Runs that a line of the summary of what was skipped names; of more it says how many."""
+"""Number of runs that a line on skipped runs names; of more it gives the number."""
 
 
 def _skipped(studies: Sequence[Study]) -> list[Row]:
-    """What did not run, a line for each reason of each mechanism."""
+    """Return the skipped runs, a row for each reason of each mechanism."""
     found = []
     for study in studies:
         why: dict[str, list[Row]] = {}
@@ -733,7 +733,7 @@ def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
 
 
 def _chapter(study: Study) -> Iterator[str]:
-    """One mechanism."""
+    """Yield the chapter of one mechanism."""
     yield f"## {study.name}"
     yield study.mechanism.description + "."
     if "runs" in study.effort.parts:
@@ -751,7 +751,7 @@ def _chapter(study: Study) -> Iterator[str]:
 
 
 def _table(study: Study, file: str) -> list[str]:
-    """A table of a mechanism in Markdown, none where it has no rows."""
+    """Return a table of a mechanism in Markdown, empty if it has no rows."""
     rows, (title, columns) = study.files[file], SHOWN[file]
     if file == "comparisons":
         rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
@@ -761,23 +761,23 @@ def _table(study: Study, file: str) -> list[str]:
 
 
 SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
-"""Quantities that pictures show, each in a panel of its own."""
+"""Quantities in plots, with a panel each."""
 
 
 def _own(study: Study) -> list[Row]:
-    """Runs of the default formulation in every way, and of other codes."""
+    """Return runs of the default formulation in every way, and of other codes."""
     return [r for r in study.files["errors"] if r["formulation"] == OWN or r["code"] != "alfmu"]
 
 
 def _one_way(study: Study) -> list[Row]:
-    """Runs of every formulation in the way that runs all integrators, and of other codes."""
+    """Return runs of every formulation in the way that runs all integrators, and of other codes."""
     rows = study.files["errors"]
     first = next((r["way"] for r in rows if r["code"] == "alfmu"), "")
     return [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
 
 
 def _pictures(study: Study, folder: Path) -> None:
-    """The default formulation in every way, and every formulation in one way; those of the paper, and maps."""
+    """Draw the default formulation in every way, every formulation in one way, the plots of the paper, and maps."""
     for chapter in study.chapters:
         chapter.write(folder)
     if "maps" in study.effort.parts:
@@ -815,7 +815,7 @@ line, double-click to see it alone; errors far above a motion that is lost lie o
 
 
 def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
-    """The picture of the first mechanism and a sentence on each, then all else behind folds and in chapters."""
+    """Return the page: the plot of the first mechanism and a sentence on each, then details in folds and chapters."""
     page = Page("Error against run time")
     rows = _rivalry(begun.studies)
     if "runs" in begun.studies[0].effort.parts:
@@ -841,7 +841,7 @@ def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
 
 
 def _sentence(study: Study, row: Row) -> str:
-    """What the measurements of a mechanism come to."""
+    """Return a sentence on the results of a mechanism."""
     time = row["its run time [ms]"]
     if time is not None:
         which, level = row[fastest(LEVELS[1])], f"{LEVELS[1]:g} m, rad"
@@ -857,24 +857,24 @@ def _sentence(study: Study, row: Row) -> str:
 
 
 def fastest(level: float) -> str:
-    """The column of what comes below a position error in the least time."""
+    """Return the column of the fastest run below a position error."""
     return f"fastest to {level:g} m, rad"
 
 
 def _against_time(page: Page, study: Study) -> None:
-    """The picture of a mechanism that the page is about: errors of all ways to run it, and of other codes."""
+    """Add the main plot of a mechanism: errors of all ways to run it, and of other codes."""
     if any(r["code"] == "alfmu" for r in study.files["errors"]):
         plotted = against_time(_own(study), SHOWN_ERRORS, TIME, "way", "way", study.floors)
         page.plot(plotted, " ".join(BY_TIME.format(what=f"formulation {OWN}", lines="ways to run").split()))
 
 
 def numbered(rows: Sequence[Row]) -> bool:
-    """Whether a table of these rows has a number."""
+    """Return whether any row contains a number."""
     return any(isinstance(x, int | float) and not isinstance(x, bool) for row in rows for x in row.values())
 
 
 def _rivalry(studies: Sequence[Study]) -> list[Row]:
-    """Run times of other codes over that of alfmu in the same language as far as there is one, at a middle level."""
+    """Return run times of other codes over that of alfmu, in the same language if possible, at a middle level."""
     level, rows = LEVELS[1], []
     for study in studies:
         found = [r for r in study.files["comparisons"] if "run time to" in r["what"] and r["level or step"] == level]
@@ -895,7 +895,7 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 
 
 def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
-    """One mechanism; `opened` says that the page began with its picture."""
+    """Add the chapter of one mechanism; `opened` if the page began with its plot."""
     name = study.name
     page.head(2, name)
     page.text(study.mechanism.description + ".")
@@ -952,7 +952,7 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
 
 
 def _maps_of_page(page: Page, study: Study) -> None:
-    """Maps of stability under their legend."""
+    """Add maps of stability under their legend."""
     meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
     page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
     page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
@@ -962,13 +962,13 @@ def _maps_of_page(page: Page, study: Study) -> None:
 
 
 def _criterion(row: Row) -> str:
-    """What puts a cell of a map into a class."""
+    """Return the criterion that determines the class of a cell of a map."""
     bounds = [f"{word} {row[word]:g}" for word in ("at most", "above") if word in row]
     return " ".join([str(row["measure"]), *bounds])
 
 
 def _said(rows: Sequence[Row]) -> dict[tuple[str, str, str], str]:
-    """What a cell of a map says of itself beside its class."""
+    """Return the tooltips of cells of maps, beside their class."""
     found = {}
     for r in rows:
         error = r.get(POSITION)

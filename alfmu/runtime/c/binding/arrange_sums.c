@@ -91,7 +91,8 @@ void without_differences(Sums *f)
 {
     Room *room = &f->room;
     int left = 0;
-    int *ends = arrange_integers(room, (size_t)f->count + 2, 0), *there = arrange_integers(room, 2 * (size_t)f->terms, 0);
+    int *ends = arrange_integers(room, (size_t)f->count + 2, 0),
+        *there = arrange_integers(room, 2 * (size_t)f->terms, 0);
     int *pool = arrange_integers(room, 3 * (size_t)f->count, 0);
     if (room->missing)
         return;

@@ -21,6 +21,7 @@
 #include "run.h"
 #include "scene.h"
 #include "scene_sizes.h"
+#include "settings.h"
 #include "state.h"
 #include "topology.h"
 #include "variables.h"
@@ -124,8 +125,9 @@ API int alfmu_choose(Instance *i, int reference, const char *value)
             strcat(known, choice->values[k]);
         }
     }
-    return (int)instance_say(i, REFUSED, "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)",
-        s->name, s->variables[reference].name, value, known, s->variables[reference].name, value);
+    return (int)instance_say(i, REFUSED,
+        "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)", s->name,
+        s->variables[reference].name, value, known, s->variables[reference].name, value);
 }
 
 API const char *alfmu_chosen(const Instance *i, int reference)
@@ -186,7 +188,8 @@ API int alfmu_ready(Instance *i, double start, double h)
     INSIDE(int, instance_ready(i, start, h));
 }
 
-/* How often something jumps by itself in that step, and the times just before and just after each where there is room. */
+/* How often something jumps by itself in that step, and the times just before and just after each where there is
+   room. */
 API int alfmu_breaks(const Instance *i, double *times)
 {
     if (times)
@@ -211,11 +214,12 @@ typedef struct {
 
 static Python python;
 
-/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an instance, the
-   arguments are the start and the length; NULL is an exception. */
+/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an
+   instance, the arguments are the start and the length; NULL is an exception. */
 static void *step_from_python(void *self, void *const *arguments, ptrdiff_t count)
 {
-    const double start = count > 0 ? python.number(arguments[0]) : NAN, h = count > 1 ? python.number(arguments[1]) : NAN;
+    const double start = count > 0 ? python.number(arguments[0]) : NAN,
+                 h = count > 1 ? python.number(arguments[1]) : NAN;
     void *instance = python.address(self), *thread;
     int outcome;
     if (python.failed())
@@ -311,7 +315,28 @@ API int alfmu_brakes(const Instance *i)
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */
 API int alfmu_penalize(Instance *i, const double *penalties)
 {
-    return (int)instance_penalize(i, penalties);
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return (int)instance_say(i, REFUSED,
+                "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above", s->name, r + 1,
+                penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    arena_reset(i);
+    settings_upload_arguments(i);
+    instance_remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = topology_change(i, i->active);
+    if (outcome != DONE)
+        instance_go_back(i);
+    arena_reset(i);
+    return (int)outcome;
 }
 
 API void alfmu_penalties(const Instance *i, double *penalties)
@@ -359,8 +384,8 @@ static int goes_on(Instance *i)
     return on;
 }
 
-/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where the run
-   was interrupted, within a communication step too. */
+/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where
+   the run was interrupted, within a communication step too. */
 API long alfmu_run(Instance *i, const Run *r, int *outcome)
 {
     Going going = {r, 0, clock()};

@@ -1,5 +1,5 @@
-/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older systems,
-   too. Newer versions of these differ in errno alone. */
+/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older
+   systems, too. Newer versions of these differ in errno alone. */
 
 #ifndef ALFMU_BASELINE_H
 #define ALFMU_BASELINE_H

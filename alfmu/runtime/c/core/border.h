@@ -1,5 +1,6 @@
-/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way: inside,
-   nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two registers. */
+/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way:
+   inside, nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two
+   registers. */
 
 #ifndef ALFMU_BORDER_H
 #define ALFMU_BORDER_H

@@ -5,9 +5,11 @@
 
 #include "instance.h"
 #include "scene.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
+#if HAS_MOVING_INPUTS
 /* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 
@@ -22,6 +24,10 @@ enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED_LITTLE, S
 void inputs_begin(Instance *i, double time);
 void input_aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little);
 Outcome inputs_aim(Instance *i, double start, double h);
+#else
+static inline void inputs_begin(Instance *i, double time) { (void)i, (void)time; }
+static inline Outcome inputs_aim(Instance *i, double start, double h) { return (void)i, (void)start, (void)h, DONE; }
+#endif
 
 #include "internal_end.h"
 

@@ -27,7 +27,8 @@ void constraints_evaluate(
     const size_t arena = arena_mark(i), l = (size_t)s->l;
     const double *x[] = {q, v, instance_field(i, s->p)};
     double *y[] = {mass ? mass : arena_alloc(i, (size_t)s->mass.entries),
-        matrix ? matrix : arena_alloc(i, (size_t)s->constraint.entries), phi ? phi : arena_alloc(i, l), cv ? cv : arena_alloc(i, l)};
+        matrix ? matrix : arena_alloc(i, (size_t)s->constraint.entries), phi ? phi : arena_alloc(i, l),
+        cv ? cv : arena_alloc(i, l)};
     function_call(i, s->constraints, x, y);
     arena_release(i, arena);
 }

@@ -1,8 +1,8 @@
 /* A mechanism in motion: values by reference, and all that a communication step reads and changes.
 
-   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene comes
-   from its file: its functions and programs work on the memory `m` laid out by `Layout` in alfmu/kernel/memory.py, and on
-   the workspace behind it. */
+   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene
+   comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
+   alfmu/kernel/memory.py, and on the workspace behind it. */
 
 #ifndef ALFMU_INSTANCE_H
 #define ALFMU_INSTANCE_H
@@ -99,13 +99,15 @@ typedef struct Instance {
     int broken;      /* how many */
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
-    long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
+    /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
+    long shared;
     int within; /* whether the next step goes on in a communication step that began before */
     int crossings; /* jumps that were crossed by the shortest of steps, since there was a longer one */
     long left;  /* internal steps that this communication step may still take */
     double stop; /* time [s] past which the host does not step, as it said; INFINITY where it said none */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
-    int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */
+    /* asked now and then within a run in one call, where there is one; zero ends it */
+    int (*go_on)(struct Instance *i);
     void *run;                        /* what that is about */
     long looks;                       /* how often it might have been asked */
     int ended;                        /* whether it ended the run */
@@ -115,7 +117,8 @@ typedef struct Instance {
     char warning[1024];
     struct Tape *tape; /* what is done is written on it, where there is one (record.h) */
     struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (instant_derivatives.c) */
-    struct Gradient *of_step;  /* of communication steps, where the scene has an interface Jacobian (interface_jacobian.c) */
+    /* of communication steps, where the scene has an interface Jacobian (interface_jacobian.c) */
+    struct Gradient *of_step;
 } Instance;
 
 /* What an instance warns of once in a run. */
@@ -194,8 +197,8 @@ static inline double *instance_states(const Instance *i)
     return instance_field(i, i->scene->z) + i->scene->work + 1;
 }
 
-/* The length of what is left of a communication step or up to an event, from which on no error control is of use: methods
-   that have one leave it to RK4. A host that sums up its steps makes such a last one of what its sum lacks. */
+/* The length of what is left of a communication step or up to an event, from which on no error control is of use:
+   methods that have one leave it to RK4. A host that sums up its steps makes such a last one of what its sum lacks. */
 static inline double instance_least_step(const Instance *i)
 {
     return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));

@@ -27,8 +27,8 @@ size_t linear_least_norm_work(int rows, int columns);
    alone. `work` holds least_norm_work(rows, columns) numbers. */
 void linear_least_norm(int rows, int columns, const double *a, const double *r, double least, double *x, double *work);
 
-/* Whether a small change of the matrix, square, leaves the rank that the last call found: below the root of round-off no digit of
-   a derivative is left. */
+/* Whether a small change of the matrix, square, leaves the rank that the last call found: below the root of
+   round-off no digit of a derivative is left. */
 int linear_rank_is_sure(int side, double least, const double *work);
 
 /* The largest |x[i]|, 0 where there is none; not a number where one is not. */
@@ -46,7 +46,8 @@ void envelope_factor(const Envelope *e, double *a, double least);
 void envelope_solve(const Envelope *e, const double *a, const double *b, double *x, double *work);
 
 /* Factors of the matrix of blocks * blocks parts (n, n), and a solution by them. */
-void linear_factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
+void linear_factor(
+    int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
 
 void linear_solve(int n, int s, const double *a, const double *order, const double *const *right, double *x);
 

@@ -58,8 +58,8 @@ typedef struct {
 #define HEARD_POINTS 3
 #define HEARD (2 + 2 * HEARD_POINTS)
 
-/* A law of time that may jump, or not be finite: what it is, the units of it and of its rate, the constraint with which alone it counts, -1
-   where it always does. */
+/* A law of time that may jump, or not be finite: what it is, the units of it and of its rate, the constraint with
+   which alone it counts, -1 where it always does. */
 typedef struct {
     const char *what, *unit, *rate_unit;
     int row;
@@ -70,8 +70,8 @@ typedef struct {
     const char *name, *unit;
 } Limit;
 
-/* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the direction
-   in which it slides stand among what is kept; whether its load is not unique. */
+/* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the
+   direction in which it slides stand among what is kept; whether its load is not unique. */
 typedef struct {
     int row, value, slip, shared;
 } Friction;
@@ -82,8 +82,8 @@ typedef struct {
     const int *offsets, *indices;
 } Pattern;
 
-/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it, which
-   is one of so many directions. */
+/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it,
+   which is one of so many directions. */
 typedef struct {
     int output, input, direction;
 } Jacobian_entry;
@@ -106,8 +106,8 @@ typedef struct {
     size_t words;
 } Program;
 
-/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory or the
-   workspace something is (-1 for none). */
+/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory
+   or the workspace something is (-1 for none). */
 typedef struct {
     const char *name;
     char guid[40];

@@ -16,7 +16,7 @@
 #define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
 
 /* `x` (AIM_NUMBERS) becomes what the aim makes of it. */
-static void aim_along(const Followed *f, const double *saved, double *x)
+static void differentiate_aim(const Followed *f, const double *saved, double *x)
 {
     double c[POLYNOMIAL], heard[HEARD];
     Given g = {{0.0, 0.0, 0.0}, (int)saved[SAVED_LEVEL]};
@@ -53,7 +53,7 @@ void aimed_tangents(Gradient *g, const Entry *e)
                 const int32_t place = aim_place(f, words, k);
                 x[k] = place < 0 ? 0.0 : t[place].lane[lane];
             }
-            aim_along(f, saved, x);
+            differentiate_aim(f, saved, x);
             for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
                 t[aim_place(f, words, k)].lane[lane] = x[k];
         }
@@ -75,7 +75,7 @@ void aimed_adjoints(Gradient *g, const Entry *e)
         if (place < 0)
             continue;
         x[each] = 1.0;
-        aim_along(f, saved, x);
+        differentiate_aim(f, saved, x);
         for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
             sum += weights[k] * x[k];
         g->adjoints[place] += sum;

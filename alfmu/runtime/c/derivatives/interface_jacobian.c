@@ -1,7 +1,7 @@
 /* The interface Jacobian: derivatives of outputs at the end of a communication step by inputs that are held over it.
 
-   Each internal step is written on a tape, swept forward and forgotten, so that a communication step of any length takes the
-   memory of one. What the step begins with beside its inputs is left as it is. */
+   Each internal step is written on a tape, swept forward and forgotten, so that a communication step of any length
+   takes the memory of one. What the step begins with beside its inputs is left as it is. */
 
 #include "interface_jacobian.h"
 
@@ -33,7 +33,8 @@ Outcome jacobian_begin(Instance *i)
     if (!g)
         return instance_say(i, FAILED, "%s: there is no memory for derivatives", s->name);
     if (!i->within) {
-        i->onward = 0; /* What outputs were read by is on no tape: steps hand on nothing but the numbers of an instance. */
+        /* What outputs were read by is on no tape: steps hand on nothing but the numbers of an instance. */
+        i->onward = 0;
         for (int block = 0; block < g->blocks; block++)
             memset(g->tangents + (size_t)block * g->places, 0, i->count * sizeof *g->tangents);
         for (int k = 0; k < s->entries; k++) {
@@ -79,7 +80,8 @@ Outcome jacobian_end(Instance *i)
     for (int k = 0; k < s->entries; k++)
         if (!isfinite(derivative(i, k)))
             return instance_say(i, FAILED,
-                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not sure; take "
+                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not "
+                "sure; take "
                 "another communication step or input, or leave this output out",
                 s->name, *instance_time(i), s->variables[scene_first_output(s) + s->outputs + k].name);
     for (int k = 0; k < s->entries; k++)

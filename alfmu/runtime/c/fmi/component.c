@@ -16,6 +16,7 @@
 #include "resources.h"
 #include "run.h"
 #include "scene.h"
+#include "settings.h"
 #include "state.h"
 
 #define HANDLE 0x48414e44u /* "HAND" */
@@ -112,7 +113,11 @@ Status component_refuse(Component *c, Category category, const char *call, const
 /* What the instance said when it refused something. */
 Status component_refused(Component *c, Status status)
 {
-    component_say(c, status == STATUS_DISCARD ? DISCARD : status == STATUS_WARNING ? WARNING : ERROR_, c->instance->text);
+    component_say(c,
+        status == STATUS_DISCARD       ? DISCARD
+            : status == STATUS_WARNING ? WARNING
+                                       : ERROR_,
+        c->instance->text);
     return status;
 }
 
@@ -231,8 +236,8 @@ Status component_reset(Component *c, const char *call)
 
 static State *save_into(Component *c, State *state);
 
-/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had asked for
-   that one. Where it cannot be made, the state here stays. */
+/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had
+   asked for that one. Where it cannot be made, the state here stays. */
 static void ask_early_return(Component *c, double point, double step, long made)
 {
     Instance *i = c->instance;
@@ -247,15 +252,15 @@ static void ask_early_return(Component *c, double point, double step, long made)
     i->warns = 0; /* It has been said. */
 }
 
-/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after each of
-   which the host may look; at last the state is that of the first time, so that looks change nothing. The host may end the
-   step at one of them; where the step fails, it then has what was reached before, and otherwise the whole step is taken
-   back. */
+/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after
+   each of which the host may look; at last the state is that of the first time, so that looks change nothing. The
+   host may end the step at one of them; where the step fails, it then has what was reached before, and otherwise the
+   whole step is taken back. */
 static Status step_watched(Component *c, double point, double step, int *early)
 {
     const int may_return = *early;
     Instance *i = c->instance;
-    const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12))), length = step / count;
+    const double count = settings_internal_steps(i, step), length = step / count;
     double until = INFINITY;
     Outcome whole = instance_can_step(i, point, step);
     *early = 0;

@@ -136,7 +136,8 @@ const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t
     } else {
         const Variable *start = s->variables + s->own + s->tied[worst - s->l];
         char left[QUANTITY];
-        snprintf(label, size, "%s missed by %s", start->name, quantity_in_unit(start->unit, fabs(loops->residue[worst]), left));
+        snprintf(label, size, "%s missed by %s", start->name,
+            quantity_in_unit(start->unit, fabs(loops->residue[worst]), left));
     }
     return label;
 }

@@ -21,7 +21,8 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
-    double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n), *weights = arena_alloc(i, (size_t)s->l);
+    double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n),
+           *weights = arena_alloc(i, (size_t)s->l);
     double *lam = arena_alloc(i, (size_t)loops->count);
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     loops_evaluate(i, loops, q);
@@ -54,8 +55,10 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     const Scene *s = i->scene;
     const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = loops_starts(i) + s->starts;
-    double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n), *weights = arena_alloc(i, l);
-    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1), *M = arena_alloc(i, (size_t)s->mass.entries);
+    double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n),
+           *weights = arena_alloc(i, l);
+    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
+           *M = arena_alloc(i, (size_t)s->mass.entries);
     double lost = 0.0, most;
     const double zero = 0.0;
     Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
@@ -109,8 +112,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start values;
-   it stays at rest where there is no such motion. */
+/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start
+   values; it stays at rest where there is no such motion. */
 void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v)
 {
     const Scene *s = i->scene;

@@ -71,13 +71,14 @@ static int try_short_step(Instance *i)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double kept[PACE];
-    const int onward = s->short_onward >= 0 && step_can_reuse(i);
+    const int onward = s->reuses && step_can_reuse(i);
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
         i->shared += s->short_cost; /* The tally counts these evaluations; none of them is made. */
     else {
-        program_run(i, onward ? s->short_onward : s->short_step);
+        i->workspace[s->onward] = onward;
+        program_run(i, s->short_step);
         i->shared += onward;
         if (after[s->trouble] == 0.0)
             return 1;
@@ -258,7 +259,8 @@ static int cross_jump(Instance *i)
 static int cross_jump_by_rk4(Instance *i)
 {
     const double least = shortest_step(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
-    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0 || step_fixed(i, 1, fmin(least, left)) != 1)
+    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0
+        || step_fixed(i, 1, fmin(least, left)) != 1)
         return 0;
     note_crossing(i, least);
     return 1;
@@ -302,7 +304,8 @@ int step_adaptive(Instance *i, double end, long tries)
         /* The tolerance of a step is a share of the tolerance of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
             instance_warn(i, WARNED_OF_ROUND_OFF,
-                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
+                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had "
+                "here, "
                 "and the motion goes on at that",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);
