@@ -13,19 +13,8 @@ __all__ = ["LINES", "LOOKS", "integrator", "line_of"]
 
 COLOURS = (
     *("#c0523a", "#d98c1f", "#3f9268", "#7a66b0", "#b0608c", "#8a6d3b", "#1f5fae"),
-    *(
-        "#6b7680",
-        "#a4acb3",
-        "#222222",
-        "#1f8f96",
-        "#5aa9d6",
-        "#93a83a",
-        "#d0709a",
-        "#55618a",
-        "#a35d1f",
-        "#4d7d6a",
-        "#7d2f4f",
-    ),
+    *("#6b7680", "#a4acb3", "#222222", "#1f8f96", "#5aa9d6", "#93a83a", "#d0709a"),
+    *("#55618a", "#a35d1f", "#4d7d6a", "#7d2f4f", "#b8a13c", "#2e3f8f", "#7fb5a0"),
 )
 MARKERS = (
     *(("o", "circle"), ("s", "square"), ("^", "triangle-up"), ("D", "diamond"), ("v", "triangle-down")),
