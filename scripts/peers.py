@@ -1,15 +1,8 @@
 """Error against run time of alfmu and of what else a Python user might take, on two closed-loop mechanisms.
 
 A run lasts 20 s of simulated time and delivers, every 0.02 s, the angle of the first link and the forces of all joints;
-its error is the largest difference of that angle from the exact motion. Building the model is timed apart. Writes
-`peers.md`, `peers.csv` (all runs), `peers_reach.csv` (run times at equal error) and `peers.png` into one folder.
-
-Mechanisms, both started at angle 0 with 2 rad/s under gravity alone:
-five_bar      links of 1 m and 1 kg; one constraint is redundant; starts in a singular position and passes many
-slider_crank  crank 0.5 m, rod 1 m, 1 kg each and for the slider; regular everywhere
-
-Reactions are forces on the second body from the first in ground axes [N], named as in alfmu: A to F (x and y) of the
-five-bar, A, B, C (x and y) and the guide of the slider-crank.
+its error is the largest difference of that angle from the exact motion. `alfmu.studies.peers` describes the mechanisms;
+the five-bar starts in a singular position and passes many.
 """
 
 from __future__ import annotations
@@ -27,29 +20,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import matplotlib
 import numpy as np
-from _report import parser, written
+from _study import Report, Results
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.linalg.lapack import dgelsy
 from tqdm import tqdm
 
 import alfmu
 from alfmu.equations.specialisation import specialised
 from alfmu.simulation import prepared, with_defaults
+from alfmu.studies import reference as exact
 from alfmu.studies.peers import (
     ANGLE,
-    CRANK,
-    GRAVITY,
     MECHANISMS,
     REACTIONS,
-    ROD,
     TUNED,
     Peer,
     Pinocchio,
@@ -58,9 +46,7 @@ from alfmu.studies.peers import (
     Trajectory,
     solved,
 )
-from alfmu.studies.tables import Cell, environment, markdown, rounded, write_csv
-
-matplotlib.use("Agg")
+from alfmu.studies.tables import Row, rounded
 
 RATE = 2.0
 """Start of both mechanisms: angle 0 with this rate [rad/s]."""
@@ -89,96 +75,36 @@ def samples(stop_time: float) -> NDArray:
     return np.arange(round(stop_time / SAMPLE) + 1) * SAMPLE
 
 
-# Exact references -------------------------------------------------------------------------------------------------
+# The exact motion -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Exact motion and reactions of a mechanism from one equation in its only angle, and how exact that is."""
+    """Exact motion and reactions of a mechanism by `studies.reference`, and how exact that is."""
 
     angle: NDArray
     """(k,) at the samples, rad"""
     reactions: NDArray
-    """(k, number of REACTIONS), N"""
+    """(k, number of REACTIONS), N; NaN where they are not unique, and near a singular position"""
     change: float
-    """Largest change of the angle between two tolerances, rad."""
+    """Largest change of the angle between two ways to compute it, rad."""
     energy: float
-    """Largest change of the energy, relative to the span of the potential energy."""
+    """Largest change of the energy [J]."""
 
 
 def reference(mechanism: str, stop_time: float) -> Reference:
-    """J th'' + J' w^2 / 2 + V' = 0 until stop_time [s], by DOP853 with tolerances 1e-13, steps of at most 0.01 s."""
-    times, weight = samples(stop_time), WEIGHT[mechanism]
-
-    def acceleration(th: NDArray, w: NDArray) -> NDArray:
-        J, slope = inertia(mechanism, th)
-        return -(slope * w**2 / 2 + weight * np.cos(th)) / J
-
-    def motion(tolerance: float, largest: float) -> NDArray:
-        options = {"t_eval": times, "rtol": tolerance, "atol": tolerance, "max_step": largest}
-        return solve_ivp(lambda _, y: (y[1], acceleration(*y)), (0, times[-1]), (0, RATE), "DOP853", **options).y
-
-    th, w = motion(1e-13, 0.01)
-    change = np.abs(motion(1e-12, 0.0137)[0] - th).max()
-    drift = np.ptp(inertia(mechanism, th)[0] * w**2 / 2 + weight * np.sin(th)) / np.ptp(weight * np.sin(th))
-    reactions = _five_bar_reactions if mechanism == "five_bar" else _slider_crank_reactions
-    return Reference(th, reactions(th, w, acceleration(th, w)), float(change), float(drift))
-
-
-WEIGHT = {"five_bar": (1 / 2 + 1 / 2 + 1 + 1 / 2) * GRAVITY, "slider_crank": CRANK * GRAVITY}
-"""Potential energy over the sine of the angle, (m1/2 + m3/2 + m2 + m4/2) g l and (m1 + m2) g l1/2 [J]."""
-
-
-def inertia(mechanism: str, th: NDArray) -> tuple[NDArray | float, NDArray | float]:
-    """J of the kinetic energy J w^2 / 2 [kg.m2], and dJ/dth; the five-bar's on the parallelogram branch."""
-    if mechanism == "five_bar":
-        return 1 / 3 + 1 / 3 + 1 + 1 / 4, 0.0  # (m1/3 + m3/3 + m2 + m4/4) l^2
-    _, _, p1, p2, x21, x22, y21, y22, x31, x32 = _slider_crank_geometry(th)
-    J = CRANK**2 / 3 + x21**2 + y21**2 + ROD**2 / 12 * p1**2 + x31**2
-    return J, 2 * (x21 * x22 + y21 * y22 + ROD**2 / 12 * p1 * p2 + x31 * x32)
-
-
-def _five_bar_reactions(th: NDArray, w: NDArray, e: NDArray) -> NDArray:
-    """Links 2 and 4 move in translation, so each end carries half of what moves them; x by symmetry and least norm."""
-    x, y = -np.sin(th) * e - np.cos(th) * w**2, np.cos(th) * e - np.sin(th) * w**2
-    B = np.array([x, y + GRAVITY]) / 2
-    E = np.array([x / 2, y / 2 + GRAVITY]) / 2
-    A = np.array([x / 2, y / 2 + GRAVITY]) + B + E
-    return np.vstack([A, B, -B, A, E, -E]).T
-
-
-def _slider_crank_geometry(th: NDArray) -> tuple[NDArray, ...]:
-    """Rod angle p and the places of rod and slider as functions of the crank angle; first and second derivatives."""
-    s, c = np.sin(th), np.cos(th)
-    sp = -CRANK / ROD * s
-    cp = np.sqrt(1 - sp**2)
-    p1 = -CRANK * c / (ROD * cp)
-    p2 = (CRANK * s + ROD * sp * p1**2) / (ROD * cp)
-    x2 = (-CRANK * s - ROD / 2 * sp * p1, -CRANK * c - ROD / 2 * (cp * p1**2 + sp * p2))
-    y2 = (CRANK / 2 * c, -CRANK / 2 * s)
-    x3 = (-CRANK * s - ROD * sp * p1, -CRANK * c - ROD * (cp * p1**2 + sp * p2))
-    return sp, cp, p1, p2, *x2, *y2, *x3
-
-
-def _slider_crank_reactions(th: NDArray, w: NDArray, e: NDArray) -> NDArray:
-    """Newton and Euler, body by body from the slider to the crank, with all masses 1 kg."""
-    sp, cp, p1, p2, x21, x22, y21, y22, x31, x32 = _slider_crank_geometry(th)
-    a1x, a1y = CRANK / 2 * (-np.sin(th) * e - np.cos(th) * w**2), CRANK / 2 * (np.cos(th) * e - np.sin(th) * w**2)
-    a2x, a2y, a3x = x21 * e + x22 * w**2, y21 * e + y22 * w**2, x31 * e + x32 * w**2
-    turning = ROD**2 / 12 * (p1 * e + p2 * w**2)
-    Cx = a3x
-    Cy = (sp * (a2x + 2 * Cx) - 2 * turning / ROD) / (2 * cp) - (a2y + GRAVITY) / 2
-    Bx, By = a2x + Cx, a2y + GRAVITY + Cy
-    return np.array([a1x + Bx, a1y + GRAVITY + By, Bx, By, Cx, Cy, GRAVITY - Cy]).T
-
-
-def unique(mechanism: str, reactions: NDArray) -> NDArray:
-    """What rigid bodies determine: all, but of the five-bar's along x what no tension between its couplers changes."""
-    if mechanism == "slider_crank":
-        return reactions
-    x, y = reactions[:, ::2], reactions[:, 1::2]
-    A, B, C, D, E, F = range(6)
-    return np.column_stack([y, x[:, B] - x[:, C], x[:, E] - x[:, F], x[:, A] + x[:, D]])
+    """The motion from the start until stop_time [s]."""
+    equations = alfmu.derive(alfmu.load(mechanism))
+    instance, times = begun(prepared(equations, "oracle"), Start(0.0, RATE), {}), samples(stop_time)
+    instance.initialize()
+    known = exact.reference(instance, stop_time, exact.Effort(parts=100, seconds=300.0))
+    names = [variable.name for variable in instance.equations.outputs]
+    angle, table = names.index(ANGLE[mechanism]), known.outputs(times)
+    table[~known.readable(times)[:, None] & (np.arange(len(names)) != angle)] = np.nan
+    table[:, [names.index(x) for x in instance.equations.survey.shared or ()]] = np.nan
+    reactions = table[:, [names.index(x) for x in REACTIONS[mechanism]]]
+    change = max(np.abs(other[:, angle] - table[:, angle]).max() for _, other in known.checks(times))
+    return Reference(table[:, angle], reactions, float(change), float(np.ptp(known.energies(times))))
 
 
 # Peers ------------------------------------------------------------------------------------------------------------
@@ -360,7 +286,7 @@ def chosen_points(quick: bool) -> list[Point]:
     ]
 
 
-def judge(point: Point, exact: Reference, times: NDArray) -> None:
+def judge(point: Point, motion: Reference, times: NDArray) -> None:
     """Errors of one run, which is not timed; what does not reach the end with the motion is not timed at all."""
     try:
         begin = time.perf_counter()
@@ -374,15 +300,15 @@ def judge(point: Point, exact: Reference, times: NDArray) -> None:
     k = len(run.times)
     if not np.allclose(run.times, times[:k], rtol=0, atol=1e-9):
         raise ValueError(f"{point.peer.name}, {point.peer.setting}: samples at other times than asked for")
-    gaps = np.abs(run.angle - exact.angle[:k])
+    gaps = np.abs(run.angle - motion.angle[:k])
     far = np.flatnonzero(~(gaps <= LOST))
     if len(far):
         point.note = f"lost the motion at t = {times[far[0]]:.3g} s"
     elif k < len(times):
         point.note = f"stopped at t = {times[max(k - 1, 0)]:.3g} s"
     else:
-        gap = unique(point.mechanism, run.reactions) - unique(point.mechanism, exact.reactions)
-        point.error, point.force_error, point.simulate = float(gaps.max()), float(np.abs(gap).max()), simulate
+        gap = np.abs(run.reactions - motion.reactions)
+        point.error, point.force_error, point.simulate = float(gaps.max()), float(np.nanmax(gap)), simulate
     point.note = "; ".join(filter(None, (point.note, run.note)))
 
 
@@ -493,8 +419,6 @@ to slightly soft constraints, Exudyn's to the tolerance of Newton's method. Erro
 times and so contain those of the motion, and only what rigid bodies determine is compared. Steps that do not divide
 0.02 s were not run, and some points are luckier than their neighbours."""
 
-Row = dict[str, Cell]
-
 
 def point_row(p: Point) -> Row:
     """A point as a row."""
@@ -558,12 +482,6 @@ def verdict_rows(points: Sequence[Point]) -> list[Row]:
     return rows
 
 
-def table(rows: Sequence[Row], *without: str) -> str:
-    """A Markdown table of rows with the same columns."""
-    columns = [name for name in rows[0] if name not in without] if rows else []
-    return markdown(columns, [[row[name] for name in columns] for row in rows]) if rows else "Nothing to compare."
-
-
 def picture(points: Sequence[Point]) -> Figure:
     """Error against run time, one panel for each mechanism, one colour for each code."""
     figure = Figure(figsize=(13, 5.5), layout="constrained")
@@ -588,67 +506,62 @@ def picture(points: Sequence[Point]) -> Figure:
     return figure
 
 
-def report(
-    points: Sequence[Point], references: Mapping[str, Reference], rounds: int, where: Sequence[tuple[str, str]]
-) -> str:
-    """The report in Markdown."""
-    parts = [
-        "# Peers: error against run time",
-        markdown(("what", "value"), where),
-        f"{STOP:g} s of simulated time from angle 0 with {RATE:g} rad/s under gravity; angle and all joint forces\n"
-        f"every {SAMPLE:g} s. Errors are the largest over the run. Each point ran once for its errors and then in\n"
-        f"timed rounds of random order: in at least {LEAST}, in more until it had used {BUDGET:g} s, in at most\n"
-        f"{rounds}. Times of runs are those of the processor. Building the model is timed apart; at its first\n"
-        "point alfmu derives and traces, and compiles or finds the library in its cache. `rtol`: adaptive steps,\n"
-        "those of the peers with absolute tolerances as large.",
-        f"## Run time at {' and '.join(f'{x:g}' for x in TARGETS)} rad: alfmu against the best peer",
-        table(verdict_rows(points)),
-        "The ratio is the median over the rounds that both took part in, `from` and `to` are its least and largest\n"
-        "value. Interpolated on log-log scales between the two neighbouring points; `<=` where the coarsest point is\n"
-        "already below. A ratio above 1 means that alfmu is faster. A ratio is wanted of the fastest setting of each\n"
-        "kernel that reads all outputs.",
-        "![error against run time](peers.png)",
-        "**The exact motion**: one equation of motion in the only angle, by DOP853 with tolerances of 1e-13",
-        markdown(
-            ("mechanism", "change to another tolerance [rad]", "relative change of energy"),
-            [(name, r.change, r.energy) for name, r in references.items()],
-        ),
-    ]
-    for mechanism in MECHANISMS:
-        rows = [point_row(p) for p in points if p.mechanism == mechanism]
-        parts += [f"## {mechanism}", "**Run times at equal error** (`peers_reach.csv`)"]
-        parts += [table(reach_rows(points, mechanism), "mechanism", "median [s]")]
-        parts += ["**All points** (`peers.csv`)", table(rows, "mechanism")]
-    parts += ["## How each is used", markdown(("code", "use"), list(USAGE.items()))]
-    return "\n\n".join([*parts, "## Where the comparison stops being fair", LIMITS]) + "\n"
-
-
-def write(folder: Path, quick: bool, command: str) -> None:
-    """Measure and write the results."""
-    packages = dict.fromkeys([*(peer.package for peer in peers()), "casadi", "numpy"])
-    where = environment(command, list(packages))
+def study(points: Sequence[Point], rounds: int) -> Results:
+    """Rows of all files: errors first, then run times in rounds."""
     times, references = samples(STOP), {mechanism: reference(mechanism, STOP) for mechanism in MECHANISMS}
-    points = chosen_points(quick)
     for point in tqdm(points, "errors", unit="run"):
         judge(point, references[point.mechanism], times)
-    rounds = LEAST if quick else ROUNDS
     clock(points, rounds)
+    about = [{"mechanism": name, "change [rad]": r.change, "energy [J]": r.energy} for name, r in references.items()]
     reached = [row for mechanism in MECHANISMS for row in reach_rows(points, mechanism)]
-    for name, rows in (("peers.csv", [point_row(p) for p in points]), ("peers_reach.csv", reached)):
-        write_csv(folder / name, rows)
-    picture(points).savefig(folder / "peers.png", dpi=120, metadata={"Software": None})
-    (folder / "peers.md").write_text(report(points, references, rounds, where), encoding="utf-8")
+    results = {"peers_verdicts": verdict_rows(points), "peers_reach": reached, "peers": [point_row(p) for p in points]}
+    return {**results, "peers_reference": about, "peers_usage": [{"code": x, "use": y} for x, y in USAGE.items()]}
+
+
+CHAPTERS = {
+    "peers_verdicts": (
+        f"Run time at {' and '.join(f'{x:g}' for x in TARGETS)} rad: alfmu against the best peer",
+        """The ratio is the median over the rounds that both took part in, `from` and `to` are its least and largest
+        value. Interpolated on log-log scales between the two neighbouring points; `<=` where the coarsest point is
+        already below. A ratio above 1 means that alfmu is faster. A ratio is wanted of the fastest setting of each
+        kernel that reads all outputs.""",
+    ),
+    "peers_reach": ("Run times at equal error", ""),
+    "peers": (
+        "All points",
+        f"""Each point ran once for its errors and then in timed rounds of random order: in at least {LEAST}, in more
+        until it had used {BUDGET:g} s. Building the model is timed apart; at its first point alfmu derives and traces,
+        and compiles or finds the library in its cache. `rtol`: adaptive steps, those of the peers with absolute
+        tolerances as large.""",
+    ),
+    "peers_reference": ("The exact motion", "From `alfmu.studies.reference`; the change is that to its other ways."),
+    "peers_usage": ("How each is used", ""),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for."""
-    text = (
-        "Measure error against run time of alfmu, Pinocchio, Exudyn, MuJoCo and SciPy on the five-bar and the "
-        "slider-crank, as far as they are installed. Writes peers.md, peers.csv, peers_reach.csv and peers.png."
-    )
-    line = parser("peers", (), text, "some minutes", "coarse steps and few repeats, less than a minute")
-    chosen = line.parse_args(arguments)
-    return written(chosen, "peers.py", (), "peers.md", lambda _, command: write(chosen.output, chosen.quick, command))
+    points: list[Point] = []
+
+    def run(quick: bool, _: Sequence[str]) -> Results:
+        points[:] = chosen_points(quick)
+        return study(points, LEAST if quick else ROUNDS)
+
+    return Report(
+        "peers",
+        "peers.py",
+        "Peers: error against run time",
+        f"Measure error against run time of alfmu, Pinocchio, Exudyn, MuJoCo and SciPy, as far as they are installed, "
+        f"on the five-bar and the slider-crank: {STOP:g} s from angle 0 with {RATE:g} rad/s under gravity; angle and "
+        f"all joint forces every {SAMPLE:g} s. Errors are the largest over the run; times are those of the processor.",
+        {"peers": run},
+        {"": False, "quick": True},
+        CHAPTERS,
+        pictures={"peers": ("peers", lambda _: picture(points), "error against run time")},
+        limits=LIMITS,
+        packages=list(dict.fromkeys([*(peer.package for peer in peers()), "casadi", "numpy"])),
+        takes="ten minutes, or one with --quick",
+    ).main(arguments)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from ..equations import Equations, Mobility, Variable
 from ..equations.changes import LEVELS, changes, signal_numbers
 from ..equations.evaluation import ARGUMENTS
 from ..fmi.recipe import Recipe, of
+from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
@@ -304,6 +305,8 @@ def begun(
     """Return the situation at a start with inputs as they are at its time [s]; see `subject`."""
     signals = signals_of(mechanism, inputs)
     where = subject(mechanism, parameters, time, rubs and not signals)
+    if where.source.declared is not None:
+        tell_of_gravity(where.source.declared)
     if not signals:
         return where
     e = where.equations

@@ -59,6 +59,7 @@ def prepare(
     else:
         recipe = of(mechanism)
         declared = recipe.declared()
+        tell_of_gravity(declared)
         equations, given = derive(declared), {**recipe.parameters, **given}
         outputs = recipe.outputs if outputs is None else outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
@@ -70,6 +71,7 @@ def prepare(
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
+    scene: Equations
     scene, left = ready(equations, given, outputs, freeze, kernel)
     if start not in (None, "declared"):
         found = rest(with_defaults(equations, given), start, inputs)
@@ -96,11 +98,9 @@ def simulated(found: Prepared, stop_time: float | None, communication_step: floa
 
 
 def _tell_what_was_forgotten(of: Prepared) -> None:
-    """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
+    """Warn once of coordinates that nothing determines at the start."""
     if of.unit.equations.kept.latest(_tell_what_was_forgotten, lambda: of) is not of:
         return
-    if of.declared is not None:
-        tell_of_gravity(of.declared)
     with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
         if free := of.unit.forgotten():
             tell(f"{of.unit.name}: {free}")

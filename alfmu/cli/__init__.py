@@ -29,7 +29,8 @@ GROUPS = {
     "look": ("list", "info", "draw", "live", "animate"),
     "run": ("simulate", "sweep", "fit"),
     "judge": ("equilibrium", "linearize", "mobility", "validate", "report", "stability"),
-    "connect": ("system", "couple", "completion"),
+    "connect": ("system", "couple"),
+    "install": ("cache", "completion"),
 }
 """Commands by what they are for, in the order of the help."""
 

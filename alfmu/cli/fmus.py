@@ -43,8 +43,8 @@ def add(command: Command) -> None:
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
-        choices=("python", "native"),
-        help="python, the default, runs in hosts that have Python; native is C and nothing else, for every host",
+        choices=("native", "python"),
+        help="native, the default, is C and nothing else, for every host; python runs in hosts that have Python alone",
     )
     sub.add_argument("--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for native FMUs alone")
     sub.add_argument(
@@ -118,7 +118,7 @@ def _export(chosen: argparse.Namespace) -> None:
         _export_system(chosen)
         return
     from ..api import export
-    from ..fmi.native import libraries_in
+    from ..fmi.native import PLATFORMS, libraries_in
     from ..fmi.recipe import load
 
     recipe = changed_by(chosen, load(chosen.mechanism)).changed(
@@ -135,9 +135,14 @@ def _export(chosen: argparse.Namespace) -> None:
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
     glibc = libraries_in(path, recipe.kind)
-    where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
+    native = recipe.kind == "native"
+    where = "every host" if native else "hosts with Python"
     on = ", ".join(f"{name} (glibc {version})" if version else name for name, version in glibc.items())
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {on}")
+    if not native:
+        print("  FMI 2, no derivatives, only where it is unpacked under plain letters; --kind native has no such limit")
+    elif missing := [each for each in PLATFORMS if each not in glibc]:
+        print(f"  for {', '.join(missing)}, too: pip install ziglang, then --platform all")
 
 
 def _export_system(chosen: argparse.Namespace) -> None:

@@ -3,6 +3,6 @@
 Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`, `types`.
 """
 
-from .types import Equations, Mobility, Row, Switch, Variable
+from .types import Configuration, Equations, Mobility, Row, Switch, Variable
 
-__all__ = ["Equations", "Mobility", "Row", "Switch", "Variable"]
+__all__ = ["Configuration", "Equations", "Mobility", "Row", "Switch", "Variable"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
 import casadi as ca
 
@@ -15,6 +16,7 @@ __all__ = [
     "ARGUMENTS",
     "DENSE",
     "EVALUATED",
+    "Stage",
     "evaluable",
     "shared",
     "symbols",
@@ -22,6 +24,9 @@ __all__ = [
     "with_functions",
     "with_tangents",
 ]
+
+Stage = TypeVar("Stage", bound=Equations)
+"""Equations, or what is made of them."""
 
 DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
@@ -101,7 +106,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
     return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
 
-def evaluable(equations: Equations) -> Equations:
+def evaluable(equations: Stage) -> Stage:
     """Return the same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
@@ -179,7 +184,7 @@ def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Functio
     return ca.Function(name, arguments, values)
 
 
-def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
+def with_functions(equations: Stage, functions: dict[str, ca.Function]) -> Stage:
     """Return the same equations with more functions, or others, that run with numbers."""
     signatures = {name: _signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
     return replace(
@@ -199,7 +204,7 @@ def _signature(f: ca.Function, matrices: int = 0) -> Signature:
     return {"inputs": [f.nnz_in(i) for i in range(f.n_in())], "outputs": outputs, "matrices": matrices}
 
 
-def with_tangents(equations: Equations) -> Equations:
+def with_tangents(equations: Stage) -> Stage:
     """Return the same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and
     lam.
 

@@ -13,7 +13,7 @@ from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
 from ..model.words import there_is
-from .types import REACTION_ERROR, Equations, Variable
+from .types import REACTION_ERROR, Configuration, Equations, Variable
 
 __all__ = [
     "CHOICES",
@@ -201,7 +201,8 @@ def integrator(equations: Equations) -> str:
     """Return the method of integration that the settings of a mechanism ask for; of `auto` what it was decided to
     be."""
     method = default_settings(equations).method
-    return equations.decision.method if method == "auto" and equations.decision else method
+    decided = equations.decision if isinstance(equations, Configuration) else None
+    return decided.method if method == "auto" and decided else method
 
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:

@@ -14,18 +14,15 @@ from numpy.typing import NDArray
 
 from ..model.errors import InputError
 from ..model.words import some_like, there_is
-from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
+from .evaluation import ARGUMENTS, Stage, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, PEAK, events
-from .types import REACTION_ERROR, Equations
+from .types import REACTION_ERROR, Configuration, Equations
 
 __all__ = ["plain", "specialised", "starting_at", "without_steps"]
 
 
 ALL = "all"
 """Stands for every parameter of the mechanism."""
-
-_UNTRACED: dict[str, Any] = {"signatures": {}, "kernel": {}, "library": None}
-"""What a scene of all outputs and parameters was traced to is no part of it."""
 
 
 def specialised(
@@ -45,11 +42,11 @@ def specialised(
 
 
 def starting_at(
-    equations: Equations,
+    equations: Stage,
     q: NDArray[np.float64],
     states: Mapping[str, float] | None = None,
     kept: Sequence[float] | NDArray[np.float64] = (),
-) -> Equations:
+) -> Stage:
     """Return the same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved
     along.
 
@@ -124,7 +121,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     readings = shared("readings", arguments, [e.readings(*arguments)[kept]])
     monitors = [name for name in monitors if not _matches(name, patterns)]
     return evaluable(
-        replace(
+        _changed(
             e,
             # Work is integrated for the balance of energy.
             works=e.works and bool(BALANCE - {*left, *monitors}),
@@ -134,8 +131,6 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             monitors=[*left, *monitors],
             jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
-            survey=e.survey.elsewhere,
-            **_UNTRACED,
         )
     )
 
@@ -166,7 +161,15 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])
-    return evaluable(replace(e, parameters=left, functions=functions, survey=e.survey.elsewhere, **_UNTRACED))
+    return evaluable(_changed(e, parameters=left, functions=functions))
+
+
+def _changed(e: Equations, **changes: Any) -> Equations:
+    """Return equations with changes, before they are traced and surveyed."""
+    changes["signatures"] = {}
+    if not isinstance(e, Configuration):
+        return replace(e, **changes)
+    return Configuration.of(e, survey=e.survey.elsewhere, **changes)
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:

@@ -1,13 +1,13 @@
 """The equations of a mechanism as numbers need them: functions, names, units. No symbols, no declaration.
 
-`alfmu.derive` makes them, a scene file carries them, `alfmu.runtime` evaluates them.
+`alfmu.derive` makes `Equations`; a `Configuration` is what a scene is traced from.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from ..model.kept import Kept
 from ..model.words import Brief
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     *(
         "REACTION_ERROR",
+        "Configuration",
         "Decision",
         "Equations",
         "Followed",
@@ -257,13 +258,8 @@ class Equations:
     """Communication step when nobody says otherwise [s]."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    kernel: dict[str, Any] = field(default_factory=dict)
-    """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
     solver: dict[str, Any] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
-    decision: Decision | None = None
-    """None where the method of integration is not decided yet."""
-    survey: Survey = Survey()
     monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
@@ -298,8 +294,6 @@ class Equations:
     """Laws of time that may jump, or not be finite."""
     limited: Sequence[Variable] = ()
     """Stops, by their names and units, one for each of their limits."""
-    breaks: list[int] = field(default_factory=list)
-    """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
     """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
     peaks: dict[str, list[str]] = field(default_factory=dict)
@@ -307,8 +301,6 @@ class Equations:
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
-    library: Any = field(default=None, repr=False)
-    """Path of the functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
     kept: Kept = field(default_factory=Kept, init=False, repr=False, compare=False)
     """Results that follow from these equations: made once, and not kept for others made of them."""
 
@@ -318,7 +310,16 @@ class Equations:
             object.__setattr__(self, each, tuple(getattr(self, each)))
 
     def __repr__(self) -> str:
-        return f"Equations({self.name!r}, n = {self.n}, l = {self.l}{', traced' if self.kernel else ''})"
+        return f"{type(self).__name__}({self.name!r}, n = {self.n}, l = {self.l})"
+
+    @classmethod
+    def of(cls, equations: Equations, **changes: Any) -> Self:
+        """Return equations at this stage, with what belongs to later ones left out, and with changes."""
+        if type(equations) is cls and not changes:
+            return equations
+        given = vars(equations)
+        known = {field.name: given[field.name] for field in fields(cls) if field.init and field.name in given}
+        return cls(**{**known, **changes})
 
     @property
     def n(self) -> int:
@@ -355,3 +356,12 @@ class Equations:
         if name in functions:
             return functions[name]
         raise AttributeError(name)
+
+
+@dataclass(frozen=True, repr=False)
+class Configuration(Equations):
+    """Equations with the defaults, outputs and frozen parameters of a scene, and what is decided and found for it."""
+
+    decision: Decision | None = None
+    """None where the method of integration is not decided yet."""
+    survey: Survey = Survey()

@@ -1,4 +1,4 @@
-"""Export: equations and the run side of alfmu packed as an FMU by pythonfmu, reproducible to the byte."""
+"""Export: equations and the run side of alfmu packed as an FMU, reproducible to the byte."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any, Protocol
 from xml.etree import ElementTree as ET
 
-from pythonfmu.builder import FmuBuilder
-
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
-from ..kernel.tables import identified, interface, known_choices, packed
+from ..kernel.form import Traced
+from ..kernel.tables import identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -32,7 +31,7 @@ from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..runtime.pipeline import chosen, derive
+from ..runtime.pipeline import chosen, derive, packed
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
@@ -97,9 +96,15 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = record_files(equations) if recipe.reference else {}
-    if recipe.kind == "native":
-        archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
-        return path
+    files_of = _native if recipe.kind == "native" else _python
+    archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})
+    return path
+
+
+def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
+    """The files of an FMU of kind python."""
+    from pythonfmu.builder import FmuBuilder
+
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
     hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
     libraries = {native.file_name(each): data for each, data in native.libraries(name, hosts).items()}
@@ -128,14 +133,10 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
         made = top / f"{name}.fmu"
         with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
-        described = {
-            "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
-            _PICTURE[2]: picture,
-        }
+        description = model_description(equations, version, generator, guid, credits=_credits(declared))
         with zipfile.ZipFile(made) as built:
             files = {info.filename: built.read(info) for info in built.infolist() if not info.is_dir()}
-        archive(path, {**files, **described, **results})
-    return path
+        return {**files, "modelDescription.xml": description, _PICTURE[2]: picture}
 
 
 def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dict[str, bytes]]:
@@ -150,12 +151,12 @@ def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dic
     return ET.fromstring(text), _resources(recipe, equations, scene, guid)
 
 
-def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Equations]:
+def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Traced]:
     r = recipe
     return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, rest)
 
 
-def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
+def _resources(recipe: Recipe, equations: Traced, scene: bytes, guid: str) -> dict[str, bytes]:
     """The files of a scene by name, with compiled functions where there are any."""
     files = {SCENE: identified(scene, guid), OPTIONS: _options(recipe, equations)}
     if equations.library:
@@ -176,7 +177,7 @@ def packed_scene(
     freeze: Sequence[str] | None,
     kernel: str | None,
     rest: Rest | None = None,
-) -> tuple[Equations, Equations]:
+) -> tuple[Equations, Traced]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
     position of rest that becomes the start values."""
     every = derive(declared)
@@ -184,16 +185,15 @@ def packed_scene(
     equations = chosen(every, parameters or {}, outputs, freeze)
     if rest is not None:
         begun = with_defaults(every, parameters or {})
-        every, equations = (starting_at(e, rest.q, rest.states, rest.kept) for e in (begun, equations))
+        every = starting_at(begun, rest.q, rest.states, rest.kept)
+        equations = starting_at(equations, rest.q, rest.states, rest.kept)
     native.checked(equations)
-    equations = prepared(equations, kernel or DEFAULT)
-    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
-    return every, equations
+    scene = prepared(equations, kernel or DEFAULT)
+    Instance(scene).initialize()  # an FMU that cannot start is not worth writing
+    return every, scene
 
 
-def _native(
-    recipe: Recipe, equations: Equations, declared: Mechanism, version: str, picture: bytes
-) -> dict[str, bytes]:
+def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
     """The files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)

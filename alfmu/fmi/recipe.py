@@ -26,10 +26,10 @@ GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
 
 KINDS = {
-    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
     "native": "a C library and nothing else: for every host, on the platforms that it carries",
+    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
 }
-"""Kinds of FMUs."""
+"""Kinds of FMUs, the default first."""
 
 _MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
 """In a file that declares a recipe."""
@@ -88,7 +88,7 @@ class Recipe(Brief):
     """One exported FMU: a mechanism, what of it the FMU has, and its form. Checked when it is made.
 
     `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
-    `Mechanism`. `kind` is "python", an FMU that runs in Python, or "native", a C library for every host; `options` are
+    `Mechanism`. `kind` is "native", a C library for every host, or "python", an FMU that runs in Python; `options` are
     the mechanism's, `parameters`, `outputs` and `freeze` are those of `alfmu.simulate`, `lock` and `release` name
     joints that get Boolean inputs, `stop_time` and `communication_step` [s] are of the default experiment. Raises
     InputError where a field is not of its form, ExportError where fields contradict each other; names of variables,
@@ -124,7 +124,7 @@ class Recipe(Brief):
     """End of the default experiment [s]; None for the mechanism's own."""
     communication_step: float | None = None
     """Of the default experiment [s]; None for the mechanism's own."""
-    kind: str = "python"
+    kind: str = "native"
     """One of KINDS."""
     kernel: str | None = None
     """What runs an FMU of kind python, of `alfmu.kernel.KERNELS`; with compiled functions it runs without them on other
@@ -160,7 +160,7 @@ class Recipe(Brief):
                 f"{self}: no FMU carries the oracle, which is for comparison in the library; leave --kernel out"
             )
         if self.kind == "native" and self.kernel is not None:
-            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out")
+            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out, or use --kind python")
         if self.kind == "python" and self.platforms:
             raise ExportError(f"{self}: an FMU that runs in Python is for no platform of its own; leave --platform out")
         if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind != "native"):

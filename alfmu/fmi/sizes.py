@@ -6,12 +6,12 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..equations import Equations
-from ..kernel.form import called
-from ..kernel.tables import alone, function_sizes, packed
+from ..kernel.form import Traced, called
+from ..kernel.tables import alone, function_sizes
 from ..model.errors import ExportError
 from ..model.files import scratch
 from ..model.mechanism import Mechanism
+from ..runtime.pipeline import packed
 from . import native
 from .export import export, packed_scene
 from .recipe import KINDS, Recipe
@@ -86,7 +86,7 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
     return {_CONTENTS[place]: size for place, size in found.items() if any(size)}
 
 
-def _parts(equations: Equations) -> dict[str, int]:
+def _parts(equations: Traced) -> dict[str, int]:
     """Bytes of a scene file by what it is for."""
     left, found, kernel = function_sizes(equations), {}, alone(equations).kernel
     whole = len(packed(equations))

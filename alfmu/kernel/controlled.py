@@ -16,7 +16,7 @@ from functools import reduce
 import casadi as ca
 from casadi import SX
 
-from ..equations.evaluation import DENSE
+from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import default_settings, integrator
 from ..method import formulations as method
 from ..method import implicit
@@ -36,13 +36,14 @@ from ..method.stepping import (
     newton,
     rule_beside,
 )
+from ..model.kept import once
 from ..model.settings import FIXED
 from . import rubbing
-from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
+from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, Traced, rewritten
 from .memory import PACE
-from .trace import CAREFUL, Calls, Tracer, spaced
+from .trace import CAREFUL, Calls, Tracer, spaced, traced, untraced
 
-__all__ = ["programs"]
+__all__ = ["programs", "whole"]
 
 PASSES = 8
 """Most passes of Newton's method with the same tangents, after the first."""
@@ -55,6 +56,17 @@ NEWMARK_PASSES = 16
 
 RETURNS = 4
 """Projections of q and v after them."""
+
+
+def whole(equations: Traced) -> Traced:
+    """Traced equations with the steps of their programs; those of a scene from the cache are traced now."""
+    return equations if "seen" in equations.functions else _whole(equations)
+
+
+@once
+def _whole(equations: Traced) -> Traced:
+    e = replace(untraced(equations), survey=equations.survey)
+    return traced(with_tangents(e) if "tangents" in equations.signatures else e, programs)
 
 
 def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:

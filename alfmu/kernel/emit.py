@@ -12,8 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import casadi as ca
 import numpy as np
 
-from ..equations import Equations
-from .form import Call, every
+from .form import Call, Traced, every
 from .loops import blocks, c_function
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
@@ -72,7 +71,7 @@ _SHORT = 80
 """Characters of a value that stands within another one."""
 
 
-def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], identity: str) -> list[str]:
+def compiled_code(equations: Traced, kept: Mapping[str, dict[int, int]], identity: str) -> list[str]:
     """C files with all functions, and a table of them for the scene of this identity.
 
     `kept` are further arguments of functions that results may be written over, and their lengths.
@@ -139,7 +138,7 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
         made += 1
 
 
-def _overwritten(e: Equations) -> dict[str, dict[int, int]]:
+def _overwritten(e: Traced) -> dict[str, dict[int, int]]:
     """Arguments of functions, and their lengths, that some call writes a result over."""
     found: dict[str, dict[int, int]] = {name: {} for name in e.signatures}
     for program in e.kernel.values():

@@ -7,9 +7,11 @@ step of a program hands to later ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 
+from ..equations.types import Configuration
 from ..method import singular
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "Solve",
     "Step",
     "Steps",
+    "Traced",
     "called",
     "every",
     "renamed",
@@ -140,8 +143,8 @@ class Program:
     """A step of the motion, or what is read at an instant."""
 
     steps: Steps
-    plan: Plan | None = None
-    """What it was traced by, where the loops of the method are in it."""
+    plan: Plan = Plan(0, 0)
+    """What it was traced by; no loops of the method are in it where that is not given."""
     rule: str = ""
     """Name of the coefficients of a method of integration beside RK4."""
     evaluations: int = 0
@@ -149,6 +152,18 @@ class Program:
     nodes: int = 0
     history: int = 0
     """Numbers that such a method keeps from step to step."""
+
+
+@dataclass(frozen=True, repr=False)
+class Traced(Configuration):
+    """A configuration with its programs, whose functions are among its own."""
+
+    kernel: dict[str, Program] = field(default_factory=dict)
+    """The programs by name; of a scene from the cache without steps, which `controlled.whole` traces."""
+    breaks: list[int] = field(default_factory=list)
+    """Levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
+    library: Path | None = None
+    """The functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
 
 
 def every(steps: Iterable[Step]) -> Iterator[Step]:

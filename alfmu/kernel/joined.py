@@ -8,9 +8,8 @@ from itertools import chain, groupby
 
 import casadi as ca
 
-from ..equations import Equations
 from ..equations.evaluation import with_functions
-from .form import Call, Choice, Loop, Program, Step, Steps, taken
+from .form import Call, Choice, Loop, Program, Step, Steps, Traced, taken
 from .memory import Layout
 
 __all__ = ["LONGEST", "joined"]
@@ -19,7 +18,7 @@ LONGEST = 40000
 """Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
 
 
-def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] = ()) -> Equations:
+def joined(equations: Traced, programs: Iterable[str], handed: Iterable[str] = ()) -> Traced:
     """The same equations, the calls of these programs joined as far as choices, loops and routines let them be.
 
     `handed` are values that they give to other programs, beside the fields of the memory.
@@ -34,7 +33,7 @@ def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] 
 
 
 class _Joining:
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Traced):
         self._e = equations
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations
+from ..equations import Configuration
 from ..method.inputs import memory_size
+from .form import Traced
 
 __all__ = ["CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN", "Layout", "Memory"]
 
@@ -93,8 +94,8 @@ class Layout:
     ========  ==========================================================================================
     """
 
-    def __init__(self, equations: Equations):
-        e = equations
+    def __init__(self, equations: Configuration):
+        e, programs = equations, equations.kernel if isinstance(equations, Traced) else {}
         self.n: int = e.n
         self.l: int = e.l
         self.angles: int = len(e.wrapped) + len(e.counted)
@@ -106,7 +107,7 @@ class Layout:
         self.pivot: int = self.change + 1
         self.near: int = self.pivot + 1
         size = self.near + 1
-        kept = max((program.history for program in e.kernel.values()), default=0)
+        kept = max((program.history for program in programs.values()), default=0)
         lengths: dict[str, int] = {
             "z": size,
             "after": size,
@@ -118,10 +119,10 @@ class Layout:
             "control": len(CONTROL),
             "tally": len(TALLY),
             "pace": len(PACE),
-            "past": memory_size(len(e.inputs)) if "reach" in e.kernel else 0,
+            "past": memory_size(len(e.inputs)) if "reach" in programs else 0,
             "passes": int(bool(kept)),
             "history": kept,
-            "seen": e.signatures["seen"]["outputs"][0][0] if e.kernel else 0,
+            "seen": e.signatures["seen"]["outputs"][0][0] if programs else 0,
         }
         self.fields: dict[str, tuple[int, int]] = {}
         self.size: int = 0

@@ -15,8 +15,6 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
@@ -404,6 +402,9 @@ def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tu
     `earlier` are operands that are what a value was some passes before. What depends on its own earlier values has to
     be done pass by pass.
     """
+    from scipy.sparse import csr_array  # which takes long to import, and only tracing needs
+    from scipy.sparse.csgraph import connected_components
+
     maker = {value: i for i, operation in enumerate(operations) for value in operation.made}
     edges = {
         (maker[source], i)

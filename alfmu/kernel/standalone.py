@@ -16,7 +16,7 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration
 from ..equations.evaluation import symbols, with_functions
 from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
@@ -25,7 +25,7 @@ from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import CHOSEN, Alternatives, alternatives
 from .breaks import breaks
-from .form import Call, Choice, Plan, Program, Routine, called, renamed, rewritten
+from .form import Call, Choice, Plan, Program, Routine, Traced, called, renamed, rewritten
 from .memory import SEEN
 from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
@@ -33,7 +33,7 @@ from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 __all__ = ["READ", "beginning", "passed", "standalone"]
 
 
-def passed(equations: Equations) -> dict[str, int]:
+def passed(equations: Traced) -> dict[str, int]:
     """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
     where the motion may end; the communication point and the time derivatives of the inputs there; iterations of (8) as
     printed after the first one; zeta and omega; whether steps end with projections, and multipliers are those of least
@@ -46,8 +46,8 @@ def passed(equations: Equations) -> dict[str, int]:
     return {name: lengths[name] for name in names}
 
 
-def standalone(equations: Equations) -> Equations:
-    """The same equations, traced, with the programs and functions that a native FMU has beside those of the kernel."""
+def standalone(equations: Traced) -> Traced:
+    """The same scene with the programs and functions that a native FMU has beside those of the kernel."""
     e = equations
     tracer = _Patient(e)
     kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
@@ -79,8 +79,8 @@ def standalone(equations: Equations) -> Equations:
     return replace(with_functions(e, tracer.functions), kernel=kernel, breaks=found[1] if found else [])
 
 
-def beginning(equations: Equations) -> Equations:
-    """The same equations, untraced, with what they need to be started, and no steps.
+def beginning(equations: Configuration) -> Traced:
+    """A configuration with what it needs to be started, and no steps.
 
     What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
     """
@@ -100,7 +100,7 @@ def beginning(equations: Equations) -> Equations:
             "weighted_settle": ([q, v, p, k], [v, 1, ca.SX.zeros(2)]),
         }
         tracer.functions |= {name: ca.Function(name, *each) for name, each in stand_ins.items()}
-    return replace(with_functions(e, tracer.functions), kernel=kernel)
+    return Traced.of(with_functions(e, tracer.functions), kernel=kernel)
 
 
 _APART = ("instant", "limit", "reach")
@@ -113,9 +113,10 @@ READ = ("read_a", "read_power", "read_watch")
 class _Patient(Alternatives):
     """Programs with loops that stop on convergence; `most` is a number of the instance."""
 
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Configuration):
         super().__init__(equations)
-        used = {name for program in equations.kernel.values() for name in called(program)}
+        self.kernel: dict[str, Program] = equations.kernel if isinstance(equations, Traced) else {}
+        used = {name for program in self.kernel.values() for name in called(program)}
         self.functions, self.shapes = {name: equations.functions[name] for name in used}, {}
         self.redundant = any(name in ("least", "distribute", "carry") for name in self.functions)
 
@@ -131,10 +132,10 @@ class _Patient(Alternatives):
         """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps may be
         those of RK4, whose first evaluation it is, and take no rates of further states from there, nor dry friction."""
         e = self.e
-        quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
-        plain = "method" not in e.kernel or default_settings(e).method == "auto"
+        quick, read = self.kernel["quick"].plan, any(x == "a0" for x in _made(self.kernel["instant"]))
+        plain = "method" not in self.kernel or default_settings(e).method == "auto"
         plain = plain and not (self.order or e.states or e.frictions)
-        return plain and read and bool(quick and quick.quick)
+        return plain and read and quick.quick
 
     def timed(self) -> bool:
         """Whether the equations of motion depend on time itself."""
@@ -146,7 +147,7 @@ class _Patient(Alternatives):
     def instant_quick(self) -> Program:
         """What `instant` gives, by the evaluation that a quick step begins with, where its iterations leave nothing but
         round-off; READ for that step."""
-        plan = self.e.kernel["quick"].plan
+        plan = self.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
         def told(D: SX, watch: SX) -> SX:
@@ -185,7 +186,7 @@ class _Patient(Alternatives):
         self.repeat(brought, "more", CORRECTIONS, again)
         kept("unprojected", "k", "pivot left", lambda: (SX(math.inf), SX.zeros(2)))
         calls.choice("projects", brought, kept)
-        return Program((*calls.steps, self.e.kernel["careful"].steps[-1]))
+        return Program((*calls.steps, self.kernel["careful"].steps[-1]))
 
     def impact(self, plan: Plan) -> Program:
         """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""

@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration, Equations
 from ..equations.evaluation import DENSE, symbols
+from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
 from ..method import singular as branch
@@ -28,19 +29,10 @@ from ..method.stepping import NOISE, Explicit
 from .form import Plan
 from .memory import PACE, SETTINGS, TURN, Layout
 
-__all__ = ["MATRICES", "MONITORED", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
+__all__ = ["MATRICES", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
 
 MATRICES = ("M", "C", "F", "xi", "D", "L")
 """What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
-
-MONITORED = tuple(
-    f"monitor.{name}"
-    for name in (
-        *("position_error", "velocity_error", "energy", "work", "step_error"),
-        *("iterations", "distance", "singular", "reaction_error"),
-    )
-)
-"""Monitors that `instant` computes, in this order."""
 
 SHARES = 6
 """Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
@@ -150,7 +142,7 @@ class Watch(NamedTuple):
 class Scene:
     """The method of a scene, with a symbol for each named value."""
 
-    def __init__(self, equations: Equations, weighted: bool, lengths: dict[str, int]):
+    def __init__(self, equations: Configuration, weighted: bool, lengths: dict[str, int]):
         self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
         self._symbols: dict[str, SX] = {}
         self._factorisations: dict[tuple[int, ...], ca.Function] = {}
@@ -788,12 +780,12 @@ class Scene:
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
         monitors = []
-        if set(MONITORED) - set(e.monitors):
+        if {monitor.name for monitor in MONITORS} - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
             values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
             values = *values, plan.iterations, ca.sqrt(margin), singular, lost
-            monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
+            monitors = [x for each, x in zip(MONITORS, values, strict=True) if each.name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
         seen, near = Watch.of(watch), SX(0)

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from ..equations import Equations, Variable
+from ..equations import Configuration, Equations, Variable
 from ..equations.evaluation import DENSE
 from ..equations.friction import LIMITED, SHARED
 from ..equations.interface import (
@@ -29,7 +29,6 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
-from ..model.kept import once
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
@@ -37,8 +36,9 @@ from ..model.units import rate_of
 from . import memory, thresholds
 from .alternatives import CHOSEN
 from .alternatives import formulations as carried
+from .controlled import whole
 from .emit import compiled_code
-from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, called, taken
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
 from .joined import joined
 from .lanes import laned
 from .memory import TIERS, Layout
@@ -48,6 +48,7 @@ from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
 __all__ = [
+    "HEAD",
     "alone",
     "function_sizes",
     "identified",
@@ -55,6 +56,7 @@ __all__ = [
     "known_choices",
     "layout_header",
     "machine_code",
+    "number_of",
     "packed",
     "packed_start",
 ]
@@ -269,14 +271,14 @@ def layout_header() -> str:
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 
-def alone(equations: Equations) -> Equations:
+def alone(equations: Traced) -> Traced:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    own = equations.kept.scene.latest(alone, lambda: _alone(equations))
+    own = equations.kept.scene.latest(alone, lambda: _alone(whole(equations)))
     given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
     return replace(equations, **given)
 
 
-def _alone(equations: Equations) -> Equations:
+def _alone(equations: Traced) -> Traced:
     e = standalone(equations)
     if e.n > DENSE:
         return _ordered(joined(e, HOT, READ))
@@ -287,7 +289,7 @@ def _alone(equations: Equations) -> Equations:
     return _ordered(joined(replace(e, kernel=kernel), HOT, READ))
 
 
-def _ordered(e: Equations) -> Equations:
+def _ordered(e: Traced) -> Traced:
     """The same equations with no functions but those of the scene, in the order of its file."""
     used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
@@ -295,14 +297,14 @@ def _ordered(e: Equations) -> Equations:
     return replace(e, functions=functions, signatures=signatures)
 
 
-def machine_code(equations: Equations, scene: bytes) -> list[str]:
+def machine_code(equations: Traced, scene: bytes) -> list[str]:
     """C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
     e = alone(equations)
     kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
     return compiled_code(e, kept, f"{zlib.crc32(scene[HEAD:]):08x}")
 
 
-def function_sizes(equations: Equations) -> dict[str, int]:
+def function_sizes(equations: Traced) -> dict[str, int]:
     """Bytes of each function in a scene file."""
     e, found = alone(equations), {}
     table = _Table(equations, e)
@@ -314,21 +316,20 @@ def function_sizes(equations: Equations) -> dict[str, int]:
     return found
 
 
-@once
-def packed(equations: Equations) -> bytes:
-    """The scene file of traced equations, written once."""
+def packed(equations: Traced) -> bytes:
+    """The scene file of traced equations."""
     with getting_ready():
         return _file(equations, alone(equations))
 
 
-def packed_start(equations: Equations) -> bytes:
-    """The scene file of untraced equations with a start alone: it can be initialised, and makes no step."""
+def packed_start(equations: Configuration) -> bytes:
+    """The scene file of a configuration with a start alone: it can be initialised, and makes no step."""
     chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
     e = beginning(replace(equations, solver=chosen))
     return _file(e, _ordered(e))
 
 
-def _file(equations: Equations, e: Equations) -> bytes:
+def _file(equations: Traced, e: Traced) -> bytes:
     w = Writer()
     w.text(e.name)
     table = _Table(equations, e)
@@ -347,10 +348,16 @@ def identified(scene: bytes, identity: str) -> bytes:
     return MAGIC + struct.pack("<IIQ", VERSION, len(scene), zlib.crc32(rest)) + rest
 
 
+def number_of(scene: bytes, name: str) -> int:
+    """A number of NUMBERS in a scene file."""
+    behind_name = HEAD + 4 + struct.unpack_from("<i", scene, HEAD)[0]
+    return struct.unpack_from("<i", scene, behind_name + 4 * list(NUMBERS).index(name))[0]
+
+
 class _Table:
     """What stands in the file of a scene."""
 
-    def __init__(self, scene: Equations, own: Equations):
+    def __init__(self, scene: Traced, own: Traced):
         self.e, self.layout = own, Layout(scene)
         self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
         self.method = integrator(scene)

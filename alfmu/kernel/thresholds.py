@@ -35,7 +35,7 @@ combinations are larger; at a singular position the rank of the place before is 
 
 PENALTY_RATIO = 1e8
 """penalty over the largest mass that the rows hold [1]: the residual form of (8) needs three iterations to
-round-off at it, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
+round-off at it, and four at 1e6 and at 1e10 (`alfmu report all --profile paper`)."""
 
 ALIKE = 10.0
 """ratio of the units of rows [1]: rows whose units are not known and differ by less share one."""

@@ -22,7 +22,7 @@ from types import MappingProxyType
 import casadi as ca
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration, Equations
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
 from ..equations.types import REACTION_ERROR
 from ..method import singular as branch
@@ -31,7 +31,7 @@ from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
 from ..model.settings import Settings
 from . import rubbing
-from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
+from .form import Call, Choice, Loop, Plan, Program, Step, Steps, Traced, called
 from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
@@ -51,14 +51,14 @@ NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 def traced(
-    equations: Equations,
+    configuration: Configuration,
     controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
-) -> Equations:
-    """The same equations with the functions of the kernel.
+) -> Traced:
+    """A configuration with the programs and functions of the kernel.
 
     `controlled` traces the method of the scene (`alfmu.kernel.controlled.programs`).
     """
-    e = replace(untraced(equations), survey=equations.survey)
+    e = replace(untraced(configuration), survey=configuration.survey)
     survey, mobility = e.survey, e.survey.mobility
     redundant = bool(e.l) and (mobility is None or mobility.redundant > 0 or e.changes)
     careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
@@ -78,19 +78,20 @@ def traced(
         kernel["reach"] = tracer.reach()
     if continues and len(kernel["instant"].steps) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
-    return replace(with_functions(e, tracer.functions), kernel=kernel)
+    return Traced.of(with_functions(e, tracer.functions), kernel=kernel)
 
 
-def untraced(equations: Equations) -> Equations:
-    """The same equations without the functions of the kernel."""
+def untraced(equations: Equations) -> Configuration:
+    """The configuration of a scene before it was surveyed and traced; other equations as one where nothing is known."""
     e = equations
-    if not e.kernel:
-        return e
+    if not isinstance(e, Traced):
+        return e if isinstance(e, Configuration) else Configuration.of(e)
     names = {name for program in e.kernel.values() for name in called(program)} - set(EVALUATED)
     functions, signatures = (
-        {name: x for name, x in each.items() if name not in names} for each in (e.functions, e.signatures)
+        {name: x for name, x in each.items() if name in e.functions and name not in names}
+        for each in (e.functions, e.signatures)
     )
-    return replace(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere, kernel={}, library=None)
+    return Configuration.of(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere)
 
 
 def spaced(*names: str | Sequence[str]) -> str:
@@ -101,7 +102,7 @@ def spaced(*names: str | Sequence[str]) -> str:
 class Tracer:
     """Traces programs, and each function that they call once."""
 
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Configuration):
         self.e, self.layout = equations, Layout(equations)
         self.functions: dict[str, ca.Function] = {}
         self.shapes: dict[str, tuple[list[int], int]] = {}

@@ -1,8 +1,8 @@
 """Newton's method for friction that follows from the load, on arrays and symbols alike.
 
-Forces phi of joints that slide are what their laws say of the reactions, phi = law(a, lambda); a and lambda are affine
-in phi, as (4) and (3) are linear. With the slopes D of law(phi) the change of phi is that of (I - D) dphi = law - phi.
-Where friction goes on from none without a fold, all pivots of I - D are positive. At a fold they vanish: a jam.
+Forces phi of sliding joints follow from the reactions, phi = law(a, lambda); a and lambda are affine in phi, as (4)
+and (3) are linear. With the slopes D of law(phi), one iteration solves (I - D) dphi = law - phi. On the branch that
+continues from zero friction all pivots of I - D are positive. At a fold one of them vanishes: the joint jams.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ Number = Any
 
 
 def newton(slopes: Sequence[Sequence[Number]], residues: Sequence[Number]) -> tuple[list[Number], list[Number]]:
-    """Return the change of phi by elimination without exchange of rows, and the pivots of I - D; D is given by rows."""
+    """Return the change of phi by elimination without pivoting, and the pivots of I - D; D is given by rows."""
     count, right = len(residues), list(residues)
     rows = [[(i == j) - slopes[i][j] for j in range(count)] for i in range(count)]
     pivots = []

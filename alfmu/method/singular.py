@@ -1,10 +1,11 @@
 """Singular positions, in five steps that `docs/singular.md` explains and that lines of the code cite.
 
-S1 calibrate at the start, S2 measure the margin, S3 bring a stage to the branch, S4 take the limit from places beside,
-S5 return to the constraints and freeze the rank. At a singular position C loses rank and two or more motions cross: an
-acceleration can keep the constraints and yet belong to none of them. On one branch the acceleration is smooth, so its
-limit follows from places before and after. The page has the formula of the margin, and what half and twice each of
-these constants would do. The functions take NumPy arrays and symbols alike, except `with_pole`, which takes arrays.
+S1 calibrate at the start, S2 measure the margin, S3 bring a stage to the branch, S4 compute the limit from positions on
+either side, S5 return to the constraints and freeze the rank. At a singular position C loses rank and two or more
+motions cross: an acceleration can satisfy the constraints and yet belong to none of them. On one branch the
+acceleration is smooth, so its limit follows from positions before and after. The page has the formula of the margin,
+and the effect of halving and doubling each of these constants. The functions take NumPy arrays and symbols alike,
+except `with_pole`, which takes arrays.
 """
 
 import math
@@ -127,7 +128,7 @@ TINY = 1e-300
 
 
 def weights(m: int) -> dict[int, float]:
-    """S4: weights of m places before and m after, evenly spaced, that leave an error of order 2 m in the spacing."""
+    """S4: return weights of m evenly spaced positions before and after, with an error of order 2 m in the spacing."""
     return {
         k * side: (-1) ** (k + 1) * math.comb(2 * m, m + k) / math.comb(2 * m, m)
         for side in (-1, 1)
@@ -143,55 +144,54 @@ READ_MEAN = weights(LONG_PLACES)
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:
-    """S2: square of the distance [rad^2] that a spacing covers, from margins, which are parabolas over the distance."""
+    """S2: return the squared spacing [rad^2], from margins, which are parabolas over the distance."""
     return (before + after) / 2 - here
 
 
 def mean(values: dict[int, Array]) -> Array:
-    """S4: the limit from values at places, as many before as after."""
+    """S4: return the limit from values at as many positions before as after."""
     return sum(w * values[k] for k, w in weights(len(values) // 2).items())
 
 
 def pole(values: dict[int, Array]) -> tuple[Array, Array, Array]:
-    """S4: of values x_k at places k, the means of x_k, k x_k and k^2 x_k.
+    """S4: return the limits of x_k, k x_k and k^2 x_k at k = 0.
 
-    At k = 0 the last two are nothing where x is smooth. Of A / (k - c) they are B and c B, and -B / c is what the mean
-    of x_k lacks.
+    The last two vanish where x is smooth. For A / (k - c) they are B and c B, and -B / c corrects the limit of x_k.
     """
     limit, first, second = (mean({k: k**power * x for k, x in values.items()}) for power in (0, 1, 2))
     return limit, first, second
 
 
 def fewer(values: dict[int, Array]) -> dict[int, Array]:
-    """The same without the places that are farthest: what they change tells the error of a limit."""
+    """Return the values without the farthest positions; the change of the limit estimates its error."""
     return {k: x for k, x in values.items() if abs(k) < len(values) // 2}
 
 
 def direct_error(margin: Array, eps: float) -> Array:
-    """Round-off of reactions over them at a place of this margin, as the fourth power of its distance loses it."""
+    """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance."""
     return eps / (margin * margin + TINY)
 
 
 def reading_error(margin: Array, eps: float) -> Array:
-    """Error of reactions read at a place of this margin, over the loads there."""
+    """Return the error of reactions evaluated at this margin, relative to the loads there."""
     return READ_LOSS * eps + NEAR_LOSS * direct_error(margin, eps)
 
 
 def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: float) -> Array:
-    """Error of a limit of values that are as large as `largest` at the places.
+    """Return the error of a limit of values that reach `largest`.
 
-    What the farthest places change falls with each pair of them as it did before. Round-off of the first places is
-    `magnified` where it moves a pole.
+    The effect of each farther pair of positions is extrapolated from the last two, `change` and `before`. Round-off of
+    the nearest positions is `magnified` where it displaces a pole.
     """
     noise = LIMIT_LOSS * direct_error(READ_DISTANCE**2, eps) * largest
     return change * change / (change + before + TINY) + noise * (1 + magnified)
 
 
 def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, bool, float]:
-    """S4: reactions (l,) from those at places before and after, whether they have a pole nearby, and by how much that
-    magnifies round-off.
+    """S4: return reactions (l,) from those before and after, whether a pole is near, and by how much it magnifies
+    round-off.
 
-    Where they have one, this is their value here, and at the pole itself, or with `told` false, the finite part.
+    Near a pole this is the value here; at the pole itself, or with `told` false, it is the finite part.
     """
     limit, first, second = pole(values)
     largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)
@@ -205,14 +205,14 @@ def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, b
 
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:
-    """S3: the part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in metric M."""
+    """S3: return the part of d (n,) that satisfies the constraints; the rest is orthogonal to it in metric M."""
     return d + project(C, alpha, solve, C @ d)
 
 
 def along(M: Array, heavy: Array, way: Array, d: Array, least: Array = 0.0) -> Array:
-    """S3: multiple of a tangent `way` (n,) to move by, so that a displacement d (n,), which is orthogonal to it in the
-    metric of M, is so in that of M with the masses `heavy` (n,) of the independent coordinates. A way far below `least`
-    in that metric is none."""
+    """S3: return the multiple of the tangent `way` (n,) that makes a displacement d (n,) orthogonal to it in the metric
+    of M with the masses `heavy` (n,) of the independent coordinates, given that it is orthogonal in metric M. A tangent
+    far shorter than `least` in that metric counts as zero."""
     given = way * heavy
     return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + least + TINY)
 
@@ -229,10 +229,10 @@ def returned(
     speed: Callable[[Array], Array] | None = None,
     still: Array | None = None,
 ) -> tuple[Array, Array]:
-    """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion.
+    """Return q displaced along the motion to the position nearest to `wanted`, and the v of that motion.
 
-    Where time is a coordinate, `speed` gives Phi-dot of a velocity, and `still` is v with time standing still: nothing
-    is displaced along a motion that takes time, which the place has already.
+    If time is a coordinate, `speed` returns Phi-dot of a velocity, and `still` is v at fixed time: time itself is not
+    displaced.
     """
     speed = speed or (lambda x: C @ x)
 

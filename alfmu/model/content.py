@@ -16,7 +16,7 @@ import numpy as np
 
 from .mechanism import Mechanism
 
-__all__ = ["content"]
+__all__ = ["content", "told"]
 
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -36,6 +36,15 @@ def content(mechanism: Mechanism) -> str | None:
     expressions = ca.vertcat(*said.expressions) if said.expressions else ca.SX(0, 1)
     program = ca.Function("content", [ca.vertcat(*ca.symvar(expressions))], [expressions])
     return hashlib.sha256(f"{text!r}{program.serialize()}".encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def told(value: Any) -> str:
+    """Return a value without expressions as text; raise TypeError if it is of a kind that has none."""
+    said = _Said()
+    text = repr(said.of(value))
+    if said.expressions:
+        raise TypeError("SX")
+    return text
 
 
 class _Said:

@@ -1,11 +1,7 @@
-"""Compile a scene's C into a shared library, kept in the user's cache folder.
-
-Its name there is the hash of what it is made of, and that of its content: one that was damaged is built again.
-"""
+"""Compile a scene's C into a shared library, kept in the user's cache folder (`model.cache`)."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import subprocess
@@ -14,13 +10,15 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ..equations import Equations
-from ..kernel.tables import machine_code
+from ..kernel.form import Traced
+from ..kernel.tables import HEAD, machine_code
+from ..model.cache import keep, kept, whole
 from ..model.errors import ExportError
-from ..model.files import scratch, write
+from ..model.files import scratch
 from .build import compiler
+from .stored import software
 
-__all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verified", "version", "whole"]
+__all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
@@ -32,14 +30,7 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Of shared libraries here."""
 
 
-def cache() -> Path:
-    """The folder where compiled kernels are kept."""
-    from platformdirs import user_cache_path
-
-    return user_cache_path("alfmu", appauthor=False)
-
-
-def compiled_scene(equations: Equations, scene: bytes) -> Path:
+def compiled_scene(equations: Traced, scene: bytes) -> Path:
     """The functions of a scene file of these equations as a library, from the cache or built now.
 
     Raises ExportError where there is no compiler, or where it fails.
@@ -49,40 +40,20 @@ def compiled_scene(equations: Equations, scene: bytes) -> Path:
             f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    return _library(equations.name, command, machine_code(equations, scene), "use --kernel vm")
+    # The C follows from the scene: it is written, and its functions traced, only where it has to be compiled.
+    digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
+    digest.update(scene[HEAD:])
+    name = f"kernel_{digest.hexdigest()[:32]}"
+    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(equations, scene), name)
 
 
-def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
+def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
     """C of a scene as a library in the cache."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
-    baseline = _BASELINE.read_text(encoding="ascii")
-    identity = "\0".join([*files, baseline, *command, version(command), *flags])
-    name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
-    named = {_BASELINE.name: baseline, **{f"kernel{i}.c": text for i, text in enumerate(files)}}
-    return kept(name, SUFFIX) or build(scene, [*command, *flags], named, name, SUFFIX, otherwise)
-
-
-def kept(name: str, suffix: str) -> Path | None:
-    """The library of this name in the cache, if there is one that is whole; damaged ones are removed.
-
-    Behind its name stands the hash of its content.
-    """
-    for path in sorted(cache().glob(f"{name}_*{suffix}")):
-        if whole(path):
-            return path
-        with contextlib.suppress(OSError):
-            path.unlink()
-    return None
-
-
-def whole(path: Path) -> bytes | None:
-    """The content of a library in the cache; None where it is not what was written there."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    return content if path.stem.rpartition("_")[2] == _hash(content) else None
+    named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
+    named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
+    return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")
 
 
 def verified(scene: str, path: Path) -> bytes:
@@ -92,15 +63,9 @@ def verified(scene: str, path: Path) -> bytes:
     return content
 
 
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:32]
-
-
 def build(scene: str, command: list[str], files: Mapping[str, str], name: str, suffix: str, otherwise: str) -> Path:
     """Compile files (headers among them) into a shared library in the cache; `otherwise` says what else can be done."""
-    place = cache()
     try:
-        place.mkdir(parents=True, exist_ok=True)
         with scratch() as folder:
             for each, text in files.items():
                 (folder / each).write_text(text, encoding="ascii")
@@ -111,13 +76,10 @@ def build(scene: str, command: list[str], files: Mapping[str, str], name: str, s
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = list(pool.map(compile_one, (each for each in files if each.endswith(".c"))))
             linked = _run(scene, [*command, "-shared", "-s", *objects, "-lm"], "kernel", folder, otherwise)
-            content = (folder / linked).read_bytes()
-            path = place / f"{name}_{_hash(content)}{suffix}"
-            write(path, content)
-            return path
+            return keep(name, suffix, (folder / linked).read_bytes())
     except OSError as error:
         why = error.strerror or error
-        raise ExportError(f"{scene}: cannot build the kernel in {place} ({why}); {otherwise}") from error
+        raise ExportError(f"{scene}: cannot build the kernel ({why}); {otherwise}") from error
 
 
 def _run(scene: str, command: list[str], made: str, folder: Path, otherwise: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations, Mobility
+from ..equations import Configuration, Equations, Mobility
 from ..equations.evaluation import DENSE, tangents_once
 from ..equations.interface import default_settings
 from ..equations.types import Survey
@@ -124,7 +124,8 @@ class Probe:
         """None where the defaults have no start at this time [s], so that nothing is known of it."""
         e = equations
         # With room for constraints that would brake, which are looked for where coordinates are few.
-        room = replace(e, kernel={}, survey=replace(e.survey, brakes=e.n <= DENSE))
+        room = Configuration.of(e)
+        room = replace(room, survey=replace(room.survey, brakes=e.n <= DENSE))
         unit = Unit(Scene(packed_start(room)))
         unit.time = time
         if unit.initialize() != DONE:
@@ -225,8 +226,8 @@ class Probe:
         return M, C, F, xi, alpha, splu(method.augmented_mass(M, C, alpha).tocsc()).solve
 
 
-def survey(equations: Equations) -> Survey:
-    """The survey of equations at the start of their defaults; what theirs has of all starts stays.
+def survey(equations: Configuration) -> Survey:
+    """The survey of a configuration at the start of their defaults; what theirs has of all starts stays.
 
     Tracing needs it, and it needs the runtime: a scene with a start alone is traced, loaded and initialised.
     """

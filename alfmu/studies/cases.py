@@ -19,6 +19,7 @@ from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
+from ..equations.types import Configuration
 from ..model.errors import AlfmuError
 from ..model.files import write
 from ..model.mechanism import Mechanism
@@ -86,7 +87,7 @@ def control(method: str) -> str:
     return STEP if method in FIXED else TOLERANCE
 
 
-def scene(equations: Equations, method: str, kernel: str) -> Equations:
+def scene(equations: Equations, method: str, kernel: str) -> Configuration:
     """The scene of a mechanism that carries a method."""
     return prepared(with_defaults(equations, {"solver.method": method}), kernel)
 
@@ -211,7 +212,7 @@ def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
 class Judge:
     """Errors of runs of one mechanism against a reference; without one, of constraints and energy alone."""
 
-    def __init__(self, equations: Equations, reference: Reference | None):
+    def __init__(self, equations: Configuration, reference: Reference | None):
         outputs, shared = equations.outputs, set(equations.survey.shared or ())
         self.reference = reference
         self.conserves = not equations.works
@@ -366,6 +367,7 @@ def begin(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     chosen = str(names[0]) if len(names) == 1 else "all"
-    command = shlex.join(["alfmu", kind, chosen, *["--quick"] * quick])
+    name, *profile = kind.split()
+    command = shlex.join(["alfmu", name, chosen, *profile, *["--quick"] * quick])
     bounds = {"wall time for all mechanisms [s]": effort.total, **bounds}
     return Begun(studies, folder, tables.where(command, packages, bounds), effort.total)

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from ..equations import Equations, Mobility, Variable
+from ..equations import Configuration, Equations, Mobility, Variable
 from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
 from ..equations.types import Survey
 from ..fmi import native
-from ..kernel.form import Plan, called
+from ..kernel.controlled import whole
+from ..kernel.form import Plan, Traced, called
 from ..kernel.joined import joined
 from ..kernel.symbolic import Scene, lengths_of
 from ..kernel.trace import traced
@@ -42,9 +43,9 @@ class Cost:
     corrections: int
 
 
-def cost(equations: Equations) -> Cost:
+def cost(equations: Traced) -> Cost:
     """Operations of a traced scene."""
-    e = equations
+    e = whole(equations)
     quick = e.kernel["quick"]
     step = _whole(e, "quick")
     evaluation, nonzeros = parts(e, quick.plan)
@@ -73,7 +74,7 @@ def cost(equations: Equations) -> Cost:
     )
 
 
-def parts(equations: Equations, plan: Plan) -> tuple[dict[str, ca.Function], dict[str, int]]:
+def parts(equations: Configuration, plan: Plan) -> tuple[dict[str, ca.Function], dict[str, int]]:
     """What an evaluation of a program comes to step by step, and the structural nonzeros on the way.
 
     The functions give M, C, F, xi; then also the pivots of H; then the accelerations and the power.
@@ -97,7 +98,7 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     `everything` is the same mechanism with all outputs and parameters, `mobility` what is known of both. Each thing
     left out is put back alone to see what that saves.
     """
-    prepared_scene = prepared(scene)
+    prepared_scene = whole(prepared(scene))
     now, full = cost(prepared_scene), _with_all_passes(everything, mobility, prepared_scene)
     text = [
         f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
@@ -148,14 +149,13 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     return lines
 
 
-def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
+def _with_all_passes(equations: Equations, mobility: Mobility, like: Traced) -> Cost:
     """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
-    return cost(
-        traced(replace(equations, survey=Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)))
-    )
+    found = Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)
+    return cost(traced(Configuration.of(equations, survey=found)))
 
 
-def _hard(e: Equations) -> dict[str, int]:
+def _hard(e: Traced) -> dict[str, int]:
     """Operations of what only hard scenes need, by what it is for."""
     return {
         "a step near a singular position, on the branch of the motion": _whole(e, "branch")
@@ -169,7 +169,7 @@ def _hard(e: Equations) -> dict[str, int]:
     }
 
 
-def _of(e: Equations, name: str) -> int:
+def _of(e: Traced, name: str) -> int:
     return operations(e.functions[name]) if name in e.signatures else 0
 
 
@@ -188,11 +188,11 @@ def operations(function: ca.Function) -> int:
     return sum(function.instruction_id(k) not in _FREE for k in range(function.n_instructions()))
 
 
-def _whole(e: Equations, program: str) -> int:
+def _whole(e: Traced, program: str) -> int:
     together = joined(e, [program])
     return _together(together, called(together.kernel[program]))
 
 
-def _together(e: Equations, names: Iterable[str]) -> int:
+def _together(e: Traced, names: Iterable[str]) -> int:
     """Operations of some functions, which may be there more than once."""
     return sum(count * operations(e.functions[name]) for name, count in Counter(names).items())

@@ -8,6 +8,7 @@ of each mechanism beside it.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
@@ -61,10 +62,10 @@ from .cost import cost, left_out
 from .looks import LOOKS, integrator, line_of
 from .page import Page, library
 from .plots import against_time, convergence
-from .rivals import COMPILED, PYTHON, RIVALS, Rival
+from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, Rival
 from .tables import Row, markdown, paragraph, shown, write_csv
 
-__all__ = ["Effort", "report"]
+__all__ = ["PROFILES", "Effort", "report"]
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
@@ -103,8 +104,11 @@ HELD = 10.0
 MAPPED = 0.15
 """Part of the time of a mechanism that is kept for its maps of stability."""
 
-PAPER = 0.2
+FOR_PAPER = 0.2
 """The same for the chapters of the paper's study, where some are about the mechanism."""
+
+ABOUT = tuple(dict.fromkeys(name for name, _ in paper.STUDIES.values()))
+"""Mechanisms that the paper's study is about."""
 
 OWN = Settings.formulation
 
@@ -136,6 +140,11 @@ class Effort:
     wide: bool = True
     """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
     interpreter, which takes no compiler."""
+    parts: tuple[str, ...] = ("film", "runs", "scenes", "paper", "maps")
+    """Parts of the report that are made."""
+    methods: tuple[str, ...] = ()
+    """Integrators that run by the fastest kernel, beside SciPy's; all of them in every way where it is empty."""
+    points: int = POINTS
 
 
 USUAL = Effort(
@@ -165,6 +174,30 @@ QUICK = Effort(
     replace(maps.QUICK, horizon=0.5, limit=0.01),
     wide=False,
 )
+TOLERANCES = replace(
+    USUAL,
+    total=7200.0,
+    each=1800.0,
+    horizon=math.inf,
+    steps=10**9,
+    tolerances=(1e-4, 1e-6, 1e-9, 1e-11),
+    limit=120.0,
+    repeats=5,
+    reference=exact.Effort(parts=100, seconds=120.0),
+    parts=("runs",),
+    methods=("explicit", "stiff", "auto"),
+    points=10,  # So few that the error control decides on the steps.
+)
+PAPER = replace(USUAL, total=1800.0, each=900.0, paper=paper.USUAL, parts=("paper",))
+PROFILES = {
+    "usual": (USUAL, QUICK),
+    "tolerances": (
+        TOLERANCES,
+        replace(TOLERANCES, each=60.0, horizon=1.0, limit=10.0, reference=exact.Effort(parts=20, seconds=20.0)),
+    ),
+    "paper": (PAPER, replace(PAPER, paper=paper.QUICK)),
+}
+"""What a report is about, and its quick form: all of it; tolerances over whole runs; the study of the paper in full."""
 
 
 @dataclass(frozen=True)
@@ -214,28 +247,37 @@ class Study(cases.Study):
         """Run all cases, as far as time allows until `deadline`."""
         logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
         self.equations = prepared(self.derived, "oracle")
-        left = deadline - time.perf_counter()
-        mapped = deadline - MAPPED * left
-        judged = mapped - PAPER * left * any(name == self.mechanism.name for name, _ in paper.STUDIES.values())
-        self._film()
-        self.times = self._points()
-        self._judge(float(self.times[-1]))
-        self._scenes()
+        parts, left = self.effort.parts, deadline - time.perf_counter()
+        mapped = deadline - MAPPED * left * ("maps" in parts)
+        judged = mapped - FOR_PAPER * left * ("paper" in parts and self.mechanism.name in ABOUT)
+        if "film" in parts:
+            self._film()
+        if "runs" in parts:
+            self.times = self._points()
+            self._judge(float(self.times[-1]))
+            if "scenes" in parts:
+                self._scenes()
+            self._runs(judged, progress)
+        if "paper" in parts:
+            self._paper(mapped)
+        if "maps" in parts:
+            self.maps.measure(deadline, progress)
+
+    def _runs(self, deadline: float, progress: Progress) -> None:
+        """Run all settings until `deadline`, and compare them."""
         with ExitStack() as self._stack, scratch() as folder:
             self._ways, self._units = self._makers(folder), {}
             for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
-                self._run(setting, value, judged)
+                self._run(setting, value, deadline)
         self._summarise()
         self._tolerances()
         self._compare()
-        self._paper(mapped)
-        self.maps.measure(deadline, progress)
 
     def _points(self) -> NDArray:
         """Times at which all runs are read: as far apart as the longest step, or a multiple of it."""
         e, longest = self.equations, max(self.effort.factors) * self.equations.step_size
         horizon = min(e.stop_time, self.effort.horizon, self.effort.steps * e.step_size)
-        apart = max(1, round(horizon / (POINTS * longest))) * longest
+        apart = max(1, round(horizon / (self.effort.points * longest))) * longest
         return communication_points(e.name, max(1, int(horizon / apart * (1 + 1e-12))) * apart, apart)
 
     def _paper(self, deadline: float) -> None:
@@ -325,7 +367,7 @@ class Study(cases.Study):
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
-        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given))
+        return Fmu(export(self.mechanism, path, kind="python", kernel=kernel, parameters=given))
 
     def _unit(self, way: str, method: str) -> _Open:
         """A unit of a way to run that carries a method, made when it is first wanted."""
@@ -335,6 +377,10 @@ class Study(cases.Study):
 
     def _settings(self) -> list[list[Setting]]:
         """All settings in groups, those first whose rows are needed most."""
+        if self.effort.methods:
+            way = next(iter(self._ways))
+            own = [self._setting(OWN, method, way) for method in self.effort.methods]
+            return [own + [rival for rival in map(self._rival, SCIPY) if rival]]
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
         more.sort(key=lambda method: method != Settings.method)
         every = "vm" if not self.effort.wide and "vm" in self._ways else next(iter(self._ways), None)
@@ -460,15 +506,15 @@ class Study(cases.Study):
         """alfmu as it comes against all else: run times at equal error, errors at equal step; also where it loses."""
         rows = [r for r in self.files["errors"] if r[TIME] is not None]
         own = [r for r in rows if (r["code"], r["formulation"]) == ("alfmu", OWN)]
+        in_python = [r for r in own if r["language"] == PYTHON]
         for level in LEVELS:
             mine = _fastest(own, level)
             for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
                 what = {"what": "run time to a position error of", "level or step": level, "other": code}
                 theirs = [r for r in rows if r["code"] == code]
                 self._versus(what, TIME, mine, _fastest(theirs, level))
-                if all(r["language"] == PYTHON for r in theirs):
-                    python = _fastest([r for r in own if r["language"] == PYTHON], level)
-                    self._versus(what, TIME, python, _fastest(theirs, level))
+                if in_python and all(r["language"] == PYTHON for r in theirs):
+                    self._versus(what, TIME, _fastest(in_python, level), _fastest(theirs, level))
         for theirs in rows:
             if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
                 for mine in own:
@@ -597,8 +643,8 @@ process, in the order of `errors.csv`; small ratios of times are not to be trust
 the run, positions and reactions are judged up to there.
 Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
 with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
-Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that
-of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
+Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full and
+tolerances over whole runs are those of `--profile`, maps with all their cells those of `alfmu stability`.
 """
 
 
@@ -608,14 +654,19 @@ def report(
     quick: bool = False,
     progress: Callable[[str], Progress] = lambda what: iter,
     effort: Effort | None = None,
+    profile: str = "usual",
 ) -> Path:
     """Measure mechanisms and write the report into a folder; returns the path of its page.
 
-    Raises AlfmuError where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any
-    run.
+    `profile` is one of PROFILES; of the paper's study only mechanisms that it is about are measured. Raises AlfmuError
+    where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any run.
     """
     library()
-    effort = effort or (QUICK if quick else USUAL)
+    effort = effort or PROFILES[profile][quick]
+    if effort.parts == ("paper",):
+        names = [name for name in names if name in ABOUT]
+        if not names:
+            raise InputError(f"the paper's study is about {', '.join(ABOUT)}; name one of them")
     effort = replace(effort, total=min(effort.total, effort.each * len(names)))
     bounds = {
         "longest simulated time [s]": effort.horizon,
@@ -623,13 +674,17 @@ def report(
         "repeats of a run, at most": effort.repeats,
         "wall time of a cell of a map [s]": effort.stability.limit,
     }
-    begun = begin("report", Study, names, folder, effort, quick, bounds, PACKAGES)
+    kind = "report" if profile == "usual" else f"report --profile {profile}"
+    begun = begin(kind, Study, names, folder, effort, quick, bounds, PACKAGES)
     for study in begun.measured(progress):
         _pictures(study, begun.folder)
-    for file in FILES:
+    for file in FILES if "runs" in effort.parts else ("skipped",):
         write_csv(begun.folder / f"{file}.csv", begun.rows(lambda study, file=file: study.files[file]))
-    maps.write(begun.folder, [study.maps for study in begun.studies])
+    if "maps" in effort.parts:
+        maps.write(begun.folder, [study.maps for study in begun.studies])
     summary = _skipped(begun.studies)
+    if "runs" in effort.parts:
+        write_csv(begun.folder / "rivalry.csv", _rivalry(begun.studies))
     write_csv(begun.folder / "skipped_summary.csv", summary, SKIPPED)
     if any(study.chapters for study in begun.studies):
         about = paper.settings(effort.paper)
@@ -662,13 +717,17 @@ def _skipped(studies: Sequence[Study]) -> list[Row]:
 
 def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
     where = shown("Where this was measured", "environment", ("what", "value"), begun.environment)
-    parts = ["# Error against run time"]
+    parts, rivalry = ["# Error against run time"], _rivalry(begun.studies)
+    if numbered(rivalry):
+        parts += [paragraph(RIVALRY), shown("All mechanisms", "rivalry", _columns(rivalry), rivalry)]
     for study in begun.studies:
         parts += _chapter(study)
     parts += ["## How it was measured", where, paragraph(METHOD)]
     if any(study.chapters for study in begun.studies):
         parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
-    parts += ["## Maps of stability", *maps.explained(), "## What did not run"]
+    if "maps" in begun.studies[0].effort.parts:
+        parts += ["## Maps of stability", *maps.explained()]
+    parts += ["## What did not run"]
     parts.append(shown("Skipped", "skipped_summary", SKIPPED, summary) if summary else "All runs were made.")
     return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
 
@@ -676,17 +735,19 @@ def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
 def _chapter(study: Study) -> Iterator[str]:
     """One mechanism."""
     yield f"## {study.name}"
-    yield study.mechanism.description + ". Lower and further left is better."
-    yield f"![{OWN}: errors against run time]({study.name}.png)"
-    for file in SHOWN:
-        yield from _table(study, file)
-        if file == "reference":
-            yield f"![formulations: errors against run time]({study.name}_formulations.png)"
-            yield "All runs: `errors.csv`."
+    yield study.mechanism.description + "."
+    if "runs" in study.effort.parts:
+        yield f"Lower and further left is better.\n\n![{OWN}: errors against run time]({study.name}.png)"
+        for file in SHOWN:
+            yield from _table(study, file)
+            if file == "reference":
+                yield f"![formulations: errors against run time]({study.name}_formulations.png)"
+                yield "All runs: `errors.csv`."
     for chapter in study.chapters:
         yield from chapter.markdown("###")
-    yield "### Stability"
-    yield from maps.chapter(study.maps)
+    if "maps" in study.effort.parts:
+        yield "### Stability"
+        yield from maps.chapter(study.maps)
 
 
 def _table(study: Study, file: str) -> list[str]:
@@ -694,9 +755,9 @@ def _table(study: Study, file: str) -> list[str]:
     rows, (title, columns) = study.files[file], SHOWN[file]
     if file == "comparisons":
         rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
-    if file == "reference" and "note" in rows[0]:
+    if file == "reference" and any("note" in row for row in rows):
         columns = ("horizon [s]", "note")
-    return [shown(title, file, columns, rows)] if numbered(rows) or file == "reference" else []
+    return [shown(title, file, columns, rows)] if numbered(rows) else []
 
 
 SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
@@ -719,7 +780,10 @@ def _pictures(study: Study, folder: Path) -> None:
     """The default formulation in every way, and every formulation in one way; those of the paper, and maps."""
     for chapter in study.chapters:
         chapter.write(folder)
-    maps.draw(study.maps, folder)
+    if "maps" in study.effort.parts:
+        maps.draw(study.maps, folder)
+    if "runs" not in study.effort.parts:
+        return
     for name, title, chosen, told in (
         (study.name, f"{study.name}: {OWN}", _own(study), "way"),
         (f"{study.name}_formulations", f"{study.name}: formulations", _one_way(study), "formulation"),
@@ -754,13 +818,14 @@ def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
     """The picture of the first mechanism and a sentence on each, then all else behind folds and in chapters."""
     page = Page("Error against run time")
     rows = _rivalry(begun.studies)
-    for study, row in zip(begun.studies, rows, strict=True):
-        page.text(_sentence(study, row))
+    if "runs" in begun.studies[0].effort.parts:
+        for study, row in zip(begun.studies, rows, strict=True):
+            page.text(_sentence(study, row))
     first = begun.studies[:1]
     for study in first:
         _against_time(page, study)
     if numbered(rows):
-        columns = [name for name in dict.fromkeys(x for row in rows for x in row) if any(r.get(name) for r in rows)]
+        columns = _columns(rows)
         page.fold(
             "All mechanisms, beside other codes",
             f"{paragraph(RIVALRY)}\n\n{markdown(columns, [[row.get(x) for x in columns] for row in rows])}",
@@ -824,6 +889,11 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
     return rows
 
 
+def _columns(rows: Sequence[Row]) -> list[str]:
+    """Columns of which some row has a value."""
+    return [name for name in dict.fromkeys(x for row in rows for x in row) if any(row.get(name) for row in rows)]
+
+
 def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
     """One mechanism; `opened` says that the page began with its picture."""
     name = study.name
@@ -831,7 +901,8 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
     page.text(study.mechanism.description + ".")
     if study.film:
         page.film(study.film, f"The motion of {name}.")
-    page.head(3, f"Errors of {name}")
+    if "runs" in study.effort.parts:
+        page.head(3, f"Errors of {name}")
     for row in study.files["reference"]:
         if "note" in row:
             page.text(
@@ -861,11 +932,12 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
     for file in SHOWN:
         for table in _table(study, file):
             page.fold(SHOWN[file][0], table)
-    page.head(3, f"Where {name} runs")
-    if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
-        page.text("No cell of a map was run, as the time for this mechanism was used up before.", note=True)
-    else:
-        _maps_of_page(page, study)
+    if "maps" in study.effort.parts:
+        page.head(3, f"Where {name} runs")
+        if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
+            page.text("No cell of a map was run, as the time for this mechanism was used up before.", note=True)
+        else:
+            _maps_of_page(page, study)
     for chapter in study.chapters:
         page.head(3, f"The paper: {chapter.title}")
         page.text(paragraph(chapter.text))

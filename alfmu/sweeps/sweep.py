@@ -17,14 +17,13 @@ import numpy as np
 from ..equations import Equations, Variable
 from ..equations.interface import BALANCE, CHOICES
 from ..kernel import DEFAULT
-from ..kernel.tables import packed
 from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.doubts import tell_of_gravity
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.pipeline import again, braked, derive, ready, with_defaults
+from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
 from ..simulation import by_name, communication_points, instance, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
@@ -327,7 +326,7 @@ def _scene(
     )
 
     def braking() -> SceneJob:
-        other = instance(again(braked(unit.equations)), own)
+        other = instance(with_brakes(unit.equations), own)
         return replace(job, braking=_packed(other))
 
     def compiled() -> SceneJob:

@@ -22,7 +22,6 @@ import numpy as np
 from ..equations import Equations, Variable
 from ..equations.interface import state_starts, variables_of
 from ..kernel.stream import BINARY, UNARY
-from ..kernel.tables import packed
 from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuError, InputError
 from ..model.files import write
@@ -30,7 +29,7 @@ from ..model.mechanism import Mechanism
 from ..model.spatial import right_handed
 from ..runtime import Instance
 from ..runtime.build import WEB
-from ..runtime.pipeline import prepared
+from ..runtime.pipeline import packed, prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
 from ..simulation.result import Result
