@@ -13,7 +13,7 @@ from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
 from ..kernel.form import Traced
-from ..kernel.tables import alone
+from ..kernel.tables import number_of, packed
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
@@ -54,7 +54,9 @@ FEATURES = {
         "inputs that move something", ("driving_inputs.c", "input_derivatives.c"), lambda e: e.followed
     ),
     "SWITCHES": Feature("Boolean inputs and impacts", ("topology.c",), lambda e: e.switches),
-    "BREAKS": Feature("forces, laws and rates that jump or bend", ("breaks.c",), lambda e: e.breaks),
+    "BREAKS": Feature(
+        "forces, laws and rates that jump or bend", ("breaks.c",), lambda e: number_of(packed(e), "break_count")
+    ),
     "LAWS": Feature("laws of motion that may jump", ("jumps.c",), lambda e: e.leaps),
     "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),
     "ERROR_CONTROL": Feature("integrators with error control", ("adaptive.c",), lambda e: "method" in e.kernel),
@@ -70,8 +72,8 @@ FEATURES = {
 
 def left_out(equations: Traced, derivatives: bool = True) -> list[str]:
     """Names of the features that traced equations do not need, or that nobody asks for."""
-    scene, asked = alone(equations), {"DERIVATIVES"} if derivatives else ()
-    return [name for name, feature in FEATURES.items() if name not in asked and not feature.needed(scene)]
+    asked = {"DERIVATIVES"} if derivatives else ()
+    return [name for name, feature in FEATURES.items() if name not in asked and not feature.needed(equations)]
 
 
 def checked(equations: Equations) -> None:

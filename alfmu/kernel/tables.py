@@ -56,6 +56,7 @@ __all__ = [
     "known_choices",
     "layout_header",
     "machine_code",
+    "number_of",
     "packed",
     "packed_start",
 ]
@@ -346,6 +347,12 @@ def identified(scene: bytes, identity: str) -> bytes:
     """Return the scene with another identity: the GUID of its FMU."""
     rest = identity.encode().ljust(IDENTITY, b"\0") + scene[HEAD:]
     return MAGIC + struct.pack("<IIQ", VERSION, len(scene), zlib.crc32(rest)) + rest
+
+
+def number_of(scene: bytes, name: str) -> int:
+    """A number of NUMBERS in a scene file."""
+    behind_name = HEAD + 4 + struct.unpack_from("<i", scene, HEAD)[0]
+    return struct.unpack_from("<i", scene, behind_name + 4 * list(NUMBERS).index(name))[0]
 
 
 class _Table:

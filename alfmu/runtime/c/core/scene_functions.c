@@ -273,9 +273,9 @@ void function_is_shaped(Reader *r, const char *name, int which, int needed, int 
     }
     va_start(lengths, outputs);
     for (int k = 0; k < inputs + outputs; k++) {
-        const int wanted = va_arg(lengths, int);
-        if (f->lengths[k] != wanted)
-            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], wanted);
+        const int needed_length = va_arg(lengths, int);
+        if (f->lengths[k] != needed_length)
+            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], needed_length);
     }
     va_end(lengths);
 }

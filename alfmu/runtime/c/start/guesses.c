@@ -21,8 +21,8 @@ static double find_missed_start(const Instance *i, int c, const double *guess, c
 {
     const Scene *s = i->scene;
     const double length = MISSED_LENGTHS * fmax(*i->length, fabs(guess[c]));
-    const double told = coordinate_is_angle(s, c) ? MISSED : coordinate_is_length(s, c) ? length : INFINITY;
-    return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / told : 0.0;
+    const double tolerance = coordinate_is_angle(s, c) ? MISSED : coordinate_is_length(s, c) ? length : INFINITY;
+    return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / tolerance : 0.0;
 }
 
 /* Return whether the loops close if angles that are missed, or beyond a turn, are read as degrees: `meant` is that

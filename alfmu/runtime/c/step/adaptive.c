@@ -148,12 +148,12 @@ static int try_other_method(Instance *i, double left)
     const Scene *s = i->scene;
     double *m = i->m, *pace = m + s->pace, kept[PACE];
     const int stiff = pace[PACE_STIFF] != 0.0;
-    const double wanted = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
-    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && wanted > left))
+    const double length = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
+    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && length > left))
         return 0;
     memcpy(kept, pace, sizeof kept);
     switch_step_kind(pace, 0);
-    pace[PACE_DT] = wanted;
+    pace[PACE_DT] = length;
     pace[PACE_LAST] = 0.0;
     program_run(i, stiff ? s->method_step : s->stiff_step);
     m[s->tally + (stiff ? TALLY_TRIES : TALLY_STIFF_TRIES)] += 1.0;
@@ -282,9 +282,9 @@ int step_adaptive(Instance *i, double end, long tries)
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];
         if (after[s->trouble] != 0.0) {
-            const double wanted = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * wanted;
+            const double tried = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * tried;
             if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
-                until = m[s->z + s->time] + wanted;
+                until = m[s->z + s->time] + tried;
                 stuck = 0;
             }
             stuck += after[s->near] != 0.0;

@@ -86,9 +86,9 @@ void instance_balance(Instance *i)
 void balance_tell_step_error(Instance *i)
 {
     const Scene *s = i->scene;
-    double *told = i->m + s->seen + s->monitor_step_error;
+    double *step_error = i->m + s->seen + s->monitor_step_error;
     if (s->monitor_step_error >= 0) {
-        *told = i->counts[STEP_ERROR];
-        tape_clearing(i, told, 1);
+        *step_error = i->counts[STEP_ERROR];
+        tape_clearing(i, step_error, 1);
     }
 }

@@ -77,9 +77,9 @@ Outcome variable_set_choice(Instance *i, int reference, double value)
 Outcome variable_set_switch(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
-    double *wanted = i->requested + (reference - s->parameters - s->choices - s->inputs);
-    variable_changed_start(i, value != *wanted);
-    *wanted = value;
+    double *requested_value = i->requested + (reference - s->parameters - s->choices - s->inputs);
+    variable_changed_start(i, value != *requested_value);
+    *requested_value = value;
     i->flags.pending = 0;
     for (int k = 0; k < s->switches; k++)
         i->flags.pending |= i->requested[k] != i->active[k];
