@@ -651,7 +651,7 @@ def test_what_a_native_fmu_has_not_is_refused(tmp_path):
     with pytest.raises(alfmu.ExportError, match="leave --kernel out"):
         alfmu.export("five_bar", tmp_path, kind="native", kernel="vm")
     with pytest.raises(alfmu.ExportError, match="leave --platform out"):
-        alfmu.export("five_bar", tmp_path, platforms=["win64"])
+        alfmu.export("five_bar", tmp_path, kind="python", platforms=["win64"])
     with pytest.raises(alfmu.ExportError, match="no platform 'amiga'"):
         alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["amiga"])
 
