@@ -42,7 +42,7 @@ from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewri
 from .memory import PACE
 from .trace import CAREFUL, Calls, Tracer, spaced
 
-__all__ = ["controlled"]
+__all__ = ["programs"]
 
 PASSES = 8
 """Most passes of Newton's method with the same tangents, after the first."""

@@ -94,7 +94,7 @@ def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], iden
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
     """C of a function in one or several pieces, each with the length of the workspace that the function needs."""
-    instructions = Instructions.of(f)
+    instructions = Instructions.of(f).once()
     instructions.check(scene, f.name())
     if len(instructions) > WHOLE:
         yield from blocks(name, Operations.of(instructions), kept, BLOCK)
