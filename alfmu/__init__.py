@@ -105,7 +105,7 @@ _GONE = {
     "Settings": "settings of the solver are variables: give parameters={'solver.method': 'explicit'} to simulate(), or "
     "set('solver.method', 'explicit') of an Instance; `alfmu info NAME --all` lists them",
 }
-"""Names that somebody may look for, and what to do instead."""
+"""Names that a user may expect here, with their replacement."""
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""What takes anything that alfmu knows, and hands it to the room that it is for."""
+"""The functions of alfmu for all kinds of subjects; each calls the responsible room."""
 
 from __future__ import annotations
 
@@ -145,6 +145,7 @@ def export(
     kind: str | None = None,
     platforms: Sequence[str] | None = None,
     fmi: int | None = None,
+    derivatives: bool | None = None,
     reference: bool | None = None,
 ) -> Path:
     """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
@@ -154,8 +155,15 @@ def export(
     The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
     ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
     """
-    own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
-    recipe = recipe_of(mechanism).changed(**own, kernel=kernel, start=start, kind=kind, platforms=platforms, fmi=fmi)
+    own: dict[str, Any] = {
+        "options": options,
+        "parameters": parameters,
+        "outputs": outputs,
+        "freeze": freeze,
+        "kernel": kernel,
+    }
+    own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi}
+    recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference)
     return _written(recipe, path, rest_of(recipe))
 
 
@@ -189,7 +197,7 @@ def plot(result: Result, names: Sequence[str] | None = None) -> Figure:
 
 
 def animate(result: Result, path: str | Path | None, fps: float, speed: float) -> Film | None:
-    """A film of the motion, written or handed back: see `Result.animate`."""
+    """Write or return a film of the motion: see `Result.animate`."""
     from .view.drawing import from_data
     from .view.picture import animate
 

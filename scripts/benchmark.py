@@ -30,7 +30,7 @@ from pathlib import Path
 import casadi as ca
 import fmpy
 import numpy as np
-from _report import Call, Laps, Target, clocked, in_turns, judged, parser, times, written
+from _study import Call, Laps, Report, Results, Target, clocked, in_turns, times
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pythonfmu import FmuBuilder
@@ -42,14 +42,16 @@ from alfmu.equations.arrays import ArrayFunctions
 from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
 from alfmu.gradients.run import Runs
+from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import called
 from alfmu.kernel.joined import joined
 from alfmu.kernel.memory import TIERS as KINDS
+from alfmu.model.cache import VARIABLE
 from alfmu.model.settings import Settings
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
 from alfmu.simulation import oracle, prepared, with_defaults
 from alfmu.studies.cost import cost, operations, parts
-from alfmu.studies.tables import Chapter, Row, environment, rounded
+from alfmu.studies.tables import Row
 
 KERNELS = ("vm", "compiled")
 """Functions of a scene interpreted by the runtime, and compiled for it."""
@@ -176,7 +178,7 @@ REST = "integration, projection, checks"
 """Functions that are timed; parts of an evaluation, which are their differences; what the step has besides."""
 
 
-def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def step_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of step.csv: times of a step made in every way, and its operations by part."""
     rows = []
     for scene, (mechanism, options) in tqdm(SCENES.items(), "step", unit="scene"):
@@ -208,7 +210,7 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         whole = {"step": counted.step, "careful": counted.careful, "outputs": counted.outputs}
         row |= {f"operations: {name}": n for name, n in {**counted.parts, **whole}.items()}
         rows.append(row | part_shares(row))
-    return rows
+    return {"step": rows}
 
 
 def functions(instance: alfmu.Instance) -> dict[str, Call]:
@@ -216,12 +218,12 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
 
     The runtime has no way to time parts; CasADi makes the same operations in the same order.
     """
-    e, memory, program = instance.equations, instance.memory, instance.equations.kernel["quick"]
+    e, memory = whole(instance.equations), instance.memory
     memory["dt"][:] = SHORT
     state = [instance.q, instance.v, memory["u"], memory["p"], [instance.time], memory["k"]]
     x = ca.SX.sym("x")
     bound = {"empty call": (ca.Function("empty", [x], [x]), [[0.0]])}
-    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program.plan)[0].values(), strict=True)}
+    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, e.kernel["quick"].plan)[0].values(), strict=True)}
     together = joined(e, ["quick"])
     [step] = together.kernel["quick"].steps
     bound["step, function alone"] = together.functions[step.function], [memory[name] for name in step.arguments]
@@ -253,7 +255,7 @@ SPREAD = ("slowest / median", f"slowest / median at 1/{FINER}")
 """The slowest internal step over the median one, at the default step and at a shorter one."""
 
 
-def spread_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def spread_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of spread.csv: what the slowest internal step of a mechanism's own motion takes over the median one."""
     rows: list[Row] = []
     for name in tqdm(effort.mechanisms or mechanisms(), "spread", unit="mechanism"):
@@ -267,7 +269,7 @@ def spread_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
                 row |= {ratio: spent.max() / median, f"slowest step{what} begins at [s]": dt * int(spent.argmax())}
                 row["note"] = " ".join(filter(None, [row.get("note"), note])) or None
             rows.append(row)
-    return rows
+    return {"spread": rows}
 
 
 def single_steps(equations: alfmu.Equations, dt: float, effort: Effort) -> tuple[NDArray, str | None]:
@@ -333,14 +335,16 @@ class EmptySlave(Fmi2Slave):
 '''
 
 
-def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def dostep_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of dostep.csv: the five-bar with each kernel beside an FMU that does nothing, for both steps."""
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder, ExitStack() as stack:
         script = Path(folder) / "empty_slave.py"
         script.write_text(EMPTY_SLAVE, encoding="utf-8")
         paths = {"empty": FmuBuilder.build_FMU(script, dest=folder)}
         for kernel in tqdm(kernels, "dostep", unit="FMU"):
-            paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel, parameters=RK4)
+            paths[kernel] = alfmu.export(
+                "five_bar", Path(folder) / f"{kernel}.fmu", kind="python", kernel=kernel, parameters=RK4
+            )
         motions = {(slave, name): start for slave in paths for name, start in MOTIONS.items()}
         del motions["empty", REGULAR]
         fmus = {motion: stack.enter_context(Fmu(paths[motion[0]])) for motion in motions}
@@ -359,7 +363,7 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
                 made = {} if slave == "empty" else tiers(slave, points, dt, start)
                 about = {"slave": slave, "motion": name if slave != "empty" else "none", "step [s]": dt}
                 rows.append({**about, **own, **made, "runs": effort.runs, "steps in a run": len(points)})
-    return rows
+    return {"dostep": rows}
 
 
 def driven(fmu: Fmu, points: Sequence[float], dt: float, start: Mapping[str, float]) -> Call:
@@ -393,10 +397,10 @@ def tiers(kernel: str, points: Sequence[float], dt: float, start: Mapping[str, f
 # A native FMU -----------------------------------------------------------------------------------------------------
 
 
-def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def native_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of native.csv: the five-bar as a native FMU, from C and through fmpy."""
     if "compiled" not in kernels:
-        return []
+        return {}
     points = [i * DT for i in range(round(STOP / DT))]
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
@@ -414,20 +418,11 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         measured = times(in_turns(calls, effort.runs, 0.0), "empty")
         size = path.stat().st_size / 1000
     through = measured["native [us]"] / (measured["empty [us]"] + 1e6 * kernel)
-    return [
-        {
-            "scene": "five_bar",
-            "initialise [us]": 1e6 * ready,
-            "doStep in C [us]": 1e6 * stepped,
-            "kernel step [us]": 1e6 * kernel,
-            "doStep in C / kernel": stepped / kernel,
-            "doStep through fmpy [us]": measured["native [us]"],
-            "empty through fmpy [us]": measured["empty [us]"],
-            "doStep through fmpy / (empty + kernel)": through,
-            "file [kB]": size,
-            "runs": effort.runs,
-        }
-    ]
+    row = {"scene": "five_bar", "initialise [us]": 1e6 * ready, "doStep in C [us]": 1e6 * stepped}
+    row |= {"kernel step [us]": 1e6 * kernel, "doStep in C / kernel": stepped / kernel}
+    row |= {f"{x} through fmpy [us]": measured[f"{y} [us]"] for x, y in (("doStep", "native"), ("empty", "empty"))}
+    row |= {"doStep through fmpy / (empty + kernel)": through, "file [kB]": size, "runs": effort.runs}
+    return {"native": [row]}
 
 
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
@@ -470,7 +465,7 @@ DIRECTIONS = 20
 """By which a run is differentiated forward at once."""
 
 
-def gradient_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def gradient_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of gradient.csv: what the gradient of a run by everything that it has takes over the run alone."""
     rows: list[Row] = []
     stop = min(LONGEST, effort.horizon)
@@ -479,7 +474,7 @@ def gradient_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         laps = in_turns(differentiating(runs), effort.rounds, 0.0)
         row = {"mechanism": name, "method": method, "numbers": len(runs.unit.parameters), "stop time [s]": stop}
         rows.append(row | times(laps, "run"))
-    return rows
+    return {"gradient": rows}
 
 
 def differentiating(runs: Runs) -> dict[str, Call]:
@@ -517,7 +512,7 @@ SPENT = ("operations", "vm step [us]", "compiled step [us]")
 """What is compared, per loop, with the same at ten loops."""
 
 
-def scale_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+def scale_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of scale.csv, one an N-four-bar; each is built in processes of its own, the first of which compiles."""
     cases = [(c, loops) for loops in effort.loops for c in effort.coordinates]
     builds: dict[tuple[str, int], list[tuple[Row, Laps]]] = {case: [] for case in cases}
@@ -535,7 +530,7 @@ def scale_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         for name in (*READY, *SPENT):
             if row.get(name) is not None and base.get(name) is not None:
                 row[f"{name} per loop / at {BASE}"] = row[name] / loops / (base[name] / BASE)
-    return list(rows.values())
+    return {"scale": list(rows.values())}
 
 
 def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], cache: str) -> tuple[Row, Laps]:
@@ -560,7 +555,7 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
     laps = in_turns({"solve": solve_call(), **calls}, math.ceil(effort.rounds / effort.builds), effort.lap)
     row |= {f"{kernel} quick steps [%]": quick_share(instance) for kernel, instance in instances.items()}
     row |= {"n": derived.n, "l": derived.l, "steps in a call": STRETCH}
-    traced = scene["vm"]
+    traced = whole(scene["vm"])
     return row | {
         "operations": sum(operations(traced.functions[name]) for name in called(traced.kernel["quick"]))
     }, laps
@@ -606,8 +601,7 @@ def scale_plot(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-# Targets ----------------------------------------------------------------------------------------------------------
-
+# The report -------------------------------------------------------------------------------------------------------
 
 STEP_LIMITS = {
     "compiled {} / solve": 0.3,
@@ -617,6 +611,12 @@ STEP_LIMITS = {
 }
 DOSTEP_LIMITS = {"compiled": 3, "vm": 4}
 SPREAD_LIMIT = 60
+NATIVE_LIMITS = {
+    "doStep in C / kernel": 1.3,
+    "doStep through fmpy / (empty + kernel)": 2.5,
+    "initialise [us]": 1000,
+    "file [kB]": 300,
+}
 SCALE_LIMITS = {
     f"vm step [us] per loop / at {BASE}": 1.5,
     f"compiled step [us] per loop / at {BASE}": 2,
@@ -637,15 +637,7 @@ TARGETS = (
         Target("dostep", {"slave": kernel, "motion": name, "step [s]": dt}, "doStep / empty", limit)
         for (kernel, limit), name, dt in product(DOSTEP_LIMITS.items(), MOTIONS, (DT, SHORTER))
     ),
-    *(
-        Target("native", {"scene": "five_bar"}, column, limit)
-        for column, limit in {
-            "doStep in C / kernel": 1.3,
-            "doStep through fmpy / (empty + kernel)": 2.5,
-            "initialise [us]": 1000,
-            "file [kB]": 300,
-        }.items()
-    ),
+    *(Target("native", {"scene": "five_bar"}, *each) for each in NATIVE_LIMITS.items()),
     *(
         Target("gradient", {"mechanism": name, "method": method}, "gradient / run", 6)
         for name, method in product(DIFFERENTIATED, ("rk4", "auto"))
@@ -657,127 +649,57 @@ TARGETS = (
     ),
 )
 
-
-# The report -------------------------------------------------------------------------------------------------------
-
 CHAPTERS = {
-    "environment": Chapter(
-        "# What alfmu costs",
-        """Tables show columns of the CSV files named above them, rounded. Ratios are of medians of what was timed in
-        turns; the CSV files hold the minima and repeat counts as well.""",
-        {"Machine and versions": ("what", "value")},
-    ),
-    "targets": Chapter(
-        "## Targets",
-        """Judged by the numbers of this run alone. Not measured is what `--only` left out, what needs more loops
-        (`--full`) or a C compiler, and memory where the system does not say.""",
-        {"Target against measured": ("study", "row", "number", "target", "measured", "verdict")},
-    ),
-    "step": Chapter(
-        "## One internal step",
+    "step": (
+        "One internal step",
         f"""Each mechanism at a regular position, {START["start.angle"]:g} rad from its zero. `step` is a call of
         `Instance.step` from Python, `step of {MANY}` one that makes so many internal steps, by step; either ends with
-        the outputs, without which no communication step is made. `vm` is the runtime's interpreter, `compiled` the same
-        runtime with compiled functions. Outputs are read anew after an input has been set. The runtime does not time
-        its parts: `function alone` is the step as one function of CasADi's virtual machine, which makes the same
-        operations, and shares of time come from differences between such functions that were timed by themselves.""",
-        {
-            "A quick step": (
-                *("scene", "solve [us]", "oracle step / solve", "CasADi step, function alone / solve"),
-                *(f"{kernel} {step} / solve" for kernel in KERNELS for step in STEPS),
-                *(f"oracle / {kernel} {step}" for kernel in KERNELS for step in STEPS),
-                *(f"{INTERPRETED} {step}" for step in STEPS),
-            ),
-            "A careful step, and reading the outputs": (
-                "scene",
-                *(f"{kernel} {what} / solve" for what in ("careful step", "outputs") for kernel in KERNELS),
-            ),
-            "Operations": (
-                *("scene", *(f"operations: {part}" for part in (*PARTS, "integration", "projection"))),
-                *(f"operations: {x}" for x in ("checks, less what is shared", "step", "careful", "outputs")),
-            ),
-            "Time of the function alone": ("scene", *(f"time: {part} [%]" for part in (*PARTS, REST))),
-        },
+        the outputs. `vm` is the runtime's interpreter, `compiled` the same runtime with compiled functions. Outputs are
+        read anew after an input has been set. `function alone` is the step as one function of CasADi's virtual machine,
+        which makes the same operations; shares of time are differences between such functions.""",
     ),
-    "spread": Chapter(
-        "## The slowest internal step",
+    "spread": (
+        "The slowest internal step",
         f"""Every step of a mechanism's own motion up to its stop time (`--quick`: one second), timed by itself
-        from Python with its outputs, at the default step and at 1/{FINER} of it. Of each step the least time of some
-        passes counts, so that what else the machine does is left out. By a method with error control a step is a
-        communication step of that length.""",
-        {"Slowest over median": ("mechanism", "kernel", "method", "median [us]", "slowest [us]", *SPREAD)},
+        from Python with its outputs, at the default step and at 1/{FINER} of it: of each step the least time of some
+        passes. By a method with error control a step is a communication step of that length.""",
     ),
-    "dostep": Chapter(
-        "## doStep of the five-bar through FMI",
+    "dostep": (
+        "doStep of the five-bar through FMI",
         f"""Called through fmpy every {DT:g} s, and every {SHORTER:g} s, up to {STOP:g} s, in turns with an FMU of
         pythonfmu that does nothing: from a start in a singular position, through many of them, and about
-        the lowest position, between them. Outputs are not asked for in between. Steps by what made them
-        were counted in the library.""",
-        {"doStep": ("slave", "motion", "step [s]", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
+        the lowest position, between them. Steps by what made them were counted in the library.""",
     ),
-    "native": Chapter(
-        "## The five-bar as a native FMU",
+    "native": (
+        "The five-bar as a native FMU",
         f"""The same motion, {STOP:g} s in steps of {DT:g} s. From C the FMU is linked with a host, where its doStep and
-        what the kernel does in it (a step, and the outputs at its end) take turns, in processor time; through fmpy it
-        takes turns with a C library whose functions do nothing. Initialise is an instantiation with all that follows up
-        to the first step; the file is for one platform.""",
-        {
-            "A native FMU": (
-                *("scene", "doStep in C / kernel", "doStep through fmpy / (empty + kernel)"),
-                *("initialise [us]", "kernel step [us]", "empty through fmpy [us]", "file [kB]"),
-            )
-        },
+        the kernel's part of it take turns; through fmpy it takes turns with a C library whose functions do nothing.
+        Initialise is an instantiation up to the first step; the file is for one platform.""",
     ),
-    "gradient": Chapter(
-        "## Gradients",
+    "gradient": (
+        "Gradients",
         f"""Processor time of a run from its start, of the same with the derivatives of its end by all parameters and
         start values, swept back, and forward by {DIRECTIONS} directions; by the interpreter, in turns.""",
-        {
-            "A run with derivatives": (
-                *("mechanism", "method", "numbers", "run [us]", "gradient / run"),
-                f"forward by {DIRECTIONS} / run",
-            )
-        },
     ),
-    "scale": Chapter(
-        "## Growth with the mechanism",
+    "scale": (
+        "Growth with the mechanism",
         f"""The N-four-bar, built in processes of its own; {STRETCH} steps in a call of `Instance.step`. Times to derive
         and trace are medians of all processes; the first one compiles, with an empty cache, and tells its memory after
         tracing, imports included.""",
-        {
-            "Getting ready, and a step": ("coordinates", "N", "n", "l", *READY, *SPENT),
-            "The same per loop, against ten loops": (
-                *("coordinates", "N"),
-                *(f"{name} per loop / at {BASE}" for name in (*READY, *SPENT)),
-            ),
-        },
     ),
 }
-"""By the name of their CSV files."""
 
-LIMITS = """\
-## Where the comparison stops being fair
-
+LIMITS = """
 - Times hold for the machine above and for what else it did meanwhile: where median and minimum differ, it was busy.
   Load slows calls from Python more than long computations, so it changes ratios to the solve as well.
-- The yardstick `numpy.linalg.solve` is mostly the way from Python to LAPACK and back at this size. It says how many
-  such calls a step is worth, not how far a step is from the best that a processor can do.
-- Steps are timed at one regular position. Nearly singular ones take other steps, some of them patient; the motion of
-  the doStep study passes some, and so do those whose single steps are timed.
+- The yardstick `numpy.linalg.solve` is mostly the way from Python to LAPACK and back at this size.
+- Steps are timed at one regular position; the motions of dostep and spread pass singular ones.
 - The oracle iterates until it converges, kernels a fixed number of times; both leave the same errors. Its step has the
   mechanism's own length; those of the kernels cost the same at any, and are so short that the position stays.
 - A doStep is timed from Python, and the empty slave pays for the same way; a host in another language pays less for it
   and sees larger ratios.
 - C of many loops fills several files that are compiled side by side: times depend on the number of processors.
 """
-
-
-def report(results: Mapping[str, Sequence[Row]], without: str | None) -> str:
-    """The report in Markdown; `without` says why nothing is compiled."""
-    note = [f"Numbers of the compiled kernel are missing: {without}."] * bool(without)
-    text = [CHAPTERS[name].markdown(name, rows, note * (name in STUDIES)) for name, rows in results.items()]
-    return "\n\n".join([*text, *["![Cost against the number of loops](scale.png)"] * ("scale" in results), LIMITS])
-
 
 STUDIES = {
     "step": step_study,
@@ -789,49 +711,23 @@ STUDIES = {
 }
 
 
-def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) -> None:
-    """Run the studies and write their results."""
-    without, begin = no_compiler(), time.perf_counter()
-    packages = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib")
-    where = [{"what": what, "value": value} for what, value in environment(command, packages)]
-    results: dict[str, list[Row]] = {"environment": where, "targets": []}
-    for name in studies:
-        results[name] = STUDIES[name](effort, KERNELS[:1] if without else KERNELS)
-        if without:
-            results[name] = [{**row, "not compiled": without} for row in results[name]]
-        CHAPTERS[name].write(folder / f"{name}.csv", results[name])
-    where.append({"what": "it took", "value": f"{rounded(time.perf_counter() - begin)} s"})
-    results["targets"] = [judged(target, results) for target in TARGETS]
-    for name in ("environment", "targets"):
-        CHAPTERS[name].write(folder / f"{name}.csv", results[name])
-    if "scale" in results:
-        scale_plot(results["scale"]).savefig(folder / "scale.png", dpi=120)
-    (folder / "benchmark.md").write_text(report(results, without), encoding="utf-8")
-
-
-def no_compiler() -> str | None:
-    """Why no kernel can be compiled; None where one can."""
-    try:
-        prepared(alfmu.derive(alfmu.load("particle_on_circle")), "compiled")
-    except alfmu.ExportError as error:
-        return str(error)
-    return None
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
-    text = "Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism."
-    line = parser("benchmark", STUDIES, text, "some minutes, on a machine that should do nothing else")
-    size = line.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="few repeats, up to 10 loops: less than a minute")
-    size.add_argument("--full", action="store_true", help="up to 1000 loops: many minutes")
-    chosen = line.parse_args(arguments)
-    effort = QUICK if chosen.quick else FULL if chosen.full else USUAL
-
-    def write(studies: list[str], command: str) -> None:
-        measure(chosen.output, effort, studies, command)
-
-    return written(chosen, "benchmark.py", STUDIES, "benchmark.md", write)
+    os.environ[VARIABLE] = "off"  # preparation is measured, too
+    return Report(
+        "benchmark",
+        "benchmark.py",
+        "What alfmu costs",
+        "Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism. Ratios are of "
+        "medians of what was timed in turns.",
+        STUDIES,
+        {"": USUAL, "quick": QUICK, "full": FULL},
+        CHAPTERS,
+        TARGETS,
+        {"scale": ("scale", scale_plot, "Cost against the number of loops")},
+        LIMITS,
+        ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib"),
+    ).main(arguments)
 
 
 if __name__ == "__main__":

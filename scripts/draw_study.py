@@ -19,7 +19,7 @@ from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
-from _report import Heard
+from _study import Heard
 from tqdm import tqdm
 
 import alfmu

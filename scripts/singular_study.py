@@ -8,18 +8,16 @@ good as RK4 can be.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import pairwise, product
 from multiprocessing import get_context
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _report import Target, judged, parser, written
+from _study import Report, Results, Target
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -29,9 +27,8 @@ from tqdm import tqdm
 import alfmu
 from alfmu import simulate
 from alfmu.method.integrators import rk4
-from alfmu.runtime.build import compiler
 from alfmu.simulation import prepared, with_defaults
-from alfmu.studies.tables import Chapter, Row, environment, rounded, write_csv
+from alfmu.studies.tables import Row
 
 GRAVITY = 9.81
 
@@ -293,8 +290,9 @@ def run_phases(kernel: str, coordinates: str, branch: str, dt: float, starts: Se
     return runs
 
 
-def phase_study(effort: Effort, kernel: str) -> dict[str, list[Row]]:
+def phase_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of phases.csv, hardest.csv and phase_runs.csv: all phases, by coordinates, step and branch."""
+    kernel = kernels[-1]
     for coordinates in PHASE_SETS:
         scene(kernel, "four_bar", coordinates=coordinates)  # compiles once for all processes
     starts = phases(effort.phases)
@@ -457,8 +455,9 @@ STEPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
 """Steps of these runs [s]."""
 
 
-def step_study(effort: Effort, kernel: str) -> dict[str, list[Row]]:
+def step_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of steps.csv and orders.csv: errors over the step, and the orders that lines through them have."""
+    kernel = kernels[-1]
     rows, orders = [], []
     for name, dt in tqdm(list(product(effort.cases, STEPS)), "steps", unit="step"):
         line = step_row(kernel, name, dt)
@@ -539,8 +538,9 @@ def step_plot(rows: Sequence[Row]) -> Figure:
 # Rows of loops ----------------------------------------------------------------------------------------------------
 
 
-def loop_study(effort: Effort, kernel: str) -> dict[str, list[Row]]:
+def loop_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of loops.csv: the N-four-bar through ten seconds of singular positions."""
+    kernel = kernels[-1]
     cases = list(product(effort.rows, effort.loops))
     return {"loops": [loop_row(kernel, effort.long, *case) for case in tqdm(cases, "N-four-bar", unit="row")]}
 
@@ -572,8 +572,9 @@ def loop_row(kernel: str, stop: float, coordinates: str, loops: int) -> Row:
 # The slider-crank -------------------------------------------------------------------------------------------------
 
 
-def crank_study(effort: Effort, kernel: str) -> dict[str, list[Row]]:
+def crank_study(effort: Effort, kernels: Sequence[str]) -> Results:
     """Rows of slider_crank.csv: with l1 = l2, which is singular with both links vertical, beside a regular one."""
+    kernel = kernels[-1]
     steps, every = round(effort.long / CRANK_STEP), round(SAMPLE / CRANK_STEP)
     motions = {l1: reference(slider_crank(l1, ROD), CRANK_START, 0.0, CRANK_STEP, steps) for l1 in (ROD, SHORT)}
     rows = []
@@ -643,95 +644,41 @@ TARGETS = (
 # The report -------------------------------------------------------------------------------------------------------
 
 CHAPTERS = {
-    "environment": Chapter(
-        "# Through singular positions under drive",
-        """Errors are the largest of a whole run, against the exact motion on the branch that is followed. RK4 is that
-        of the exact equation of one degree of freedom with the same step. `continue` and `paper` are values of
-        `solver.branch`: the default, and the plain scheme. Tables show columns of the CSV files named above them,
-        rounded; `change of reference` is what half the steps change in the exact motion.""",
-        {"Machine and versions": ("what", "value")},
-    ),
-    "targets": Chapter(
-        "## Targets",
-        """Judged by the numbers of this run alone, those of `--quick` over a shorter time. Not measured is what
-        `--only` or `--quick` left out, a run that stopped, and the error where RK4 is good if it never is.""",
-        {"Target against measured": ("study", "row", "number", "target", "measured", "verdict")},
-    ),
-    "phases": Chapter(
-        "## Phases",
+    "phases": (
+        "Phases",
         f"""The four-bar from random starting angles (seed {SEED}) under {", ".join(f"{x:g}" for x in TORQUES)} N.m at A
         in turn, from {", ".join(f"{x:g}" for x in SPEEDS)} rad/s in turn, for {PHASE_STOP:g} s. A run has switched its
         branch where its angle errs by more than {LOST:g} rad, or links that should be parallel differ by more than
         {TILT:g} rad. Evaluations over those of `paper` are of all phases together, and of the worst one. Single phases
         stand in `phase_runs.csv`.""",
-        {
-            "Accuracy": (
-                *("coordinates", "dt [s]", "branch", "phases", "stopped", "RK4's worst error [rad]"),
-                *("worst error [rad]", "median / RK4", "99 % within / RK4", "worst / RK4", "above twice RK4"),
-            ),
-            "Where RK4 is good, and the branch": (
-                *("coordinates", "dt [s]", "branch", f"RK4 below {CALM:g} rad", "worst error there [rad]"),
-                *(f"above {CLOSE:g} rad there", "switches of branch", "largest tilt [rad]"),
-            ),
-            "What it takes": (
-                *("coordinates", "dt [s]", "branch", "evaluations / step", "evaluations / paper"),
-                *("evaluations / paper, worst phase", "change of reference [rad]"),
-            ),
-        },
     ),
-    "hardest": Chapter(
-        "### The hardest phases",
+    "hardest": (
+        "The hardest phases",
         "Those with the largest error over that of RK4, or that stopped, of each coordinate set and step.",
-        {
-            "Hardest phases": (
-                *("coordinates", "dt [s]", "phase", "start angle [rad]", "torque [N.m]", "start speed [rad/s]"),
-                *("RK4 error [rad]", f"{OWN} error [rad]", f"{OWN} / RK4", f"{PAPER} error [rad]"),
-                "evaluations / paper",
-            )
-        },
     ),
-    "orders": Chapter(
-        "## Steps",
+    "orders": (
+        "Steps",
         f"""Linkages from exactly 0, a singular position, with {DRIVEN_SPEED:g} rad/s for {DRIVEN_STOP:g} s, with steps
         from {max(STEPS):g} to {min(STEPS):g} s. Orders are slopes of lines through all errors up to {LOST:g} rad; above
         that the branch is lost, and its errors follow no power of the step.""",
-        {"Orders": ("case", "RK4 order", *(f"{branch} order" for branch in BRANCHES), f"{OWN} / RK4, worst")},
     ),
-    "steps": Chapter(
-        "### Step by step",
-        f"""Orders are those between a step and the one above it, unless that erred by more than {LOST:g} rad. What
-        stopped a run stands in the CSV file.""",
-        {
-            "Errors": (
-                *("case", "dt [s]", "RK4 error [rad]"),
-                *(f"{branch} {what}" for branch in BRANCHES for what in ("error [rad]", "order", "evaluations / step")),
-                *(f"{OWN} / RK4", "change of reference [rad]"),
-            )
-        },
+    "steps": (
+        "Step by step",
+        f"Orders are those between a step and the one above it, unless that erred by more than {LOST:g} rad.",
     ),
-    "loops": Chapter(
-        "## Rows of loops",
+    "loops": (
+        "Rows of loops",
         f"""The N-four-bar (IFToMM A02) under gravity for {USUAL.long:g} s ({QUICK.long:g} s by `--quick`): the distance
         of its first upper point from the exact one, the change of its energy over N, and the angle between its cranks,
         every {SAMPLE:g} s. Evaluations include those for outputs.""",
-        {"N-four-bar": ("coordinates", "N", "dt [s]", "RK4 error [rad]", *ROW_LIMITS, "evaluations / step")},
     ),
-    "slider_crank": Chapter(
-        "## The slider-crank of equal links",
+    "slider_crank": (
+        "The slider-crank of equal links",
         f"""A slider-crank with a rod of {ROD:g} m from rest at pi/4 under gravity, for the same time. With a crank of
         the same length it is singular with both links vertical, and the rod mirrors the crank; with one of {SHORT:g} m
         it is regular. Evaluations include those for outputs.""",
-        {
-            "Equal links beside a regular mechanism": (
-                *("coordinates", "dt [s]"),
-                *(f"l1 = {l1:g} m: {x}" for l1 in (ROD, SHORT) for x in ("error [rad]", "RK4 error [rad]")),
-                *(f"error / that of {SHORT:g} m or {GOOD:g} rad", f"l1 = {ROD:g} m: energy [J]"),
-                *(f"l1 = {l1:g} m: evaluations / step" for l1 in (ROD, SHORT)),
-            )
-        },
     ),
 }
-"""By the name of their CSV files."""
 
 PICTURES = {
     "phases": ("phase_runs", phase_plot, "Error of every phase against that of RK4"),
@@ -739,9 +686,7 @@ PICTURES = {
 }
 """Of CSV files, by name: whose rows, drawn how, and what they show."""
 
-LIMITS = """\
-## Where the comparison stops being fair
-
+LIMITS = """
 - The reference is the motion on the parallelogram, or of the mirrored rod. It judges how well a run stays on that
   branch, not which one a real linkage with play and flexibility would take.
 - RK4 on the equation of one degree of freedom is a measure, not a rival: nothing else knows that equation. In
@@ -754,56 +699,26 @@ LIMITS = """\
 """
 
 
-def report(results: Mapping[str, Sequence[Row]]) -> str:
-    """The report in Markdown."""
-    parts = []
-    for name, chapter in CHAPTERS.items():
-        if name in results:
-            parts.append(chapter.markdown(name, results[name]))
-        if name in PICTURES and name in results:
-            parts.append(f"![{PICTURES[name][-1]}]({name}.png)")
-    return "\n\n".join([*parts, LIMITS])
-
-
 STUDIES = {"phases": phase_study, "steps": step_study, "loops": loop_study, "slider-crank": crank_study}
-
-
-def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) -> None:
-    """Run the studies and write their results."""
-    kernel, begin = "compiled" if compiler() else "vm", time.perf_counter()
-    packages = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
-    where = [{"what": what, "value": value} for what, value in environment(command, packages)]
-    results: dict[str, list[Row]] = {"environment": where, "targets": []}
-    for study in studies:
-        results |= STUDIES[study](effort, kernel)
-    took = f"{rounded(time.perf_counter() - begin)} s"
-    where += [{"what": "kernel", "value": kernel}, {"what": "it took", "value": took}]
-    results["targets"] = [judged(target, results) for target in TARGETS]
-    for name, rows in results.items():
-        if name in CHAPTERS:
-            CHAPTERS[name].write(folder / f"{name}.csv", rows)
-        else:
-            write_csv(folder / f"{name}.csv", rows)
-    for name, (source, plot, _) in PICTURES.items():
-        if source in results:
-            plot(results[source]).savefig(folder / f"{name}.png", dpi=120)
-    (folder / "singular.md").write_text(report(results), encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
-    text = (
-        "Measure how mechanisms pass their singular positions under drive: the four-bar from many phases and with many "
-        "steps, rows of loops, a slider-crank of equal links. Writes singular.md, CSV files, pictures."
-    )
-    chosen = parser("singular", STUDIES, text, "some minutes", "few phases and cases: less than a minute").parse_args(
-        arguments
-    )
-
-    def write(studies: list[str], command: str) -> None:
-        measure(chosen.output, QUICK if chosen.quick else USUAL, studies, command)
-
-    return written(chosen, "singular_study.py", STUDIES, "singular.md", write)
+    return Report(
+        "singular",
+        "singular_study.py",
+        "Through singular positions under drive",
+        "Measure how mechanisms pass their singular positions under drive. Errors are the largest of a whole run, "
+        "against the exact motion on the branch that is followed. RK4 is that of the exact equation of one degree of "
+        "freedom with the same step. `continue` and `paper` are values of `solver.branch`; `change of reference` is "
+        "the change of the exact motion with half the steps.",
+        STUDIES,
+        {"": USUAL, "quick": QUICK},
+        CHAPTERS,
+        TARGETS,
+        PICTURES,
+        LIMITS,
+    ).main(arguments)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,22 @@
 """Cost of a step of a six-body chain in relative coordinates, beside Pinocchio's articulated-body algorithm.
 
 Both integrate the same chain, hinges about z, y, y, x, y, x with full matrices of inertia, by RK4 with steps of 1 ms.
-The time of the processor is of the best of some runs. Pinocchio is called from Python, as its packages
-have it, so that its time is that of its recursion alone: what a body adds to a call, times six, times the four
-evaluations of a step. It needs `pip install -e ".[bench]"`.
+Times of the processor are those of the quickest of some runs. Pinocchio (`pip install -e ".[bench]"`) is called from
+Python, so that the time of its recursion is counted alone: that which a body adds to a call, times six, times the four
+evaluations of a step.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
+from _study import clocked
 
 import alfmu
+from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared
 
 AXES = [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0)]
@@ -41,8 +43,8 @@ def chain(bodies: int) -> alfmu.Mechanism:
     return m
 
 
-def pinocchios(bodies: int):
-    """The same as a model of Pinocchio."""
+def aba(bodies: int) -> Callable[..., np.ndarray]:
+    """Pinocchio's recursion for the same chain: accelerations of q, v and torques."""
     import pinocchio as pin
 
     model, parent = pin.Model(), 0
@@ -52,17 +54,7 @@ def pinocchios(bodies: int):
         place = pin.SE3(np.eye(3), np.array(NEXT) if i else np.zeros(3))
         parent = model.addJoint(parent, joints[AXES[i % 6]](), place, f"hinge{i}")
         model.appendBodyToJoint(parent, pin.Inertia(1.0 + i, np.array(CENTER), inertia(i)), pin.SE3.Identity())
-    return model
-
-
-def best(run: Callable[[], object], times: int) -> float:
-    """Time of the processor [us] of the quickest of some runs."""
-    found = []
-    for _ in range(times):
-        began = time.process_time()
-        run()
-        found.append(time.process_time() - began)
-    return 1e6 * min(found)
+    return partial(pin.aba, model, model.createData())
 
 
 def main() -> None:
@@ -70,6 +62,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--times", type=int, default=9, help="runs, of which the quickest counts")
     times = parser.parse_args().times
+
+    def best(run: Callable[[], object]) -> float:
+        """Time of a step [us] of the quickest of some runs of so many steps."""
+        return 1e6 * min(clocked(run).repeat(times, 1)) / STEPS
+
     equations = alfmu.derive(chain(6))
     print(f"operations of M, f - d: {equations.functions['dynamics'].n_instructions()}")
     steps, ends = {}, {}
@@ -80,36 +77,23 @@ def main() -> None:
         i.initialize()
         i.step(STEP * STEPS)
         ends[kernel] = i.q.copy()
-        steps[kernel] = best(lambda i=i: i.step(STEP * STEPS), times) / STEPS
+        steps[kernel] = best(partial(i.step, STEP * STEPS))
         print(f"{kernel}: a step takes {steps[kernel]:.2f} us")
     try:
-        import pinocchio as pin
+        six = aba(6)
     except ImportError:
         print('Pinocchio is not installed: pip install -e ".[bench]"')
         return
-
-    def calls(bodies: int) -> float:
-        model = pinocchios(bodies)
-        data, (q, v, tau) = model.createData(), np.random.default_rng(1).normal(size=(3, bodies))
-        return best(lambda: [pin.aba(model, data, q, v, tau) for _ in range(STEPS)], times) / STEPS
-
-    model = pinocchios(6)
-    data, q, v, tau = model.createData(), 0.1 * np.arange(1, 7), np.zeros(6), np.zeros(6)
-
-    def rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return pin.aba(model, data, q, v, tau).copy()
-
+    y, tau = np.array([0.1 * np.arange(1, 7), np.zeros(6)]), np.zeros(6)
     for _ in range(STEPS):
-        a1, v2 = rate(q, v), v + STEP / 2 * rate(q, v)
-        a2 = rate(q + STEP / 2 * v, v2)
-        v3 = v + STEP / 2 * a2
-        a3 = rate(q + STEP / 2 * v2, v3)
-        v4 = v + STEP * a3
-        a4 = rate(q + STEP * v3, v4)
-        q, v = q + STEP / 6 * (v + 2 * v2 + 2 * v3 + v4), v + STEP / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    print(f"the angles agree to {np.abs(ends['vm'] - q).max():.1e} rad after {STEPS * STEP:g} s")
-    each = (calls(24) - calls(6)) / 18
-    print(f"Pinocchio: a call for six bodies takes {calls(6):.2f} us from Python, a body adds {each:.2f} us")
+        y = rk4(lambda t, y: np.array([y[1], six(*y, tau)]), 0.0, y, STEP)
+    print(f"the angles agree to {np.abs(ends['vm'] - y[0]).max():.1e} rad after {STEPS * STEP:g} s")
+    spent = {}
+    for bodies, call in ((6, six), (24, aba(24))):
+        given = np.random.default_rng(1).normal(size=(3, bodies))
+        spent[bodies] = best(lambda call=call, given=given: [call(*given) for _ in range(STEPS)])
+    each = (spent[24] - spent[6]) / 18
+    print(f"Pinocchio: a call for six bodies takes {spent[6]:.2f} us from Python, a body adds {each:.2f} us")
     for kernel, step in steps.items():
         print(f"{kernel}: {step / (4 * 6 * each):.2f} times four evaluations of Pinocchio")
 

@@ -127,16 +127,35 @@ def references(cases: Sequence[str]) -> dict[str, Any]:
 STARTS, FIVE_BAR = 50, {"A.torque": 3.0, "D.torque": -1.0}
 
 
+def _equations(mechanism: Any, **wanted: float | str) -> Any:
+    """A mechanism, or one of this name, made ready for the interpreter with these variables of the solver."""
+    import alfmu
+    from alfmu.simulation import prepared, with_defaults
+
+    made = alfmu.load(mechanism) if isinstance(mechanism, str) else mechanism
+    values = {f"solver.{name}": value for name, value in ({"method": "rk4"} | wanted).items()}
+    return prepared(with_defaults(alfmu.derive(made), values), "vm")
+
+
+def _started(equations: Any, given: Mapping[str, float]) -> Any:
+    """An instance with these values, initialised."""
+    import alfmu
+
+    i = alfmu.Instance(equations)
+    for name, value in given.items():
+        i.set(name, value)
+    i.initialize()
+    return i
+
+
 def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
     """A linkage from exactly its singular start over 5 s by steps of dt [s]: the error [rad] of its angle."""
     import singular_study as study
 
     import alfmu
-    from alfmu.simulation import prepared, with_defaults
 
-    equations = prepared(with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": method}), "vm")
     given = {"start.angle": 0.0, "start.angular_velocity": study.DRIVEN_SPEED}
-    run = study.drive(equations, given, torques, dt, len(exact) - 1)
+    run = study.drive(_equations(name, method=method), given, torques, dt, len(exact) - 1)
     if run.stopped:
         raise alfmu.StepError(run.stopped)
     return Found(run.error(exact), run.evaluations)
@@ -147,15 +166,10 @@ def _row(exact: Any) -> Found:
     import singular_study as study
 
     import alfmu
-    from alfmu.simulation import prepared, with_defaults
 
-    wanted = {"solver.method": "explicit", "solver.relative_tolerance": 1e-9}
-    equations = with_defaults(alfmu.derive(alfmu.load("n_four_bar", loops=2, coordinates="absolute")), wanted)
-    i = alfmu.Instance(prepared(equations, "vm"))
+    m = alfmu.load("n_four_bar", loops=2, coordinates="absolute")
     given = {"start.angle": study.ROW_START[0], "start.angular_velocity": study.ROW_START[1], "g": study.GRAVITY}
-    for name, value in given.items():
-        i.set(name, value)
-    i.initialize()
+    i = _started(_equations(m, method="explicit", relative_tolerance=1e-9), given)
     for _ in exact[1:]:
         i.step(0.1)
     return Found(abs(float(i.get("crank1.angle")) - exact[-1]), i.counters.evaluations)
@@ -164,23 +178,12 @@ def _row(exact: Any) -> Found:
 def _pressed(_: Any) -> Found:
     """A slider-crank whose light rod presses the slider against a stiff stop for 0.3 s: the error [rad, m] of its
     coordinates, against implicit steps at 1e-11."""
-    import alfmu
-    from alfmu.simulation import prepared, with_defaults
-
     given = {"l1": 0.9034, "l2": 6.178, "m1": 218.8, "m2": 1.994e-4, "m3": 1.753, "radius": 0.0711, "stop": 1.639}
-    given |= {
-        "stiffness": 2.145e7,
-        "dissipation": 0.8229,
-        "onset": 5.549e-5,
-        "start.angle": -0.1684,
-        "start.angular_velocity": -1.781,
-    }
-    ends, scene = [], alfmu.derive(alfmu.load("end_stop"))
-    for own in ({"solver.method": "stiff", "solver.relative_tolerance": 1e-11}, {}):
-        i = alfmu.Instance(prepared(with_defaults(scene, own), "vm"))
-        for name, value in given.items():
-            i.set(name, value)
-        i.initialize()
+    given |= {"stiffness": 2.145e7, "dissipation": 0.8229, "onset": 5.549e-5}
+    given |= {"start.angle": -0.1684, "start.angular_velocity": -1.781}
+    ends = []
+    for wanted in ({"method": "stiff", "relative_tolerance": 1e-11}, {"method": "auto"}):
+        i = _started(_equations("end_stop", **wanted), given)
         for _ in range(30):
             i.step(0.01)
         ends.append(i.q)
@@ -215,15 +218,12 @@ def _read(_: Any, torque: float) -> Found:
     import numpy as np
     import singular_study as study
 
-    import alfmu
     from alfmu.studies.paper import Parallelogram
 
     exact, worst = Parallelogram(m4=0.0, torque=torque), 0.0
+    equations = study.scene("vm", "four_bar", coordinates="mixed")
     for distance in (1e-6, 1e-4, 1e-3, 4e-3, 0.02):
-        i = alfmu.Instance(study.scene("vm", "four_bar", coordinates="mixed"))
-        for name, value in {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY}.items():
-            i.set(name, value)
-        i.initialize()
+        i = _started(equations, {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY})
         forces = exact.multipliers(np.array([distance]), np.array([study.DRIVEN_SPEED]))[:, 0]
         rows = (2,) if torque else (1, 2)  # A torque has a pole in the first.
         worst = max(worst, *(abs(i.get(f"multiplier[{k}]") - forces[k - 1]) for k in rows))
@@ -233,25 +233,28 @@ def _read(_: Any, torque: float) -> Found:
 def _locked(_: Any) -> Found:
     """A point that runs into the cusp of y^2 = x^3: by how much [s] the time of the lock-up is off."""
     import alfmu
-    from alfmu.model.settings import Settings
-    from alfmu.simulation import prepared
 
     m = alfmu.Mechanism("cusp")
     x, y = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True), m.coordinate("y", "m", start=1.0)
     m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
     m.constraint("curve", y**2 - x**3, "m")
     m.output("place", x, "m")
-    i = alfmu.Instance(prepared(alfmu.derive(m), "vm"), Settings(method="rk4"))
-    i.set("solver.step_size", 0.005)
-    i.initialize()
+    i = _started(_equations(m), {"solver.step_size": 0.005})
+    return _ended(lambda: i.step(1.0), "locked up", (13**1.5 - 8) / 27 / math.hypot(1.0, 1.5))
+
+
+def _ended(run: Callable[[], object], why: str, exact: float) -> Found:
+    """A run that ends with an error that names a reason: by how much [s] its time is off."""
+    import alfmu
+
     try:
-        i.step(1.0)
-    except alfmu.StepError as error:
-        time = re.search(r"t = (\S+) s: locked up", str(error))
+        run()
+    except alfmu.AlfmuError as error:
+        time = re.search(rf"t = (\S+) s: {why}", str(error))
         if time:
-            return Found(abs(float(time[1]) - (13**1.5 - 8) / 27 / math.hypot(1.0, 1.5)), 0)
+            return Found(abs(float(time[1]) - exact), 0)
         raise
-    raise alfmu.StepError("the lock-up is not reported")
+    raise alfmu.StepError(f"the run is not reported to end: {why}")
 
 
 def _assembled(_: Any) -> Found:
@@ -260,7 +263,6 @@ def _assembled(_: Any) -> Found:
     import numpy as np
 
     import alfmu
-    from alfmu.simulation import prepared
 
     m = alfmu.Mechanism("loop")
     a = m.coordinate("a", "rad", start=1.0, independent=True)
@@ -269,13 +271,11 @@ def _assembled(_: Any) -> Found:
     m.constraint("x", 0.3 * ca.cos(a) + 1.0 * ca.cos(b) - 0.8 * ca.cos(c) - 1.1, "m")
     m.constraint("y", 0.3 * ca.sin(a) + 1.0 * ca.sin(b) - 0.8 * ca.sin(c), "m")
     m.output("angle", c, "rad")
-    equations, refused = prepared(alfmu.derive(m), "vm"), 0
+    equations, refused = _equations(m, method="auto"), 0
     for angle in np.random.default_rng(1).uniform(-np.pi, np.pi, 100):
-        i = alfmu.Instance(equations)
-        i.set("start.a", float(angle))
         try:
             with warnings.catch_warnings(action="ignore", category=alfmu.AlfmuWarning):  # Guesses are meant to be poor.
-                i.initialize()
+                _started(equations, {"start.a": float(angle)})
         except alfmu.AlfmuError:
             refused += 1
     return Found(refused / 100, 0)
@@ -284,11 +284,8 @@ def _assembled(_: Any) -> Found:
 def _regular(_: Any, name: str, stop: float) -> Found:
     """A mechanism over some time without a singular position: what it takes."""
     import alfmu
-    from alfmu import simulate
-    from alfmu.simulation import prepared, with_defaults
 
-    equations = with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": "rk4"})
-    r = simulate(prepared(equations, "vm"), stop, stop)
+    r = alfmu.simulate(_equations(name), stop, stop)
     return Found(float(r.counters.position_error), r.counters.evaluations)
 
 
@@ -298,8 +295,6 @@ def _prescribed(_: Any) -> Found:
     import numpy as np
 
     import alfmu
-    from alfmu import simulate
-    from alfmu.simulation import prepared, with_defaults
 
     m = alfmu.Mechanism("prescribed")
     th = m.coordinate("th", "rad")
@@ -312,7 +307,7 @@ def _prescribed(_: Any) -> Found:
     m.revolute("C", rocker.end, coupler.end)
     m.gravity(0.0, -9.81)
     m.motion(A, 2 * m.time + 0.5 * ca.sin(m.time))
-    run = simulate(prepared(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}), "vm"), 4.0, 0.02)
+    run = alfmu.simulate(_equations(m), 4.0, 0.02)
     t = run.time
     exact = -5 / 6 * np.sin(t) + 2 * 9.81 * np.cos(2 * t + 0.5 * np.sin(t))
     return Found(float(np.abs(run["A.torque"] - exact).max()), run.counters.evaluations)
@@ -355,14 +350,7 @@ def _rubs(_: Any, name: str) -> Found:
         r = run(moved.dwell(), 2.0, 0.05)
         error = np.abs(r["A.torque"] - moved.torque_of_dwell(r)).max()
     elif name == "jam":
-        try:
-            run(moved.pressing(), 1.0, 0.01, speed=2.0)
-        except alfmu.AlfmuError as error:
-            time = re.search(r"t = (\S+) s: a jam", str(error))
-            if time:
-                return Found(abs(float(time[1]) - (moved.JAM - 3.4) / 2.0), 0)
-            raise
-        raise alfmu.StepError("the jam is not reported")
+        return _ended(lambda: run(moved.pressing(), 1.0, 0.01, speed=2.0), "a jam", (moved.JAM - 3.4) / 2.0)
     else:
         r = run(rubbing.pentagon(), 2.0, 0.01)
         error = r["monitor.step_error"].max()

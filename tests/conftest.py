@@ -1,7 +1,8 @@
-"""Fixtures shared by the tests: FMUs exported once for all workers, a browser."""
+"""Fixtures shared by the tests: scenes traced and FMUs exported once for all workers, a browser."""
 
 import gc
 import hashlib
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 import alfmu
+from alfmu.model.cache import VARIABLE
 from alfmu.model.content import content
 from alfmu.model.files import exclusive
 
@@ -19,13 +21,35 @@ gc.set_threshold(200_000, 20, 50)
 
 
 @pytest.fixture(scope="session")
-def fmu_of(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Callable[..., Path]:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """The temporary folder of all workers."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if hasattr(request.config, "workerinput") else base
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_cache(shared_folder: Path) -> Iterator[None]:
+    """All workers, and the processes that they start, share one cache, which is not the user's."""
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = before or str(shared_folder / "cache")
+    yield
+    if before is None:
+        del os.environ[VARIABLE]
+
+
+@pytest.fixture
+def uncached(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes are traced, and kept for no other process."""
+    monkeypatch.setenv(VARIABLE, "off")
+
+
+@pytest.fixture(scope="session")
+def fmu_of(shared_folder: Path) -> Callable[..., Path]:
     """`fmu_of("five_bar", kind="native")`: the path of an FMU, exported at first use by one of all workers.
 
     Nobody changes these files; tests of the export itself call `alfmu.export`.
     """
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "fmus"
+    folder = shared_folder / "fmus"
 
     def get(mechanism: str | alfmu.Mechanism, options: Mapping[str, str] | None = None, **given: Any) -> Path:
         name, declared = (mechanism, mechanism) if isinstance(mechanism, str) else (mechanism.name, content(mechanism))

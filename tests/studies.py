@@ -30,10 +30,12 @@ def number(text: str) -> float | None:
 
 
 def tables(path: Path) -> list[tuple[str, str, list[str], list[list[str]]]]:
-    """Title, CSV file, columns and rows of each table in a Markdown file."""
+    """Title, CSV file, columns and rows of each table in a Markdown file, each turned back if it was turned round."""
     found = []
     for title, name, table in re.findall(r"^\*\*(.+)\*\* \(`(\w+)\.csv`\)\n\n((?:\|.*\n?)+)", path.read_text(), re.M):
         columns, _, *lines = [line.strip()[2:-2].split(" | ") for line in table.strip().splitlines()]
+        if columns[0] != "what" and not set(columns[1:]) <= set(rows(path.parent, name)[0]):
+            columns, *lines = map(list, zip(columns, *lines, strict=True))
         found.append((title, name, columns, lines))
     return found
 

@@ -635,7 +635,7 @@ def test_what_cannot_be_judged_is_said():
         (lambda: alfmu.equilibrium("five_bar", starts=-1), "starts is -1; it must be a whole number"),
         (lambda: alfmu.equilibrium("five_bar", time=np.nan), "the time is nan"),
         (lambda: alfmu.equilibrium("five_bar", parameters={"mm": 1.0}), "no input or parameter 'mm'"),
-        (lambda: alfmu.equilibrium("made.fmu"), "an FMU does not tell its equations"),
+        (lambda: alfmu.equilibrium("made.fmu"), "an FMU does not contain its equations"),
         (lambda: alfmu.linearize("five_bar", "rest"), "it must be start, equilibrium, or times"),
         (lambda: alfmu.linearize("five_bar", -1.0), "it must be start, equilibrium, or times"),
         (lambda: alfmu.linearize("five_bar", []), "it must be start, equilibrium, or times"),

@@ -168,3 +168,33 @@ def test_every_public_name_is_there():
         assert getattr(alfmu, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
         alfmu.nonsense  # noqa: B018
+
+
+@pytest.mark.slow
+def test_an_export_goes_through_its_stops_in_their_order(tmp_path, uncached):
+    """Those that CONTRIBUTING.md tells; the survey looks ahead, as it packs a scene that starts."""
+    told = (PACKAGE.parent / "CONTRIBUTING.md").read_text().partition("## How an export goes")[2].partition("\n## ")[0]
+    stops = [set(re.findall(r"`([a-z_/]+\.py)`", stop)) for stop in re.split(r"(?m)^\d+\. ", told)[1:]]
+    stops[0] = {"api.py"}
+    place = {file: i for i, files in enumerate(stops) for file in files}
+    assert len(stops) <= 10
+    entered: list[int] = []
+    ahead = {"packed_start", "checked"}  # `native.checked` refuses before anything is traced
+
+    def callers(frame):
+        while frame is not None:
+            yield frame.f_code.co_name
+            frame = frame.f_back
+
+    def seen(frame, event, _):
+        file = frame.f_code.co_filename.removeprefix(f"{PACKAGE}/")
+        if event == "call" and file in place and place[file] not in entered and not ahead & {*callers(frame)}:
+            entered.append(place[file])
+
+    alfmu.load("particle_on_circle")
+    sys.setprofile(seen)
+    try:
+        alfmu.export("particle_on_circle", tmp_path)
+    finally:
+        sys.setprofile(None)
+    assert entered == list(range(len(stops)))

@@ -9,7 +9,7 @@ from alfmu import runtime
 from alfmu.runtime.build import FOLDERS, sources
 
 ROOT = Path(runtime.__file__).parent / "c"
-MOST_LINES = 600
+MOST_LINES, MOST_COLUMNS = 600, 120
 HOSTS = re.compile(r"fmi[23][A-Z]\w+|alfmu_\w+|[A-Z_]+")
 """Functions that hosts and the binding call, whose names are given, and macros that define some of them."""
 
@@ -62,6 +62,11 @@ def test_files_are_small_and_their_names_differ():
     assert {path.name: lines for path in sources() if (lines := len(path.read_text().splitlines())) > MOST_LINES} == {}
     names = [path.name for path in sources()]
     assert len(names) == len(set(names))
+
+
+def test_lines_are_short():
+    written = [path for path in sources() if "generated from" not in path.read_text(encoding="ascii")[:200]]
+    assert [path.name for path in written if max(map(len, path.read_text().splitlines())) > MOST_COLUMNS] == []
 
 
 def test_functions_that_other_files_call_have_a_prefix():

@@ -1,6 +1,7 @@
 """Compiled kernels: the C and its numbers, the cache, FMUs that need no package, what happens without a compiler."""
 
 import ctypes
+import hashlib
 import os
 import shutil
 import subprocess
@@ -25,6 +26,7 @@ from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
 from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import emit, stream
+from alfmu.kernel.form import Traced
 from alfmu.kernel.tables import machine_code, packed
 from alfmu.runtime import build as runtime_build
 from alfmu.runtime import compiled as build
@@ -60,7 +62,8 @@ class Functions:
 
     def __init__(self, equations: Equations, kept: Mapping[str, dict[int, int]] | None = None):
         self.files = emit.compiled_code(equations, kept or {}, "a scene")
-        self.path = build._library(equations.name, build.compiler(), self.files, "no other way")
+        name = f"kernel_{hashlib.sha256(repr(self.files).encode()).hexdigest()[:32]}"
+        self.path = build._built(equations.name, build.compiler(), self.files, name)
         library = ctypes.CDLL(str(self.path))
         count, self.spare = spare(self.path, "function_count"), spare(self.path)
         table = (ctypes.c_void_p * count).in_dll(library, "alfmu_functions")
@@ -79,14 +82,20 @@ class Functions:
 def own_cache(tmp_path, monkeypatch) -> Path:
     """A cache folder that nobody else uses; nothing is known of scenes that runs before shared."""
     monkeypatch.setattr(pipeline, "_KEPT", OrderedDict())
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "alfmu"
+    monkeypatch.setenv("ALFMU_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def libraries(cache: Path) -> list[Path]:
+    return sorted(cache.glob("kernel_*"))
 
 
 @pytest.fixture(scope="module")
 def five_bar(tmp_path_factory) -> Path:
     """The FMU of the five-bar with a compiled kernel."""
-    return alfmu.export("five_bar", tmp_path_factory.mktemp("compiled") / "five_bar.fmu", kernel="compiled")
+    return alfmu.export(
+        "five_bar", tmp_path_factory.mktemp("compiled") / "five_bar.fmu", kind="python", kernel="compiled"
+    )
 
 
 def test_every_operation_means_the_same_in_c(tmp_path):
@@ -104,7 +113,7 @@ def test_every_operation_means_the_same_in_c(tmp_path):
     assert used == (set(stream.BINARY) | set(stream.UNARY)) - {ca.OP_ASSIGN}
     e = derived("particle_on_circle")
     signature = {"inputs": [2], "outputs": [[len(results), 1]], "matrices": 0}
-    library = Functions(replace(e, functions={"f": f}, signatures={"f": signature}, kernel={}))
+    library = Functions(Traced.of(e, functions={"f": f}, signatures={"f": signature}))
     values, y = np.zeros(2), np.zeros(len(results))
     call = library.bind("f", [values], [y])
     for values[:] in ((0.3, 0.7), (0.7, 0.3), (0.5, 0.5), (0.9, -0.4)):
@@ -173,6 +182,7 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
     interpreted = prepared(equations, "vm")
     monkeypatch.setattr(emit, "WHOLE", 10**9)
     whole = replace(interpreted, library=build.compiled_scene(interpreted, packed(interpreted)))
+    monkeypatch.setenv("ALFMU_CACHE", str(own_cache / "cut"))  # a name in the cache stands for one way to write C
     monkeypatch.setattr(emit, "BLOCK", 30)
     monkeypatch.setattr(emit, "WHOLE", 30)
     monkeypatch.setattr(emit, "UNIT", 20000)
@@ -197,11 +207,11 @@ def test_a_scene_refuses_the_functions_of_another(own_cache):
 @pytest.mark.slow
 def test_a_library_is_built_once_and_kept(own_cache, monkeypatch):
     prepared(derived("particle_on_circle"), "compiled")
-    (path,) = own_cache.iterdir()
-    made = path.stat().st_mtime_ns
+    (path,) = libraries(own_cache)
+    made = path.stat().st_ino
     monkeypatch.setattr(build, "build", None)  # would fail
     assert prepared(derived("particle_on_circle"), "compiled").library == path
-    assert path.stat().st_mtime_ns == made
+    assert path.stat().st_ino == made
 
 
 def spoiled(path: Path, how: str) -> bytes:
@@ -228,11 +238,11 @@ damages = pytest.mark.parametrize("how", ["a bit", "an end", "nothing", "more"])
 def test_a_damaged_library_is_built_again_and_never_loaded(own_cache, how):
     fresh = replace(by_rk4("particle_on_circle"))
     expected = alfmu.simulate(fresh, 0.1, 0.02, kernel="compiled").values
-    (path,) = own_cache.iterdir()
+    (path,) = libraries(own_cache)
     content = spoiled(path, how)
     e = prepared(replace(by_rk4("particle_on_circle")), "compiled")
     assert e.library.read_bytes() == content
-    assert list(own_cache.iterdir()) == [e.library]
+    assert libraries(own_cache) == [e.library]
     assert np.array_equal(alfmu.simulate(e, 0.1, 0.02, kernel="compiled").values, expected)
 
 
@@ -272,7 +282,7 @@ def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, t
 
     monkeypatch.setattr(export, "compiled_scene", damaged)
     with pytest.raises(alfmu.ExportError, match=r"particle_on_circle: the library .* was damaged"):
-        alfmu.export("particle_on_circle", tmp_path / "it.fmu", kernel="compiled", parameters=RK4)
+        alfmu.export("particle_on_circle", tmp_path / "it.fmu", kind="python", kernel="compiled", parameters=RK4)
     assert not (tmp_path / "it.fmu").exists()
 
 
@@ -287,7 +297,7 @@ def test_several_processes_may_build_at_once(own_cache):
     said = {process.communicate(timeout=120)[0] for process in running}
     assert [process.returncode for process in running] == [0] * 4
     assert len(said) == 1
-    assert len(list(own_cache.iterdir())) == 1
+    assert len(libraries(own_cache)) == 1
 
 
 @pytest.mark.slow
@@ -299,7 +309,7 @@ def test_without_a_compiler(monkeypatch, own_cache):
     e = prepared(derived("particle_on_circle"), "auto")
     assert e.library is None
     assert not hasattr(alfmu.Instance(e)._scene, "code")
-    assert not own_cache.exists()
+    assert not libraries(own_cache)
 
 
 def test_auto_takes_the_compiler_that_is_there():
@@ -431,13 +441,16 @@ def test_a_compiled_fmu_validates_saves_and_restores(five_bar):
 
 @pytest.mark.slow
 def test_the_same_export_gives_the_same_bytes(five_bar, tmp_path):
-    assert alfmu.export("five_bar", tmp_path / "five_bar.fmu", kernel="compiled").read_bytes() == five_bar.read_bytes()
+    assert (
+        alfmu.export("five_bar", tmp_path / "five_bar.fmu", kind="python", kernel="compiled").read_bytes()
+        == five_bar.read_bytes()
+    )
 
 
 @pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["export", "five_bar", "--kernel", "compiled"]) == 0
+    assert main(["export", "five_bar", "--kind", "python", "--kernel", "compiled"]) == 0
     assert main(["simulate", "five_bar.fmu", "--stop-time", "0.1"]) == 0
     assert main(["simulate", "five_bar", "--stop-time", "0.1", "--kernel", "auto", "-o", "auto.csv"]) == 0
     assert main(["simulate", "five_bar.fmu", "--kernel", "compiled"]) == 1

@@ -17,6 +17,7 @@ import alfmu
 from alfmu import runtime
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import Call
 from alfmu.kernel.memory import PACE, Layout
 from alfmu.kernel.tables import alone, packed
@@ -312,8 +313,8 @@ def test_what_is_saved_goes_on_to_the_last_bit(kernel, method):
 
 def test_only_a_scene_with_the_method_has_it_in_its_kernel():
     """Its programs, its functions and its memory."""
-    plain, inputs = scene("four_bar", "rk4", "vm", 0), scene("five_bar", "rk4", "vm", 2)
-    stiff, explicit = (scene("four_bar", method, "vm", 0) for method in ("stiff", "explicit"))
+    plain, inputs = whole(scene("four_bar", "rk4", "vm", 0)), scene("five_bar", "rk4", "vm", 2)
+    stiff, explicit = (whole(scene("four_bar", method, "vm", 0)) for method in ("stiff", "explicit"))
     assert not {"method", "beside", "reach"} & plain.kernel.keys()
     assert "reach" in inputs.kernel
     assert {"method", "beside"} <= stiff.kernel.keys() & explicit.kernel.keys()
@@ -344,7 +345,7 @@ def test_a_scene_may_run_by_another_method_than_its_own():
 
 def test_past_inputs_in_the_kernel_are_those_of_numbers():
     """To the last bit, points that are reached again included."""
-    e = scene("five_bar", "rk4", "vm", 2)
+    e = whole(scene("five_bar", "rk4", "vm", 2))
     reach, at = e.functions["reach"], e.functions["inputs"]
     count, random = len(e.inputs), np.random.default_rng(5)
     past, z = Past(count), np.zeros(reach.size1_in(0))
@@ -415,7 +416,7 @@ def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method):
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_an_fmu_gives_the_numbers_of_the_library(tmp_path, kernel, method):
     given = {"solver.method": method, "start.angle": 0.4}
-    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters=given, kernel=kernel)
+    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters=given, kind="python", kernel=kernel)
     assert validate(path) == []
     with Fmu(path) as fmu:
         through_fmi = run(fmu, 0.6, 0.1, {"A.torque": 0.5})

@@ -702,17 +702,24 @@ def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
     assert caplog.messages == ([f"{m.name}: {said}"] if gravity is None else [])
 
 
-def test_what_is_exported_shown_live_or_swept_tells_of_open_gravity_once(caplog, tmp_path):
+def test_every_way_to_use_a_mechanism_tells_of_open_gravity_once(caplog, tmp_path):
     def weighed(name: str) -> Mechanism:
         m = Mechanism(name)
+        k, th = m.parameter("k", 3.0, "N.m"), m.coordinate("th", "rad", start=0.5, independent=True)
         rod = m.bar("rod", mass=1.0, length=1.0)
-        m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5, independent=True))
+        m.drive(m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th), -k * th)
         return m
+
+    data = alfmu.simulate(weighed("data"), 0.02, 0.01)
 
     ways = {
         "exported": lambda m: alfmu.export(m, tmp_path / "exported.fmu", kind="native"),
         "live": lambda m: live(m, alfmu.derive(m), tmp_path / "live.html"),
         "swept": lambda m: alfmu.sweep(m, {"start.th": "0:0.5:2"}, stop_time=0.02, workers=1),
+        "rest": alfmu.equilibrium,
+        "linear": alfmu.linearize,
+        "gradient": lambda m: alfmu.gradient(m, "rod.angle", ["k"], 0.02, 0.01),
+        "fitted": lambda m: alfmu.fit(m, data, {"k": 2.0}, columns=["rod.angle"]),
     }
     for name, way in ways.items():
         caplog.clear()

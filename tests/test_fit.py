@@ -90,7 +90,7 @@ def test_what_the_data_do_not_tell_is_said(caplog):
         found = alfmu.fit(
             "five_bar", measured(), ["m1", "m3", "l"], parameters={**TRUE, "m2": 0.7}, columns=["link1.angle"]
         )
-    assert "do not tell m1, m3" in caplog.text
+    assert "do not determine m1, m3" in caplog.text
     assert np.isinf([found.errors["m1"], found.errors["m3"]]).all()
     assert found.errors["l"] < 0.01
     assert "not told by the data" in str(found)
@@ -105,7 +105,7 @@ def test_as_many_measurements_as_numbers_tell_no_deviation():
     assert np.isnan(found.errors["m2"])
     assert "by as many measurements as numbers" in str(found)
     assert str(found).endswith(" rad")
-    with pytest.raises(alfmu.InputError, match="1 measurement cannot tell 2 numbers"):
+    with pytest.raises(alfmu.InputError, match="1 measurement cannot determine 2 numbers"):
         alfmu.fit("five_bar", one, ["m2", "g"], **how)
 
 

@@ -348,7 +348,7 @@ def test_the_library_of_an_fmu_gives_up_its_interpreter_before_the_process_ends(
 
 @pytest.mark.slow
 def test_same_input_same_bytes_also_from_another_process(exported, tmp_path):
-    code = "import sys, alfmu; alfmu.export('five_bar', sys.argv[1])"
+    code = "import sys, alfmu; alfmu.export('five_bar', sys.argv[1], kind='python')"
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "other.fmu")], check=True, timeout=300)
     digests = {hashlib.sha256(p.read_bytes()).hexdigest() for p in (exported("five_bar"), tmp_path / "other.fmu")}
     assert len(digests) == 1
@@ -358,7 +358,7 @@ def test_same_input_same_bytes_also_from_another_process(exported, tmp_path):
 def test_other_content_other_guid(exported, tmp_path):
     guids = [fmpy.read_model_description(str(exported("five_bar"))).guid]
     for parameters in ({"m2": 2.0}, {"solver.formulation": "classic"}):
-        path = alfmu.export("five_bar", tmp_path / "x.fmu", parameters=parameters)
+        path = alfmu.export("five_bar", tmp_path / "x.fmu", kind="python", parameters=parameters)
         guids.append(fmpy.read_model_description(str(path)).guid)
     assert len(set(guids)) == 3
     for guid in guids:
@@ -366,15 +366,19 @@ def test_other_content_other_guid(exported, tmp_path):
 
 
 @pytest.mark.slow
-def test_defaults_changed_at_export_are_the_defaults_of_the_fmu(tmp_path):
+@pytest.mark.parametrize("kind", ["native", "python"])
+def test_defaults_changed_at_export_are_the_defaults_of_the_fmu(tmp_path, kind):
     parameters = {"m4": 3.0, "start.angle": 0.4, "A.torque": 1.5, "solver.max_iterations": 7, "solver.penalty": 1e7}
-    path = alfmu.export("five_bar", tmp_path / "x.fmu", parameters={**parameters, "solver.formulation": "classic"})
+    given = {**parameters, "solver.formulation": "classic"}
+    path = alfmu.export("five_bar", tmp_path / "x.fmu", kind=kind, parameters=given)
     found = variables(fmpy.read_model_description(str(path)))
     assert {name: float(found[name].start) for name in parameters} == parameters
-    assert found["solver.formulation"].start == "classic"
+    choice = found["solver.formulation"]
+    names = [item.name for item in choice.declaredType.items] if kind == "native" else []
+    assert (names[int(choice.start) - 1] if names else choice.start) == "classic"
     with Fmu(path) as fmu:
         through_fmi = run(fmu, 0.5, 0.02)
-    library = alfmu.simulate("five_bar", 0.5, 0.02, parameters={**parameters, "solver.formulation": "classic"})
+    library = alfmu.simulate("five_bar", 0.5, 0.02, parameters=given)
     assert np.array_equal(through_fmi.values, library.values)
 
 

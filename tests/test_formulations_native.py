@@ -282,7 +282,7 @@ def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
 
 
 @pytest.mark.slow
-def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
+def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch, uncached):
     equations = derived("slider_crank")
     refused = with_defaults(equations, {"solver.formulation": "dae"})
     native.checked(refused)

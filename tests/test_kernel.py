@@ -1,14 +1,12 @@
 """The kernel against the oracle, stage by stage and on random states; and when it must hand over to it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scenes import by_rk4 as derived
 from scenes import made
 
 import alfmu
-from alfmu.equations import Mobility
+from alfmu.equations import Configuration, Mobility
 from alfmu.equations.types import Survey
 from alfmu.kernel.trace import traced
 from alfmu.model.settings import Settings
@@ -295,7 +293,7 @@ def test_only_what_the_scene_needs_is_traced():
     """Fewer operations without redundant rows to clear, without constraints, without work."""
     five = derived("five_bar")
     surveys = (Survey(Mobility(1, redundant, 1)) for redundant in (1, 0))
-    with_rows, without = (cost(traced(replace(five, survey=survey))).outputs for survey in surveys)
+    with_rows, without = (cost(traced(Configuration.of(five, survey=survey))).outputs for survey in surveys)
     assert with_rows > without
     pendulum = alfmu.Mechanism("pendulum")
     th = pendulum.coordinate("th", "rad", start=0.5, independent=True)
@@ -347,7 +345,7 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
     from alfmu.fmi.drive import Fmu
     from alfmu.simulation import run
 
-    fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kernel="compiled")
+    fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kind="python", kernel="compiled")
     for path, kernel in ((exported("five_bar"), "vm"), (fast, "compiled")):
         with Fmu(path) as fmu:
             result = run(fmu, 0.5, 0.02, parameters={"start.angle": 0.4})

@@ -251,7 +251,7 @@ def test_a_setting_is_the_same_however_it_is_given(exported):
 
 
 @pytest.fixture
-def traces(monkeypatch) -> list[str]:
+def traces(monkeypatch, uncached) -> list[str]:
     """The names of the mechanisms that were traced, one for each time."""
     traced, seen = pipeline.traced, []
 
@@ -350,7 +350,8 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
         scene, left = pipeline.ready(equations, {"c": c, "solver.method": "auto"}, None, None, "vm")
         assert scene.decision.method == method
         assert left == {"c": c}
-    assert len(equations.kept.of(pipeline.ready)) == 2
+    (all_outputs,) = equations.kept.of(pipeline.chosen).values()
+    assert len(all_outputs.kept.of(pipeline.ready)) == 2
 
 
 def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
@@ -380,7 +381,7 @@ def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
     for k in range(count):
         alfmu.simulate(m, 0.1, 0.05, parameters={"l": 1.0 + k}, freeze=["l"])
     (equations,) = pipeline._KEPT.values()
-    assert len(equations.kept.of(pipeline.ready)) == MOST
+    assert len(equations.kept.of(pipeline.chosen)) == MOST
     assert len(traces) == count
     alfmu.simulate(m, 0.1, 0.05, parameters={"l": float(count)}, freeze=["l"])
     assert len(traces) == count

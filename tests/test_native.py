@@ -598,15 +598,15 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
         assert run(own, 1.0, 0.02).values == pytest.approx(run(fmu, 1.0, 0.02).values, rel=1e-12, abs=1e-12)
 
 
-def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources(built):
+def test_sources_have_one_version_of_fmi_and_the_scene_is_in_its_resources(built):
     found, scenes = [], []
     for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", fmi=3)):
         with zipfile.ZipFile(path) as archive:
             names = [n for n in archive.namelist() if n.startswith("sources/") and n.endswith((".c", ".h"))]
             found.append({Path(n).name: archive.read(n).decode() for n in names})
             scenes.append(archive.read("resources/scene.bin"))
-    assert found[0] == found[1] == native.sources(2)
-    assert found[2] == native.sources(3)
+    assert found[1].pop("fmi2.c") != found[2].pop("fmi3.c")
+    assert found[1] == found[2]
     assert not [name for name, text in found[0].items() if "alfmu_run" in text or "fmi3DoStep" in text]
     assert scenes[0] != scenes[1] == scenes[2]
 

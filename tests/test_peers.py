@@ -1,143 +1,126 @@
-"""The peers script at its smallest effort: exact motions, errors, rounds, interpolation and files hang together."""
+"""Codes that are tuned to a mechanism, and the profile of a report that sets alfmu beside them at equal error."""
 
-import re
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
 import pytest
-from studies import rows
+from studies import rows, tables, untraced
+
+import alfmu
+from alfmu.simulation import prepared, with_defaults
+from alfmu.studies import peers
+from alfmu.studies import reference as exact
+from alfmu.studies.cases import POSITION, REACTION, Case, Judge
+from alfmu.studies.report import PROFILES, report, time_at
+from alfmu.studies.rivals import TUNED
 
 pytestmark = pytest.mark.slow
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
 OTHERS = {"pin": "Pinocchio", "exudyn": "Exudyn", "mujoco": "MuJoCo"}
 
 
 @pytest.fixture(scope="module")
-def peers():
-    """The script as a module, with runs of 1 s."""
+def folder(tmp_path_factory):
+    """The profile over 1 s, where nothing but alfmu and SciPy is installed."""
+    made = tmp_path_factory.mktemp("peers")
+    effort = PROFILES["peers"][1]
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        import peers
+        alone = tuple(replace(x, missing="not installed") if x.name in OTHERS.values() else x for x in TUNED)
+        patch.setattr("alfmu.studies.report.TUNED", alone)
+        effort = replace(effort, horizon=1.0, factors=(1, 1 / 2, 1 / 4), tolerances=(1e-5, 1e-6))
+        report(list(peers.MECHANISMS), made, effort=effort, profile="peers", quick=True)
+    return made
 
-        patch.setattr(peers, "STOP", 1.0)
-        yield peers
+
+@pytest.fixture(scope="module", params=peers.MECHANISMS)
+def judged(request):
+    """Equations from the start of the profile, their judge over 1 s, and the points."""
+    equations = with_defaults(alfmu.derive(alfmu.load(request.param)), PROFILES["peers"][0].given)
+    equations = prepared(equations, "oracle")
+    instance = alfmu.Instance(equations)
+    instance.initialize()
+    known = exact.reference(instance, 1.0, exact.Effort(parts=100))
+    times = np.arange(51) * 0.02
+    judge = Judge(equations, known)
+    assert all(row[POSITION] < 1e-11 for row in judge.errors_of_reference(times))
+    return equations, judge, times
 
 
-@pytest.fixture(scope="module")
-def folder(peers, tmp_path_factory):
-    """Results of a quick study where nothing but alfmu and SciPy is installed."""
+@pytest.mark.parametrize("package", [*OTHERS, "scipy"])
+def test_an_installed_code_simulates_the_same_mechanism(judged, package):
+    pytest.importorskip({"pin": "pinocchio"}.get(package, package))
+    equations, judge, times = judged
+    name = OTHERS.get(package, "SciPy stabilised")
+    rival = next(x for x in TUNED if x.name == name)
+    errors = judge.errors(rival.run(equations, 1e-6 if package == "scipy" else 1e-3, Case({}, times, 60.0)))
+    assert errors[POSITION] < 1e-3
+    assert errors[REACTION] < 1.0  # N, of some 60; second order and soft constraints
 
-    def found(package: str) -> str:
+
+def test_rows_of_a_study_without_other_codes(folder):
+    made = rows(folder, "errors")
+    assert {(r["mechanism"], r["code"]) for r in made} == {
+        (mechanism, code) for mechanism in peers.MECHANISMS for code in ("alfmu", "SciPy stabilised")
+    }
+    for row in (r for r in made if not r["note"]):
+        assert float(row["least [s]"]) > 0
+        assert float(row[POSITION]) < 1e-3
+        assert float(row[REACTION]) < 0.1
+    skipped = {(r["mechanism"], r["code"]) for r in rows(folder, "skipped")}
+    assert skipped >= {(mechanism, code) for mechanism in peers.MECHANISMS for code in OTHERS.values()}
+
+
+def test_alfmu_converges_with_order_4_and_kernels_agree(folder):
+    for mechanism in peers.MECHANISMS:
+        own = [r for r in rows(folder, "errors") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
+        error = {(r["way"], r["method"], round(float(r["value"]), 6)): float(r[POSITION]) for r in own}
+        for form in ("", ", joint", ", joint, lean"):
+            way = f"compiled{form}"
+            assert error[way, "rk4", 0.01] / error[way, "rk4", 0.005] == pytest.approx(16, rel=0.5)
+            assert error[f"vm{form}", "rk4", 0.01] == pytest.approx(error[way, "rk4", 0.01], rel=1e-3)
+        assert error["compiled, joint", "order8", 0.02] < 1e-10
+        assert error["vm", "auto", 1e-5] < 1e-5
+
+
+def test_the_report_compares_at_equal_error(folder):
+    page = folder / "report.md"
+    for _, name, names, lines in tables(page):
+        assert untraced(page, name, names, lines) == [], name
+    text = page.read_text(encoding="utf-8")
+    assert "`alfmu report all --profile peers --quick`" in text
+    for code in (*OTHERS.values(), "SciPy stabilised"):
+        assert f"| {code} | " in text
+    reach = rows(folder, "reach")
+    for row in (r for r in reach if r["run time [s]"]):
+        same = [r for r in reach if all(r[x] == row[x] for x in ("mechanism", "position error")) and r["run time [s]"]]
+        for way in ("compiled", "vm"):
+            own = [r for r in same if r["code"] == "alfmu" and r["way"].startswith(way) and "lean" not in r["way"]]
+            ratio = row[f"over alfmu's fastest, {way}"]
+            fastest = min((float(r["run time [s]"]) for r in own), default=None)
+            assert (fastest is None) == (ratio == "")
+            if fastest:
+                assert float(ratio) == pytest.approx(float(row["run time [s]"]) / fastest)
+
+
+def test_mechanisms_that_no_code_is_tuned_to_are_refused(tmp_path):
+    with pytest.raises(alfmu.InputError, match="tuned to five_bar, slider_crank"):
+        report(["bennett"], tmp_path, profile="peers")
+
+
+def test_what_is_not_installed_is_seen(monkeypatch):
+    def missing(package: str) -> str:
         if package in OTHERS:
             raise PackageNotFoundError(package)
         return version(package)
 
-    made = tmp_path_factory.mktemp("peers")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("alfmu.studies.peers.version", found)
-        assert peers.main(["--quick", "-o", str(made)]) == 0
-    return made
+    monkeypatch.setattr("alfmu.studies.peers.version", missing)
+    assert {peer.name for peer in peers.TUNED if not peer.installed} == set(OTHERS.values())
 
 
-def judged(peers, peer, mechanism: str, step: float):
-    """A point of a run of 1 s."""
-    point = peers.Point(peer, mechanism, step)
-    peers.judge(point, peers.reference(mechanism, peers.STOP), peers.samples(peers.STOP))
-    return point
-
-
-@pytest.mark.parametrize("mechanism", ["five_bar", "slider_crank"])
-def test_the_exact_motion_is_tighter_than_what_it_judges(peers, mechanism):
-    exact = peers.reference(mechanism, 2.0)
-    assert exact.change < 1e-11
-    assert exact.energy < 1e-11
-    assert exact.angle[0] == 0
-    assert 0.8 < exact.angle[1] / (peers.RATE * peers.SAMPLE) < 1
-
-
-def test_rows_of_a_study_without_peers(folder):
-    points = rows(folder, "peers")
-    assert {(row["mechanism"], row["code"]) for row in points} == {
-        (mechanism, code) for mechanism in ("five_bar", "slider_crank") for code in ("alfmu", "SciPy")
-    }
-    for row in points:
-        least, median, most = (float(row[f"{name} [s]"]) for name in ("least", "median", "most"))
-        assert 0 < least <= median <= most
-        assert row["repeats"] == "3"
-        assert float(row["angle error [rad]"]) < 1e-3
-        assert float(row["reaction error [N]"]) < 0.1
-        assert row["note"] == ""
-
-
-def test_alfmu_converges_with_order_4_and_kernels_agree(folder):
-    for mechanism in ("five_bar", "slider_crank"):
-        runs = [r for r in rows(folder, "peers") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
-        error = {(r["setting"], round(float(r["step"]), 6)): float(r["angle error [rad]"]) for r in runs}
-        for setting in ("compiled", "compiled, joint", "compiled, joint, lean"):
-            assert error[setting, 0.01] / error[setting, 0.005] == pytest.approx(16, rel=0.5)
-        for form in ("", ", joint", ", joint, lean"):
-            assert error[f"vm{form}", 0.01] == pytest.approx(error[f"compiled{form}", 0.01], rel=1e-3)
-        assert error["compiled, joint, order8", 0.02] < 1e-10
-        assert error["vm, auto", 1e-5] < 1e-5
-
-
-def test_report_names_what_is_missing_and_where_it_ran(peers, folder):
-    text = (folder / "peers.md").read_text(encoding="utf-8")
-    for package, name in OTHERS.items():
-        assert text.count(f"| {name} |  | not installed |") == 2, package
-    assert "`python scripts/peers.py --quick`" in text
-    assert str(folder) not in text
-    assert (folder / "peers.png").stat().st_size > 10_000
-    for kernel, ratio in peers.RATIOS.items():
-        assert re.search(rf"\| {kernel}.* \| SciPy, DOP853 .* {ratio:g}: (met|not met) \|", text)
-    missing = [r for r in rows(folder, "peers_reach") if r["time at target [s]"] == "not installed"]
-    assert len(missing) == 2 * len(OTHERS)
-
-
-def points(peers, *measured):
-    """Points of one setting from errors [rad] and rounds [s]."""
-    peer = peers.Alfmu("alfmu", "alfmu", "compiled", {})
-    return [peers.Point(peer, "five_bar", 0.02, error, 0.1, seconds) for error, seconds in measured]
-
-
-def test_interpolation_is_logarithmic_and_by_rounds(peers):
-    reach = peers.Reach(points(peers, (1e-4, [1.0, 2.0, 9.0]), (1e-8, [4.0, 8.0])), 1e-6)
-    assert reach.seconds == pytest.approx([2.0, 4.0])
-    assert reach.text == "3"
-    assert reach.ratios(peers.Reach(points(peers, (1e-4, [1.0]), (1e-8, [1.0])), 1e-6)) == pytest.approx([2.0])
-
-
-def test_nothing_is_extrapolated(peers):
-    short = peers.Reach(points(peers, (1e-3, [1.0]), (2e-5, [2.0])), 1e-6)
-    assert (short.seconds, short.text) == ([], "not reached (best 2e-05 rad)")
-    below = peers.Reach(points(peers, (1e-7, [1.0]), (1e-8, [2.0])), 1e-6)
-    assert (below.seconds, below.text) == ([1.0], "<= 1")
-    lost = points(peers, (None, []))
-    lost[0].note = "lost the motion at t = 1 s"
-    assert peers.Reach(lost, 1e-6).text == "not reached (lost the motion at t = 1 s)"
-
-
-def test_a_lost_motion_and_an_exception_are_results(peers):
-    class Strays(peers.Peer):
-        def build(self, mechanism, start, step, times):
-            if step == 1.0:
-                raise RuntimeError("no\n such model")
-            angle = peers.reference(mechanism, peers.STOP).angle + np.where(times > 0.5, 1.0, 0.0)
-            return lambda: peers.Trajectory(times, angle, np.zeros((len(times), 7)))
-
-    peer = Strays("scipy", "SciPy", "strays", {})
-    assert judged(peers, peer, "slider_crank", 1.0).note == "RuntimeError: no such model"
-    lost = judged(peers, peer, "slider_crank", 0.5)
-    assert (lost.note, lost.simulate) == ("lost the motion at t = 0.52 s", None)
-
-
-@pytest.mark.parametrize("mechanism", ["five_bar", "slider_crank"])
-@pytest.mark.parametrize("package", OTHERS)
-def test_an_installed_peer_simulates_the_same_mechanism(peers, package, mechanism):
-    pytest.importorskip({"pin": "pinocchio"}.get(package, package))
-    peer = next(peer for peer in peers.peers() if peer.package == package)
-    point = judged(peers, peer, mechanism, 1e-3)
-    assert point.error < 1e-3, point.note
-    assert point.force_error < 1.0  # N, of some 60; second order and soft constraints
+def test_run_times_are_compared_at_equal_error_and_never_beyond_it():
+    own = [(1e-3, 1.0), (1e-7, 4.0)]
+    assert time_at(1e-5, own) == pytest.approx(2.0)
+    assert time_at(1e-2, own) == 1.0
+    assert time_at(1e-9, own) is None
+    assert time_at(1e-5, []) is None

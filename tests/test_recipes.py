@@ -185,25 +185,32 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
 
 
 @pytest.mark.slow
-def test_export_says_in_one_line_what_it_wrote_and_where_it_runs(tmp_path, capsys):
+def test_export_says_what_it_wrote_and_where_it_runs(tmp_path, capsys):
     """On the platforms whose library of the runtime is inside, with the glibc that it needs; pythonfmu's own are always
     for two."""
     path = str(tmp_path / "p.fmu")
-    each = "hosts with Python (use --kind native for others)"
     chosen = {HERE, "win64"} if zig() else {HERE}  # others take ziglang
     for form, what, there in (
-        ([], f"python: {each}", {HERE}),
-        (["--kind", "native"], "native: every host", {HERE}),
-        (["--kind", "native", "--fmi", "3", "--platform", ",".join(chosen)], "native: every host", chosen),
+        (["--kind", "python"], "python: hosts with Python", {HERE}),
+        ([], "native: every host", {HERE}),
+        (["--fmi", "3", "--platform", ",".join(chosen)], "native: every host", chosen),
     ):
         assert main(["export", "particle_on_circle", "-o", path, "--no-reference", *form]) == 0
-        said, _, names = capsys.readouterr().out.rstrip("\n").rpartition(" on ")
+        said, *more = capsys.readouterr().out.splitlines()
+        said, _, names = said.rpartition(" on ")
         assert re.fullmatch(rf"wrote {re.escape(path)} \(\d+ kB\), kind {re.escape(what)}", said)
         with zipfile.ZipFile(path) as archive:
             inside = {name for name in PLATFORMS if f"resources/{file_name(name)}" in archive.namelist()} or there
         on = {re.sub(r" \(glibc 2\.\d+\)", "", name) for name in names.split(", ")}
         assert there <= on == inside | there
         assert "linux64 (glibc 2." in names or "linux64" not in on
+        (limits,) = more or [""]
+        if form[:1] == ["--kind"]:
+            assert "only where it is unpacked under plain letters" in limits
+        elif missing := [name for name in PLATFORMS if name not in on]:
+            assert limits == f"  for {', '.join(missing)}, too: pip install ziglang, then --platform all"
+        else:
+            assert not limits
 
 
 def test_what_holds_for_one_kind_goes_with_it():
@@ -292,11 +299,17 @@ MISTAKES = [
         "communication_step is nan; it must be a finite number of seconds above zero",
     ),
     ("Recipe('five_bar', kernel='fast')", "kernel is 'fast'; it must be vm or compiled or auto or oracle or None"),
-    ("Recipe('five_bar', kind='c')", "there is no kind 'c' of FMU; use one of python, native"),
-    ("Recipe('five_bar', fmi=3)", "there is no python FMU of FMI 3; use FMI 2, or a native one of FMI 3"),
+    ("Recipe('five_bar', kind='c')", "there is no kind 'c' of FMU; use one of native, python"),
+    (
+        "Recipe('five_bar', kind='python', fmi=3)",
+        "there is no python FMU of FMI 3; use FMI 2, or a native one of FMI 3",
+    ),
     ("Recipe('five_bar', kernel='oracle')", "no FMU carries the oracle"),
-    ("Recipe('five_bar', kind='native', kernel='vm')", "a native FMU has a kernel of its own"),
-    ("Recipe('five_bar', platforms=['win64'])", "an FMU that runs in Python is for no platform of its own"),
+    ("Recipe('five_bar', kernel='vm')", "a native FMU has a kernel of its own"),
+    (
+        "Recipe('five_bar', kind='python', platforms=['win64'])",
+        "an FMU that runs in Python is for no platform of its own",
+    ),
     ("Recipe('six_bar')", "there is no mechanism 'six_bar'; did you mean five_bar? Use one of"),
     ("Recipe('missing.py')", "there is no file"),
     ("Recipe('five_bar', options={'links': 3})", "five_bar has no option 'links'; it has coordinates"),

@@ -1,7 +1,6 @@
 """Repetition in long functions: that it is found, becomes loops in C, and changes no bit of any number."""
 
 import subprocess
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -13,6 +12,8 @@ from alfmu.equations import Equations
 from alfmu.equations.arrays import ArrayFunction, ArrayFunctions
 from alfmu.equations.evaluation import elimination, with_functions
 from alfmu.kernel import emit, loops
+from alfmu.kernel.controlled import whole
+from alfmu.kernel.form import Traced
 from alfmu.kernel.repeat import Repeat, repeats
 from alfmu.kernel.stream import Instructions, Operations
 from alfmu.runtime import compiled as build
@@ -34,7 +35,7 @@ def source(f: ca.Function) -> str:
 
 def scene(*functions: ca.Function) -> Equations:
     """Equations with these functions alone."""
-    empty = replace(derived("particle_on_circle"), functions={}, signatures={}, kernel={})
+    empty = Traced.of(derived("particle_on_circle"), functions={}, signatures={})
     return with_functions(empty, {f.name(): f for f in functions})
 
 
@@ -190,7 +191,7 @@ def test_a_result_may_be_written_over_an_argument():
 
 
 def test_arguments_that_are_written_over_are_known():
-    e = prepared(derived("n_four_bar"))
+    e = whole(prepared(derived("n_four_bar")))
     found = emit._overwritten(e)
     assert found["weighted_place"] == {0: e.n}
     assert found["plain_iterate" if "plain_iterate" in found else "weighted_iterate"]
@@ -200,7 +201,7 @@ def test_arguments_that_are_written_over_are_known():
 @pytest.fixture(scope="module", params=["natural", "absolute"])
 def chains(request) -> list[Equations]:
     """N-four-bars of 60 and of 120 loops, traced."""
-    return [prepared(derived("n_four_bar", loops=n, coordinates=request.param)) for n in (60, 120)]
+    return [whole(prepared(derived("n_four_bar", loops=n, coordinates=request.param))) for n in (60, 120)]
 
 
 @pytest.mark.slow
@@ -244,7 +245,7 @@ def test_the_c_of_a_chain_hardly_grows_with_it(chains):
 
 @pytest.mark.slow
 def test_long_scenes_are_eliminated_as_declared_where_that_costs_little():
-    e = prepared(derived("n_four_bar", loops=60))
+    e = whole(prepared(derived("n_four_bar", loops=60)))
     assert e.order == list(range(e.n))
     hub = ca.Sparsity.diag(100)
     hub = (

@@ -2,6 +2,7 @@
 
 import re
 import sys
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import product
@@ -13,7 +14,7 @@ from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 from pages import errors
 from scenes import derived
-from studies import prose, rows, tables, untraced
+from studies import prose, rows, script, tables, untraced
 
 import alfmu
 from alfmu.catalogue.registry import mechanisms
@@ -25,7 +26,18 @@ from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
 from alfmu.studies.looks import LOOKS
 from alfmu.studies.page import Page
-from alfmu.studies.report import LEVELS, QUICK, TIME, Effort, Setting, Study, _chapter_of_page, _skipped, report
+from alfmu.studies.report import (
+    LEVELS,
+    PROFILES,
+    QUICK,
+    TIME,
+    Effort,
+    Setting,
+    Study,
+    _chapter_of_page,
+    _skipped,
+    report,
+)
 from alfmu.studies.rivals import RIVALS
 
 pytestmark = pytest.mark.slow
@@ -481,10 +493,11 @@ def test_lost_comparisons_are_listed(written):
 def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     study = Study("particle_on_circle", SMALL)
-    study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
+    study.equations = prepared(study.derived)
+    study.times, study.judge = TIMES, Judge(study.equations, None)
     study._units, study._ways = {}, study._makers(tmp_path)
     with pytest.MonkeyPatch.context() as patch, ExitStack() as study._stack:
-        patch.setattr("alfmu.runtime.compiled.cache", lambda: tmp_path / "cache")
+        patch.setenv("ALFMU_CACHE", str(tmp_path / "cache"))
         for way in study._ways:
             study._run(study._setting("residual", "rk4", way), 0.02, np.inf)
     assert {row["way"] for row in study.files["errors"]} == {"vm", "oracle"}
@@ -496,7 +509,7 @@ def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
 def test_what_would_take_too_long_is_skipped_with_its_estimate():
     study = Study("particle_on_circle", SMALL)
     study.times = TIMES
-    study.judge = Judge(study.derived, None)
+    study.judge = Judge(prepared(study.derived), None)
     unit = oracle.Instance(prepared(study.derived, "oracle"))
     restart = restarting(unit)
 
@@ -562,7 +575,8 @@ def test_other_codes_run_the_same_mechanism_from_the_same_start(name):
 def test_a_code_that_is_not_there_is_listed(monkeypatch):
     monkeypatch.setattr("alfmu.studies.report.RIVALS", [replace(r, missing="not installed") for r in RIVALS])
     study = Study("five_bar", SMALL)
-    study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
+    study.equations = prepared(study.derived)
+    study.times, study.judge = TIMES, Judge(study.equations, None)
     study._ways = {}
     for setting in study._settings()[0]:
         study._run(setting, setting.values[0], np.inf)
@@ -625,27 +639,79 @@ def test_the_chapters_of_the_paper(study, tmp_path):
 
 def test_a_picture_and_a_table_of_a_report_go_into_a_page(written, tmp_path):
     """Between the markers, and nothing else changes; numbers are those of the report."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        import cost_page
-    page, drawn = tmp_path / "cost.md", tmp_path / "x.png"
-    page.write_text(f"before\n\n{cost_page.BEGIN}\nold\n{cost_page.END}\n\nafter\n")
-    arguments = [str(written.parent), "--page", str(page), "--picture", str(drawn)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cost_page, "MECHANISM", "particle_on_circle")
-        assert cost_page.main(arguments) == 0
-    text = page.read_text()
-    assert text.startswith("before\n\n" + cost_page.BEGIN)
-    assert text.endswith(cost_page.END + "\n\nafter\n")
+    page = tmp_path / "cost.md"
+    arguments = ["cost", str(written.parent), "-o", str(page), "--mechanism", "particle_on_circle"]
+    for pictures in script("pictures"):
+        page.write_text(f"before\n\n{pictures.BEGIN}\nold\n{pictures.END}\n\nafter\n")
+        assert pictures.main(arguments) == 0
+        text = page.read_text()
+        assert text.startswith("before\n\n" + pictures.BEGIN)
+        assert text.endswith(pictures.END + "\n\nafter\n")
+        page.write_text("no markers")
+        assert pictures.main(arguments) == 1
     assert "old" not in text
-    assert "(x.png)" in text
-    row = next(r for r in rows(written.parent, "comparisons") if r["level or step"] == f"{cost_page.LEVEL:.17g}")
+    assert "(cost.png)" in text
+    row = next(r for r in rows(written.parent, "comparisons") if r["level or step"] == f"{LEVELS[1]:.17g}")
     shown = next(line for line in text.splitlines() if line.startswith("| particle_on_circle")).strip("| ").split(" | ")
     assert float(shown[2]) == pytest.approx(1e3 * float(row["its value"]), rel=0.05)
-    assert drawn.stat().st_size > 10_000
-    page.write_text("no markers")
-    assert cost_page.main(arguments) == 1
+    assert (tmp_path / "cost.png").stat().st_size > 10_000
     assert page.read_text() == "no markers"
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "tolerances"),
+    [
+        ("particle_on_circle", 3.0, (1e-6, 1e-9)),
+        ("slider_crank", 3.0, (1e-6, 1e-9)),
+        ("four_bar", 3.0, (1e-6, 1e-9)),
+        ("five_bar", 3.0, (1e-6, 1e-9)),
+        ("n_four_bar", 3.0, (1e-6, 1e-9)),
+        ("bennett", 3.0, (1e-6, 1e-9)),
+        ("end_stop", 2.5, (1e-6, 1e-9)),
+        ("flexible_four_bar", 0.02, (1e-6,)),
+    ],
+)
+def test_the_largest_error_is_within_ten_times_the_tolerance(name, horizon, tolerances, monkeypatch):
+    """By `explicit`, from the start with all defaults; the flyball governor is in `test_methods`."""
+    for what, value in (("SCIPY", ()), ("compiler", lambda: None)):
+        monkeypatch.setattr(f"alfmu.studies.report.{what}", value)
+    effort = replace(PROFILES["tolerances"][1], horizon=horizon, tolerances=tolerances, limit=60.0, repeats=1)
+    study = Study(name, replace(effort, methods=("explicit",)))
+    study.measure(time.perf_counter() + 600.0, iter)
+    held = study.files["tolerances"]
+    assert [row[cases.TOLERANCE] for row in held] == list(tolerances)
+    assert all(row["within ten times"] == "held" and row["error over tolerance"] <= 10 for row in held), held
+    assert max(row[POSITION] or 0.0 for row in study.files["reference"]) <= 0.2 * min(tolerances)
+    assert all(row["simulated [s]"] == pytest.approx(study.times[-1]) for row in study.files["errors"])
+    assert 0.8 * horizon < study.times[-1] <= horizon
+
+
+def test_the_profile_of_tolerances_has_whole_runs_beside_scipy(tmp_path, monkeypatch):
+    monkeypatch.setattr("alfmu.studies.report.compiler", lambda: None)
+    effort = replace(PROFILES["tolerances"][1], horizon=0.5, tolerances=(1e-5, 1e-7), methods=("explicit", "auto"))
+    page = report(["particle_on_circle"], tmp_path, effort=effort, profile="tolerances", quick=True)
+    written = page.with_name("report.md")
+    for _, name, names, lines in tables(written):
+        assert untraced(written, name, names, lines) == [], name
+    machine = {r["what"]: r["value"] for r in rows(tmp_path, "environment")}
+    assert machine["command"] == "`alfmu report particle_on_circle --profile tolerances --quick`"
+    held = [(r["method"], float(r["tolerance"]), r["within ten times"]) for r in rows(tmp_path, "tolerances")]
+    assert sorted(held) == [(method, x, "held") for method in ("auto", "explicit") for x in (1e-7, 1e-5)]
+    assert {r["method"] for r in rows(tmp_path, "errors") if r["code"] != "alfmu"} == {"DOP853", "Radau", "BDF"}
+    for row in rows(tmp_path, "comparisons"):
+        assert float(row["ratio"] or 1.0) > 0
+    assert not (tmp_path / "cells.csv").exists()
+
+
+def test_the_profile_of_the_paper_has_its_chapters_alone(tmp_path):
+    effort = replace(SMALL, parts=("paper",))
+    page = report(["particle_on_circle", "bennett"], tmp_path, effort=effort, profile="paper")
+    text = page.with_name("report.md").read_text()
+    assert re.findall("^## (.*)", text, re.M)[0] == "particle_on_circle"
+    assert "bennett" not in text
+    assert rows(tmp_path, "table_1")
+    with pytest.raises(alfmu.InputError, match="is about particle_on_circle, "):
+        report(["bennett"], tmp_path, effort=effort, profile="paper")
 
 
 def test_a_chapter_that_needs_what_is_not_installed_is_listed(monkeypatch):

@@ -2,6 +2,7 @@
 files are refused."""
 
 import ctypes
+import re
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -450,7 +451,7 @@ def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypa
 @pytest.mark.slow
 def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
     few, many = (tables.alone(e) for e in chains)
-    for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limit_change"):
+    for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limits"):
         one, two = code(few.functions[name]), code(many.functions[name])
         assert many.functions[name].n_instructions() > 1.9 * few.functions[name].n_instructions()
         assert two.words.size + two.results.size < 1.25 * (one.words.size + one.results.size), name
@@ -588,3 +589,10 @@ def test_a_damaged_file_is_refused_with_the_reason(host, packed, at, value, reas
     assert scene[at : at + 1] != value
     with pytest.raises(ValueError, match=reason):
         host.load(scene[:at] + value + scene[at + 1 :])
+
+
+def test_programs_are_few_and_explained():
+    page = (Path(__file__).parents[1] / "docs" / "development.md").read_text()
+    explained = re.findall(r"^\| `(\w+)` \| .* \| .* \| [\d,]+", page, flags=re.MULTILINE)
+    assert sorted(explained) == sorted(tables.PROGRAMS.values())
+    assert len(explained) <= 20

@@ -133,7 +133,7 @@ def test_the_papers_procedure_remains_as_an_alternative():
 def test_through_an_fmu(tmp_path):
     """The same numbers as the library, by the virtual machine and compiled."""
     for kernel in ("vm", "compiled"):
-        path = alfmu.export("four_bar", tmp_path / f"{kernel}.fmu", kernel=kernel)
+        path = alfmu.export("four_bar", tmp_path / f"{kernel}.fmu", kind="python", kernel=kernel)
         with Fmu(path) as fmu:
             result = run(fmu, 5.0, 0.02, inputs={"A.torque": TORQUE})
         exact = FOUR_BAR.driven(0.0, 2.0, result.time, TORQUE)[:, 0]

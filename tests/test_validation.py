@@ -261,6 +261,21 @@ def test_every_check_that_runs_an_fmu_is_seen_to_fail():
 
 
 @pytest.mark.slow
+def test_a_failure_of_an_fmu_with_clocks_could_not_be_judged(springs, tmp_path, monkeypatch):
+    """Clocks tick in event mode, which the checks do not use: what fails without their ticks may be right with them."""
+
+    def clocked(name: str, data: bytes) -> bytes:
+        clock = b'<Clock name="tick" valueReference="90" causality="input" intervalVariability="triggered"/>'
+        return data.replace(b"</ModelVariables>", clock + b"</ModelVariables>")
+
+    path = changed(springs("3"), tmp_path / "clocked.fmu", clocked)
+    assert results(examine(path, checks=["run.default"]))["run.default"] == "passed"
+    monkeypatch.setenv("DEFECT", "no_start")
+    (finding,) = examine(path, checks=["run.default"]).findings
+    assert finding.result == "could not be judged"
+    assert "its clocks tick in event mode, which is not used here: fmi3ExitInitializationMode ended" in finding.detail
+
+
 def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
     """All in one process, as where there is no fork: it is started again behind the check that ended it."""
     monkeypatch.setenv("DEFECT", "crash_reference")

@@ -1,4 +1,4 @@
-"""Analyses of a mechanism: positions of rest, small motions about a state, degrees of freedom.
+"""Analyses of a mechanism: equilibria, linearisation, degrees of freedom.
 
 Other rooms import `equilibria`, `freedoms`, `linearization`, `start`, `states`.
 """

@@ -1,8 +1,8 @@
-"""Branches of the motion at singular positions, and where these are.
+"""Singular positions and the branches of motion through them.
 
-At a position q more motions N with C N = 0 may begin than at regular ones. Those belong to a branch whose way can be
-continued: to second order U' (dC/dq w) w = 0 for w = N x and all U with U' C = 0, which are quadratic equations in x;
-each solution is followed beside the position, where it has to close the loops.
+At a singular position q more motions N with C N = 0 begin than at regular ones. A direction w = N x belongs to a branch
+if the motion can be continued: to second order U' (dC/dq w) w = 0 for all U with U' C = 0, a set of quadratic equations
+in x. Each solution is followed away from q, where it must close the loops.
 """
 
 from __future__ import annotations
@@ -18,42 +18,42 @@ from .situation import Vector
 __all__ = ["STRAIGHT", "Way", "polished", "ways"]
 
 TOUCHED = 1e-7
-"""size of a quadratic equation over the largest [1]: a smaller one is none."""
+"""Size of a quadratic equation over the largest [1] below which it counts as zero."""
 
 BESIDE = 0.02
-"""way from a singular position [rad, sizes]: a branch has to close the loops there, and is regular there."""
+"""Distance from a singular position [rad, sizes] at which a branch must close the loops and be regular."""
 
 STRAIGHT = 0.2
-"""part of that way that leads elsewhere than the branch begins [1]: a place with more is not on it."""
+"""Largest deviation of a branch from its initial direction over that distance [1]."""
 
 DENSITY = 3
-"""logarithm of a number of directions [1]: branches are looked for from so many times 2^motions, as there may be
-2^(motions - 1); a row of three four-bars has all of its own from half as many."""
+"""Logarithm of a number of directions [1]: branches are searched from so many times 2^motions directions, as there may
+be 2^(motions - 1); a row of three four-bars has all of its own from half as many."""
 
 PASSES = 60
-"""number of steps of Newton's method [1]: each halves what is left where a solution is double."""
+"""Most steps of Newton's method [1]: each halves the error at a double solution."""
 
 ROOT = 1e-9
-"""what is left of the quadratic equations of a branch [1]: a direction with less is a solution."""
+"""Residual of the quadratic equations of a branch [1] below which a direction is a solution."""
 
 ALIKE = 1e-3
-"""difference of directions [1]: those that differ by less are one branch."""
+"""Difference of directions [1] below which they are one branch."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """A branch that begins at a singular place."""
+    """A branch that begins at a singular position."""
 
     way: Vector
     """Its direction (n,)."""
     ends: bool
-    """Whether it leads away in one direction alone."""
+    """Whether it continues in one direction only."""
     singular: bool
-    """Whether the places on it are singular, too."""
+    """Whether positions on it are singular, too."""
 
 
 def ways(loops: Loops, y: Vector, motions: int) -> list[Way]:
-    """Return the branches that begin at a singular place with so many independent velocities."""
+    """Return the branches at a singular position with this number of independent velocities."""
     U, _, V = np.linalg.svd(loops.matrix(y))
     rank = len(y) - motions
     left, N = U[:, rank:], V[rank:].T
@@ -73,8 +73,8 @@ def ways(loops: Loops, y: Vector, motions: int) -> list[Way]:
 
 
 def _roots(forms: NDArray[np.float64], count: int) -> list[Vector]:
-    """Return unit vectors x (count,) with x' Q x = 0 for all forms Q, each once, by Newton's method from many
-    directions."""
+    """Return distinct unit vectors x (count,) with x' Q x = 0 for all forms Q, by Newton's method from
+    many directions."""
     from scipy.special import ndtri
     from scipy.stats import qmc
 
@@ -99,7 +99,8 @@ def _roots(forms: NDArray[np.float64], count: int) -> list[Vector]:
 
 
 def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
-    """Return independent velocities a little way along a direction; 0 if the loops do not close there."""
+    """Return the number of independent velocities a short distance along a direction; 0 if the loops do not close
+    there."""
     there = y + BESIDE * way
     for _ in range(12):
         gaps = np.append(loops.gaps(there), way @ (there - y) - BESIDE)
@@ -116,9 +117,10 @@ def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
 
 
 def polished(loops: Loops, y: Vector) -> Vector | None:
-    """Return the singular place nearest by: Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None if there is none.
+    """Return the nearest singular position, by Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None if there is
+    none.
 
-    Where laws of time leave no freedom, the time at which they pass it is found too.
+    If laws of time leave no freedom, the time of the singular position is determined, too.
     """
     begin, n = y, len(y)
     U, _, _ = np.linalg.svd(loops.matrix(y))

@@ -1,8 +1,8 @@
-"""Positions of rest: where loads, springs and reactions balance, found from many places, and whether they are stable.
+"""Equilibria: positions where loads, springs and reactions balance, searched from many starts, with their stability.
 
-A mechanism is at rest at q where Phi(q) = 0 and the loads do no work on any motion, N' f(q) = 0 with C N = 0; then
-multipliers balance them, f = C' lam, whether constraints are redundant or not and whatever the masses are. Newton's
-method runs on the places that close the loops, with the exact stiffness K = -N' d(f - C' lam)/dq N.
+A mechanism is in equilibrium at q if Phi(q) = 0 and the loads do no work on any motion, N' f(q) = 0 with C N = 0; then
+multipliers balance them, f = C' lam, for redundant constraints and any masses. Newton's method runs on the positions
+that close the loops, with the exact stiffness K = -N' d(f - C' lam)/dq N.
 """
 
 from __future__ import annotations
@@ -34,70 +34,69 @@ if TYPE_CHECKING:
 __all__ = ["STARTS", "Equilibria", "Equilibrium", "check_file", "equilibria", "equilibrium"]
 
 STARTS = 32
-"""number of places [1]: positions of rest are looked for from so many beside the start; the double pendulum has its
-four from 16 of them."""
+"""Default number of positions beside the start from which equilibria are searched [1]; 16 of them suffice for the four
+of the double pendulum."""
 
 BALANCED = 1e-11
-"""load along a motion over the largest that was met [1]: a mechanism is at rest below it."""
+"""Load along a motion over the largest encountered [1] below which a mechanism is in equilibrium."""
 
 SAME = 1e-5
-"""largest difference [rad, sizes]: places that differ by less are one position of rest; where a stiffness vanishes,
-Newton's method ends some 1e-6 from it."""
+"""Largest difference [rad, sizes] of positions that count as one equilibrium; if a stiffness vanishes, Newton's method
+ends some 1e-6 from it."""
 
 STEPS = 80
-"""number of steps of Newton's method [1]: a start from which no balance is found after them is given up."""
+"""Most steps of Newton's method from a position [1]."""
 
 HELD = 1e-7
-"""generalised force that is left over the largest load [1]: with more, at a singular position, no reactions balance the
-loads."""
+"""Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
+the loads."""
 
 FLAT = 1e-9
-"""stiffness over the largest [1]: a motion with less has none."""
+"""Stiffness over the largest [1] below which it counts as zero."""
 
 PACE = 0.05
-"""step of a walk along a motion of one degree of freedom [rad, sizes]: positions of rest that are nearer to each other
-than this may be missed."""
+"""Step along a motion of one degree of freedom [rad, sizes]: equilibria closer to each other may be missed."""
 
 ROUND = 1000
-"""number of steps of such a walk [1]: 50 rad."""
+"""Most steps along such a motion [1]: 50 rad."""
 
 MOST_WAYS = 64
-"""number of such walks [1]: one in both directions of each branch at each singular position that is reached."""
+"""Most such searches [1]: one in both directions of each branch at each singular position that is reached."""
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A position of rest."""
+    """An equilibrium of a mechanism."""
 
     mechanism: str
     time: float
-    """Time [s] for which loads are taken."""
+    """Time [s] at which loads are evaluated."""
     coordinates: Mapping[str, float]
     """Coordinates by name [m or rad]."""
     inputs: Mapping[str, float]
-    """Inputs by name, as they are held."""
+    """Inputs by name, held constant."""
     states: Mapping[str, float]
-    """Further states of the mechanism by name, at the values at which they rest."""
+    """States of the mechanism by name, at their equilibrium values."""
     outputs: Mapping[str, float]
-    """All that can be read at rest, reactions among it; joints that share a load carry the least."""
+    """All outputs at rest, reactions among them; joints that share a load carry the least."""
     stability: str
     """"stable", "asymptotically stable", "unstable" or "not judged"."""
     reason: str
-    """Why the stability is not judged, or by what it is."""
+    """Reason why the stability is not judged, or the criterion that decides it."""
     eigenvalues: NDArray[np.complex128] = field(repr=False)
-    """Of small motions about it [1/s]; none if they cannot be told."""
+    """Eigenvalues of small motions about it [1/s]; empty if unknown."""
     residual: float
-    """What is left of the balance: the largest generalised force on a coordinate [N, or N.m]."""
+    """Residual of the balance: the largest generalised force on a coordinate [N, or N.m]."""
     connected: bool
-    """Whether a way from the start was found along which the loops stay closed."""
+    """Whether a path from the start was found on which the loops stay closed."""
     isolated: bool
-    """Whether there are no other positions of rest right beside it."""
+    """Whether no other equilibria are arbitrarily close to it."""
     energy: float
     """Potential energy of gravity and springs [J]."""
     loads: Vector = field(repr=False)
     """Generalised forces (n,) that reactions balance [N or N.m]."""
     distance: float
-    """Largest difference of a coordinate to the start [rad, and lengths over the size of the mechanism]."""
+    """Largest difference of a coordinate from the start [rad, and lengths over the size of the mechanism]."""
     situation: Situation = field(repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -110,7 +109,7 @@ class Equilibrium:
 
     @property
     def held_by(self) -> list[str]:
-        """What prescribed motions take to hold it, for readers."""
+        """Efforts of prescribed motions that hold it, as lines of text."""
         where, units = self.situation, {v.name: v.unit for v in self.situation.equations.outputs}
         rows = zip(where.equations.rows, where.held, strict=True)
         motions = [row.name for row, on in rows if on and row.direction == "motion"]
@@ -119,7 +118,7 @@ class Equilibrium:
 
     @property
     def kept(self) -> Vector:
-        """Numbers beside the parameters that its place follows from: what locks keep, and signals."""
+        """Values stored beside the parameters that determine it: displacements of locks, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
 
     @property
@@ -128,7 +127,7 @@ class Equilibrium:
         return {v.name: v.unit for v in (*e.coordinates, *e.states)}
 
     def said(self) -> str:
-        """In a line, for readers."""
+        """A line of text."""
         shown = ", ".join(
             f"{name} = {plain(x, self._units[name])}" for name, x in list(self.coordinates.items())[:_SHOWN]
         )
@@ -136,17 +135,17 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether it is known to be stable."""
+        """Whether it was found stable."""
         return self.stability in ("stable", "asymptotically stable")
 
     @property
     def frequencies(self) -> Vector:
-        """Frequencies of small vibrations about it [Hz], in rising order; none of motions without stiffness."""
+        """Frequencies of small vibrations about it [Hz], in rising order; motions without stiffness have none."""
         least = ZERO * np.abs(self.eigenvalues).max(initial=0.0)
         return np.sort(np.array([x.imag for x in self.eigenvalues if x.imag > least])) / (2 * math.pi)
 
     def draw(self, size: tuple[int, int] | None = None) -> Drawing:
-        """Return the picture of the mechanism in this position. Raises InputError if only its equations are known."""
+        """Return a drawing of the mechanism in this position. Raises InputError if only its equations are known."""
         from ..view.picture import SIZE, Drawing, geometry, view_of
 
         shapes = geometry(self.situation.source.drawn(), self.situation.parameters)
@@ -155,7 +154,7 @@ class Equilibrium:
         return Drawing(shapes, columns, view_of(shapes, columns), {}, caption, size or SIZE)
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it, as JSON has it."""
+        """Return all of it as data for JSON."""
         plain = ("stability", "reason", "residual", "connected", "isolated", "energy", "distance")
         return {
             **{name: getattr(self, name) for name in plain},
@@ -168,15 +167,15 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class Equilibria(Sequence[Equilibrium]):
-    """The positions of rest that were found, the nearest to the start first; a sequence of `Equilibrium`."""
+    """Equilibria, the nearest to the start first; a sequence of `Equilibrium`."""
 
     mechanism: str
     time: float
     found: tuple[Equilibrium, ...]
     starts: int
-    """Places from which they were looked for."""
+    """Number of positions from which they were searched."""
     notes: tuple[str, ...] = ()
-    """What a reader should know of the search."""
+    """Limitations of the search, as sentences."""
 
     def __repr__(self) -> str:
         return f"Equilibria({self.mechanism!r}, {counted(len(self), 'position')} of rest)"
@@ -196,20 +195,20 @@ class Equilibria(Sequence[Equilibrium]):
 
     @property
     def stable(self) -> tuple[Equilibrium, ...]:
-        """Those that are known to be stable."""
+        """Equilibria that were found stable."""
         return tuple(each for each in self.found if each.stable)
 
     @property
     def nearest(self) -> Equilibrium:
-        """The one to begin a run with: the nearest stable one that the start is connected with; failing that, the
-        nearest that is stable, or the nearest at all."""
+        """The default start of a run: the nearest stable one connected with the start, else the nearest stable one,
+        else the nearest."""
         if not self.found:
             raise InputError(f"{self.mechanism}: no position of rest was found; {self.notes[-1]}")
         ranked = sorted(self.found, key=lambda each: (not (each.stable and each.connected), not each.stable))
         return ranked[0]
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it, as JSON has it."""
+        """Return all of it as data for JSON."""
         known = {"mechanism": self.mechanism, "time": self.time, "starts": self.starts, "notes": list(self.notes)}
         inputs = dict(self.found[0].inputs) if self.found else {}
         return {**known, "inputs": inputs, "equilibria": [each.as_data() for each in self.found]}
@@ -222,7 +221,7 @@ class Equilibria(Sequence[Equilibrium]):
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
-        """Return a table for readers."""
+        """Return a table as lines of text."""
         title = f"{self.mechanism}: {counted(len(self), 'position')} of rest, loads at t = {self.time:g} s"
         lines = [title]
         if self.found and self.found[0].inputs:
@@ -243,13 +242,13 @@ class Equilibria(Sequence[Equilibrium]):
 
 
 def check_file(path: Path) -> None:
-    """Raise InputError if positions of rest have no kind of file of this name."""
+    """Raise InputError if equilibria cannot be written to a file of this name."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path} cannot hold positions of rest; its name must end in .json")
 
 
 _SHOWN = 12
-"""Coordinates that a table shows."""
+"""Number of coordinates in a table."""
 
 
 def _columns(coordinates: Mapping[str, float], units: Mapping[str, str]) -> list[str]:
@@ -272,22 +271,21 @@ def equilibrium(
     time: float = 0.0,
     starts: int = STARTS,
 ) -> Equilibria:
-    """Return the positions of rest of a mechanism under its loads and springs, stable or not, the nearest to the start
-    first.
+    """Return the equilibria of a mechanism under its loads and springs, stable or not, the nearest to the start first.
 
-    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, with the values and inputs that it has.
+    `mechanism` is a mechanism as for `simulate`, but no FMU; or an `Instance` with its present values and inputs.
     `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes
-    them, `time` [s] is the instant for which loads and inputs are taken. Positions are looked for from the start and
-    from `starts` other places, the same each time: on the ways that lead from the start, and, to find other assemblies,
-    anywhere. Redundant constraints, singular positions and massless bodies are no obstacle; where a position is
-    singular, its stability is not judged.
+    them, and loads and inputs are evaluated at `time` [s]. The search begins at the start and at `starts` other
+    positions, the same each time: on the motions that begin at the start, and, to find other assemblies, anywhere.
+    Redundant constraints, singular positions and massless bodies are allowed; the stability of a singular position is
+    not judged.
 
-    Inputs that move something are held where they are, and laws of time as they are at that instant. Dry friction is
-    left out: positions where it balances the loads lie about those that are found. Further states are at rest, too:
-    where they do not settle by themselves, as the integral of a controller, they determine the position.
+    Inputs and laws of time that prescribe motion are held at their values at that time. Dry friction is left out:
+    positions where it balances the loads lie around the equilibria without it. States are in equilibrium, too; those
+    that have no value of their own at rest, as the integral of a controller, determine the position.
 
-    Raises AlfmuError if a name or a value is at fault, or the loops cannot be closed, InputError if a law of time moves
-    something at that instant.
+    Raises AlfmuError if a name or a value is invalid, or the loops cannot be closed, InputError if a law of time
+    prescribes motion at that time.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         name = getattr(mechanism, "name", mechanism)
@@ -296,7 +294,7 @@ def equilibrium(
 
 
 def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
-    """Return the same of a situation."""
+    """Return the equilibria of a situation."""
     frictions = ", ".join(x.name for x in where.equations.frictions)
     where, moved = held_still(where.without_friction())
     check_at_rest(where, where.at_rest(where.state.q))
@@ -320,20 +318,20 @@ def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
 
 
 class _Search:
-    """A search for positions of rest."""
+    """A search for equilibria."""
 
     def __init__(self, loops: Loops):
         self.loops = loops
         self.largest = 0.0
-        """Largest load along a motion that was met."""
+        """Largest load along a motion encountered."""
         for way in (sign * way for way in loops.motions(loops.home).T for sign in (0, 1, -1)):
             if (y := loops.closed(loops.home + STEP * way)) is not None:
                 self.largest = max(self.largest, self._left(y))
 
     def all(self, starts: int) -> list[Equilibrium]:
-        """What is found, the nearest first."""
+        """Return the equilibria found, the nearest first."""
         loops = self.loops
-        if self.largest == 0.0:  # any position is as good
+        if self.largest == 0.0:  # without loads every position is an equilibrium
             return [self._judged(loops.home, True)]
         reached = [(y, True) for y in map(self.balanced, self._along(starts)) if y is not None]
         others = [(y, False) for y in map(self.balanced, self._anywhere(starts)) if y is not None]
@@ -351,7 +349,7 @@ class _Search:
         return found
 
     def notes(self, found: Sequence[Equilibrium]) -> list[str]:
-        """What a reader should know."""
+        """Return the limitations of the search, as sentences."""
         notes = []
         if self.largest == 0.0 and self.loops.freedom:
             notes.append("no load acts on any motion: every position is one of rest")
@@ -366,10 +364,10 @@ class _Search:
             )
         return notes
 
-    # Places to begin from -----------------------------------------------------------------------------------------
+    # Starts of the search ---------------------------------------------------------------------------------------------
 
     def _along(self, starts: int) -> Iterator[Vector]:
-        """Return the start, and places on ways that lead from there."""
+        """Yield the start, and positions on motions that begin there."""
         loops = self.loops
         yield loops.home
         if loops.freedom == 1 and not isinstance(loops, WithStates):
@@ -378,8 +376,8 @@ class _Search:
             yield from self._around(starts // 2)
 
     def _on_the_ways(self) -> Iterator[Vector]:
-        """Return places beside which the load along the one motion vanishes, on all branches that lead from the
-        start."""
+        """Yield positions near which the load along a motion of one freedom vanishes, on all branches from
+        the start."""
         loops, home = self.loops, self.loops.home
         (way,) = loops.motions(home).T
         crossings: list[Vector] = []
@@ -398,8 +396,7 @@ class _Search:
                     ways += _leaving(loops, place)
 
     def _on_the_way(self, begin: Vector, way: Vector) -> Iterator[tuple[Vector, bool]]:
-        """Return places beside which the load along the one motion vanishes, and singular places, which the flag
-        tells."""
+        """Yield positions near which the load along the motion vanishes, and singular positions, marked by the flag."""
         loops, before, last, falls = self.loops, begin, None, False
         sizes: list[float] = []
         for k, y in enumerate(loops.walk(begin, way, PACE, ROUND)):
@@ -410,7 +407,7 @@ class _Search:
             if last is not None and load * last <= 0:
                 yield self._between(before, y), False
             elif last is not None and abs(load) > abs(last) and falls:
-                yield before, False  # the load is least here: it may touch zero
+                yield before, False  # the load has a minimum here, which may be zero
             falls = last is not None and abs(load) < abs(last)
             sizes = [*sizes[-2:], float(loops.sizes(y)[-1])] if loops.rank else []
             if len(sizes) == 3 and sizes[1] < min(sizes[0], sizes[2], 2 * PACE):
@@ -426,7 +423,7 @@ class _Search:
             before, last = y, load
 
     def _between(self, a: Vector, b: Vector) -> Vector:
-        """Return the place between two at which the load along the way from one to the other changes its sign."""
+        """Return the position between two at which the load along the motion changes its sign."""
         loops, way = self.loops, b - a
         sign = 0.0
         for _ in range(12):
@@ -442,7 +439,7 @@ class _Search:
         return (a + b) / 2
 
     def _around(self, count: int) -> Iterator[Vector]:
-        """Ends of ways from the start in directions of all its motions, up to half a turn long."""
+        """Yield ends of motions from the start in directions of all its freedoms, up to half a turn long."""
         from scipy.special import ndtri
 
         loops = self.loops
@@ -456,7 +453,7 @@ class _Search:
             yield end
 
     def _anywhere(self, starts: int) -> Iterator[Vector]:
-        """Return places where the loops are closed, wherever that is."""
+        """Yield positions anywhere at which the loops are closed."""
         loops, n, moving = self.loops, len(self.loops.home), self.loops.moving
         count = starts if loops.freedom == 1 else starts - starts // 2
         for places in _evenly(moving, count if loops.situation.held.any() else 0):
@@ -478,8 +475,7 @@ class _Search:
         return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
 
     def balanced(self, y: Vector) -> Vector | None:
-        """Return a position of rest by Newton's method from a place, in steps along the motions; None if there is
-        none."""
+        """Return an equilibrium by Newton's method in steps along the motions, None if there is none."""
         loops, damping, stalled = self.loops, 0.0, 0
         N, r, lam = loops.balance(y)
         self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
@@ -508,7 +504,7 @@ class _Search:
                     break
         return y if self._left(y) <= BALANCED * self.largest else None
 
-    # What is known of one -----------------------------------------------------------------------------------------
+    # Properties of an equilibrium -------------------------------------------------------------------------------------
 
     def _judged(self, y: Vector, connected: bool) -> Equilibrium:
         loops, where = self.loops, self.loops.situation
@@ -525,7 +521,7 @@ class _Search:
             stability = "not judged"
             reason = (
                 f"it is a singular position, where {counted(mobility.freedom_here, 'velocity')} are possible with "
-                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one motion tell nothing of others"
+                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one do not describe others"
             )
         else:
             try:
@@ -558,7 +554,7 @@ class _Search:
 
 
 def _family(one: Equilibrium, other: Equilibrium) -> bool:
-    """Return whether two positions that are not isolated have the same energy and the same small motions."""
+    """Return whether two equilibria that are not isolated have the same energy and the same small motions."""
     if other.isolated or len(one.eigenvalues) != len(other.eigenvalues):
         return False
     size = max(np.abs(one.eigenvalues).max(initial=0.0), 1e-3)
@@ -568,13 +564,13 @@ def _family(one: Equilibrium, other: Equilibrium) -> bool:
 
 
 def _leaving(loops: Loops, y: Vector) -> list[tuple[Vector, Vector]]:
-    """Return a singular place with the directions of the motions that begin there."""
+    """Return a singular position with the directions of the branches that begin there."""
     found = ways(loops, y, loops.situation.mobility(y * loops.scale)[0].freedom_here)
     return [(y, sign * each.way) for each in found if not each.singular for sign in (1, -1)]
 
 
 def _evenly(dimensions: int, count: int) -> Iterator[Vector]:
-    """Return points (dimensions,) between 0 and 1 that cover all evenly, the same each time."""
+    """Yield evenly distributed points (dimensions,) between 0 and 1, the same each time."""
     if not count:
         return
     from scipy.stats import qmc

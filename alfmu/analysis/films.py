@@ -1,4 +1,4 @@
-"""Films of small motions: the mechanism swings in a mode, at an amplitude that can be seen, with its loops closed."""
+"""Films of small motions: the mechanism moves in a mode at a visible amplitude, with its loops closed."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from .situation import Situation, Vector
 __all__ = ["film", "motion_of"]
 
 SECONDS = 2.0
-"""time [s] of one vibration in a film."""
+"""Time [s] of one vibration in a film."""
 
 FRAMES = 60
-"""number of places [1] of one vibration."""
+"""Number of frames of one vibration [1]."""
 
 
 def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) -> Result:
-    """Return one vibration in a shape (coordinate -> complex change) about a state: places alone, at rest, loops
-    closed.
+    """Return one vibration in a shape (coordinate -> complex change) about a state: positions alone, with loops closed.
 
     The largest change of a coordinate is `amplitude` [rad, lengths over the size of the mechanism]. Raises InputError
-    where the loops cannot be closed so far away.
+    if the loops cannot be closed at that amplitude.
     """
     loops, e = Loops(where), where.equations
     way = np.zeros(e.n, complex)
@@ -41,7 +40,7 @@ def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) 
     rows, y, before = [], loops.home.copy(), np.zeros_like(loops.home)
     for phase in phases:
         wanted = (way * np.exp(1j * phase)).real
-        # From the place before, in steps over which the same assembly stays nearest.
+        # Steps from the previous position are small enough to stay in the same assembly.
         parts = max(1, math.ceil(np.abs(wanted - before).max() / (STEP / 2)))
         for part in range(1, parts + 1):
             ahead = loops.home + before + (wanted - before) * part / parts

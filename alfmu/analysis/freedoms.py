@@ -1,7 +1,7 @@
-"""Degrees of freedom at a position and along a motion: which constraints are redundant or idle, where it is singular.
+"""Degrees of freedom at a position and along a motion, with redundant and idle constraints and singular positions.
 
-At a regular position the rows of C with U' C = 0 depend on each other: they share what they hold. A position is
-singular where more motions N with C N = 0 begin than at regular ones; `branches` tells which of them can be continued.
+At a regular position rows with U' C = 0 depend on each other: they share a load. At a singular position more motions N
+with C N = 0 begin than at regular ones; `branches` finds those that can be continued.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from .states import motion
 __all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
 
 TOUCHED = 1e-7
-"""entry of a projector [1]: a row with less takes no part in a dependency, and a row of C with less holds nothing."""
+"""Entry of a projector [1] below which a row is not part of a dependency, or a row of C constrains nothing."""
 
 _SHOWN = 8
-"""Coordinates, rates or times that a text shows."""
+"""Number of coordinates, rates or times in a text."""
 
 MOST = 6
-"""number of motions at a singular position [1]: branches are told of up to so many."""
+"""Most motions at a singular position whose branches are searched [1]."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Branch:
     way: Mapping[str, float]
     """Rates of the coordinates by name, the largest 1 [m or rad]."""
     ends: bool
-    """Whether it leads away in one direction alone, so that it comes to an end here."""
+    """Whether it continues in one direction only."""
     singular: bool
     """Whether the positions on it are singular, too."""
 
@@ -56,7 +56,7 @@ class Branch:
         return f"Branch({self.said()})"
 
     def said(self) -> str:
-        """For readers."""
+        """A line of text."""
         moving = [f"{name} {x:.4g}" for name, x in self.way.items() if abs(x) > 1e-6]
         more = [f"and {len(moving) - _SHOWN} more"] if len(moving) > _SHOWN else []
         what = ", which ends here" * self.ends + ", singular all along" * self.singular
@@ -65,10 +65,10 @@ class Branch:
 
 @dataclass(frozen=True)
 class SingularPosition:
-    """A position where more motions begin than there are degrees of freedom."""
+    """A position with more independent velocities than degrees of freedom."""
 
     time: float
-    """When the motion passes it [s]."""
+    """Time at which the motion passes it [s]."""
     coordinates: Mapping[str, float]
     """Coordinates by name [m or rad]."""
     angles: tuple[str, ...]
@@ -76,11 +76,11 @@ class SingularPosition:
     motions: int
     """Independent velocities that constraints allow there."""
     branches: tuple[Branch, ...]
-    """Motions that begin there; none if that cannot be judged, see `reason`."""
+    """Motions that begin there; empty if they cannot be determined, see `reason`."""
     followed: int | None
-    """Which of them the motion comes along; None if that is not known."""
+    """Index of the branch of the motion; None if unknown."""
     reason: str
-    """What cannot be judged, and why; empty if all can."""
+    """Reason why branches cannot be determined; empty if they are."""
 
     def __repr__(self) -> str:
         return f"SingularPosition(t = {self.time:.6g} s, {counted(len(self.branches), 'branch')})"
@@ -92,7 +92,7 @@ class Group:
 
     rows: tuple[str, ...]
     redundant: int
-    """How many of them could be left out."""
+    """How many of them are redundant."""
 
     def __repr__(self) -> str:
         return f"Group({self.redundant} of {', '.join(self.rows)})"
@@ -106,30 +106,30 @@ class Freedoms:
     freedom: int
     """Degrees of freedom at regular positions."""
     redundant: int
-    """Constraints that follow from the others on the whole of the motion."""
+    """Constraints that depend on the others at every position."""
     freedom_here: int
     """Independent velocities at the start; more than `freedom` where it is singular."""
     independent: tuple[str, ...]
-    """Coordinates that tell the motions best."""
+    """Coordinates that describe the motions best."""
     groups: tuple[Group, ...]
-    """Redundant constraints, with those that they depend on."""
+    """Redundant constraints, with those on which they depend."""
     idle: tuple[str, ...]
-    """Constraints in force that hold no motion, neither at the start nor beside it."""
+    """Constraints in force that constrain no motion, neither at the start nor near it."""
     off: tuple[str, ...]
-    """Constraints that are not in force: locks that are open, joints that are released."""
+    """Constraints that are not in force: open locks, released joints."""
     start: SingularPosition | None
-    """The start, where it is singular."""
+    """The start, if it is singular."""
     singular: tuple[SingularPosition, ...]
-    """Singular positions on the way, the start left out."""
+    """Singular positions along the motion, without the start."""
     covered: tuple[float, float]
-    """From when to when [s] the motion was followed; nothing of it where both are the same."""
+    """Interval [s] over which the motion was followed; both ends are equal if it was not."""
     least: float
-    """Least singular value of the constraint matrix on the way that is none at singular positions [1]: for links of
-    similar lengths about the distance to one [rad]."""
+    """Smallest singular value of the constraint matrix along the motion that vanishes at singular positions [1]: for
+    links of similar lengths about the distance to one [rad]."""
     least_at: float
-    """When that was [s]."""
+    """Time at which it occurred [s]."""
     changes: tuple[tuple[float, int], ...] = ()
-    """Times [s] at which constraints came into force or out of it, and degrees of freedom from then on."""
+    """Times [s] at which constraints were switched, and the degrees of freedom after each."""
     notes: tuple[str, ...] = field(default=())
 
     def __repr__(self) -> str:
@@ -137,7 +137,7 @@ class Freedoms:
         return f"Freedoms({self.mechanism!r}, freedom = {self.freedom}, redundant = {self.redundant}{found})"
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it, as JSON has it."""
+        """Return all of it as data for JSON."""
 
         def position(each: SingularPosition | None) -> dict[str, Any] | None:
             if each is None:
@@ -164,7 +164,7 @@ class Freedoms:
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
-        """Return a text for readers."""
+        """Return a text as lines."""
         lines = [f"{self.mechanism}: {counted(self.freedom, 'degree')} of freedom"]
         lines += [f"told by: {', '.join(self.independent) or 'nothing, as constraints leave no freedom'}"]
         lines += [f"redundant constraints: {self.redundant}"]
@@ -189,7 +189,7 @@ class Freedoms:
 
 
 def check_file(path: Path) -> None:
-    """Raise InputError if degrees of freedom have no kind of file of this name."""
+    """Raise InputError if degrees of freedom cannot be written to a file of this name."""
     if path.suffix.lower() != ".json":
         raise InputError(f"{path} cannot hold degrees of freedom; its name must end in .json")
 
@@ -207,7 +207,7 @@ def _position(each: SingularPosition) -> list[str]:
 
 
 def _alike(found: Sequence[SingularPosition]) -> list[list[SingularPosition]]:
-    """Singular positions, those that are the same together."""
+    """Return singular positions grouped by equality."""
     groups: list[list[SingularPosition]] = []
     for each in found:
         place = np.array([*each.coordinates.values()])
@@ -230,24 +230,26 @@ def mobility(
     time: float = 0.0,
     progress: Progress = iter,
 ) -> Freedoms:
-    """Degrees of freedom, redundant and idle constraints by name, and singular positions with their branches.
+    """Return degrees of freedom, redundant and idle constraints by name, and singular positions with their branches.
 
-    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, of which the present position alone is told. The
-    motion is followed from the start to `stop_time` [s], by default that of the mechanism's own experiment, 0 for the
-    start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time and
-    `progress` shows how far it is, as `simulate` takes them. With `time` [s] the start is that which laws of time give
-    at this instant, and it alone is told. Motions that are prescribed count as constraints, dry friction does not.
+    `mechanism` is a mechanism as for `simulate`, but no FMU; or an `Instance`, of which only the present position is
+    analysed. The motion is followed from the start to `stop_time` [s], by default that of the mechanism's own
+    experiment, 0 for the start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives
+    inputs over time and `progress` shows progress, as for `simulate`. With `time` [s] only the position that laws of
+    time prescribe then is analysed. Prescribed motions count as constraints, dry friction does not.
 
-    Raises AlfmuError if a name or a value is at fault, or the loops cannot be closed.
+    Raises AlfmuError if a name or a value is invalid, or the loops cannot be closed.
     """
     if isinstance(mechanism, Instance):
         if stop_time:
-            raise InputError(f"{mechanism.name}: of an Instance the present position is told; leave stop_time out")
+            raise InputError(
+                f"{mechanism.name}: only the present position of an Instance is analysed; leave stop_time out"
+            )
         return freedoms(subject(mechanism, parameters))
     found = source(mechanism, parameters or {})
     if stop_time and time:
         raise InputError(
-            f"{found.equations.name}: the position at {time!r} s alone is told, and a motion is followed from 0 s; "
+            f"{found.equations.name}: only the position at {time!r} s is analysed, and a motion begins at 0 s; "
             "give time or stop_time"
         )
     stop_time = (0.0 if time else found.equations.stop_time) if stop_time is None else stop_time
@@ -265,7 +267,7 @@ def freedoms(
     inputs: Mapping[str, Signal] | None = None,
     progress: Progress = iter,
 ) -> Freedoms:
-    """Return the same of a situation, and along the motion at instants [s] if there are any."""
+    """Return the degrees of freedom of a situation, and along the motion at instants [s] if any are given."""
     where = where.without_friction()
     e, here = where.equations, where.start
     rubbing = [x.row for x in e.frictions]
@@ -302,13 +304,13 @@ def freedoms(
 
 
 def _left_out(e: Equations) -> list[str]:
-    """What is said of dry friction."""
+    """Return the note that dry friction is left out."""
     names = ", ".join(x.name for x in e.frictions)
     return [f"dry friction ({names}) is no constraint here, though a joint that sticks has no motion"] * bool(names)
 
 
 def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
-    """Return a regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
+    """Return a regular position: the start, or one on a branch that begins there, preferably that of the motion."""
     where = loops.situation
     if start is None:
         return loops.home
@@ -322,7 +324,7 @@ def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
 
 
 def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
-    """Return constraints in force that depend on each other at a regular place."""
+    """Return constraints in force that depend on each other at a regular position."""
     where = loops.situation
     names = [row.text for row, on in zip(where.equations.rows, where.held, strict=True) if on]
     null = loops.parts(loops.matrix(y))[0][:, loops.rank :]
@@ -342,17 +344,17 @@ def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
 
 
 def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
-    """What is known of a singular place that is passed with velocity v (n,)."""
+    """Return the properties of a singular position passed with velocity v (n,)."""
     e = loops.situation.equations
     motions = loops.situation.mobility(y * loops.scale)[0].freedom_here
     found: list[Way] = []
     reason, followed = "", None
     if e.timed:
-        reason = "branches are not told where laws of time or inputs move something"
+        reason = "branches are not determined if laws of time or inputs prescribe motion"
     elif loops.freedom != 1:
-        reason = f"branches are not told apart: with {loops.freedom} degrees of freedom they are surfaces, not lines"
+        reason = f"branches are not separated: with {loops.freedom} degrees of freedom they are surfaces, not lines"
     elif motions > MOST:
-        reason = f"branches are not told apart: of {motions} motions there may be {2 ** (motions - 1)}"
+        reason = f"branches are not separated: of {motions} motions there may be {2 ** (motions - 1)}"
     else:
         found = ways(loops, y, motions)
         if not found:
@@ -379,7 +381,7 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
 
 
 class _Way:
-    """The motion from the start, with what is singular on it."""
+    """The motion from the start, with its singular positions."""
 
     def __init__(self, loops: Loops, where: Situation):
         self.loops = loops
@@ -390,7 +392,7 @@ class _Way:
         self.notes: list[str] = []
 
     def follow(self, source: Source, times: Iterable[float], inputs: Mapping[str, Signal]) -> None:
-        """Go along the motion at these instants; where it ends early, up to there."""
+        """Follow the motion at these instants, up to its end if it ends early."""
         loops = self.loops
         passed: list[tuple[float, Vector, Vector, float]] = []
         on, freedom = loops.situation.held, loops.freedom
@@ -402,7 +404,7 @@ class _Way:
                     if loops.freedom != freedom:
                         freedom = loops.freedom
                         self.changes.append((t, freedom))
-                elif where.equations.followed:  # whose numbers are others at each instant
+                elif where.equations.followed:  # their stored numbers change at each instant
                     loops = Loops(where)
                 y, v = where.state.q / loops.scale, where.state.v / loops.scale
                 size = float(loops.sizes(y)[-1]) if loops.rank else 1.0
@@ -416,13 +418,13 @@ class _Way:
             self.notes.append(f"the motion ended at t = {self.until:g} s: {ended}")
 
     def _between(self, loops: Loops, three: list[tuple[float, Vector, Vector, float]]) -> None:
-        """Note a singular position where the singular value has its least near the middle of three instants."""
+        """Add a singular position if the singular value has a minimum near the second of three instants."""
         from scipy.optimize import minimize_scalar
 
         (t0, y0, v0, a), (t1, y1, v1, b), (t2, y2, v2, c) = three
         if not (b <= a and b < c) or b > 0.5:
             return
-        # The value falls towards a singular position and rises after it, as fast: it would vanish between.
+        # The singular value falls and rises at equal rates at a singular position: this checks for a zero between.
         if b > 1.2 * max(abs(a - b), abs(c - b)) + 1e-12:
             return
 
@@ -437,8 +439,8 @@ class _Way:
         y = polished(loops, at(t))
         if y is None:
             return
-        told, _ = loops.situation.mobility(y * loops.scale)
-        if told.freedom_here > told.freedom:
+        there, _ = loops.situation.mobility(y * loops.scale)
+        if there.freedom_here > there.freedom:
             v = (at(min(t + 1e-4 * (t2 - t0), t2)) - at(max(t - 1e-4 * (t2 - t0), t0))) * loops.scale
             self.least, self.least_at = min(self.least, float(loops.sizes(y)[-1])), t
             if loops.situation.equations.timed and not loops.freedom:
@@ -449,7 +451,7 @@ class _Way:
 
 
 def _hermite(t: float, t0: float, y0: Vector, v0: Vector, t1: float, y1: Vector, v1: Vector) -> Vector:
-    """Return a place between two instants, by the cubic with their velocities."""
+    """Return the position between two instants, by cubic Hermite interpolation."""
     h = t1 - t0
     s = (t - t0) / h
     parts = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)

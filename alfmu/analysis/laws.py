@@ -1,4 +1,5 @@
-"""Laws of time and signals in analyses: which inputs move something, and whether all that is prescribed is at rest."""
+"""Laws of time and signals in analyses: inputs that prescribe motion, and checks that prescribed motions are
+at rest."""
 
 from __future__ import annotations
 
@@ -17,27 +18,27 @@ from .situation import Situation, State
 __all__ = ["Driving", "check_at_rest", "driving", "held_still", "moved_by_law", "prescribed"]
 
 RESTING = 1e-9
-"""rate and second rate [m/s, rad/s, m/s2, rad/s2]: what is prescribed and has less rests; round-off leaves 1e-15 of
-laws near 1, and nobody tells a nanometre a second from rest."""
+"""First and second rate [m/s, rad/s, m/s2, rad/s2] below which a prescribed motion is at rest; round-off leaves 1e-15
+of laws near 1, and a nanometre per second is negligible."""
 
 
 @dataclass(frozen=True)
 class Driving:
-    """An input of a linearisation: one of the mechanism, or a derivative of a signal that is none."""
+    """An input of a linearisation: one of the mechanism, or a derivative of a signal that is not an input."""
 
     name: str
     unit: str
     value: float
     signal: int = -1
-    """Which of the signals it tells of; -1 for none."""
+    """Index of its signal; -1 if it is no signal."""
     level: int = 0
-    """What of it: 0 its value, 1 its rate, 2 its acceleration."""
+    """Its derivative of the signal: 0 value, 1 rate, 2 acceleration."""
 
 
 def driving(where: Situation) -> list[Driving]:
-    """Return inputs of the mechanism, and behind them rates and accelerations of signals that are none of them.
+    """Return inputs of the mechanism, followed by rates and accelerations of signals that are not inputs.
 
-    Those of signals have the values of the motion, not those that have been set since.
+    Signals have the values of the motion, not those set since.
     """
     e = where.equations
     found = [Driving(v.name, v.unit, float(x)) for v, x in zip(e.inputs, where.state.u, strict=False)]
@@ -54,7 +55,7 @@ def driving(where: Situation) -> list[Driving]:
 
 
 def held_still(where: Situation) -> tuple[Situation, list[str]]:
-    """Return the same with the signals held where they are, and the names of those that moved."""
+    """Return the situation with signals held constant, and the names of those that moved."""
     e, p, moved = where.equations, where.p.copy(), []
     for followed, begin in zip(e.followed, signal_numbers(e), strict=True):
         rates = p[begin + 2 : begin + 1 + COEFFICIENTS]
@@ -65,7 +66,8 @@ def held_still(where: Situation) -> tuple[Situation, list[str]]:
 
 
 def moved_by_law(where: Situation, state: State) -> str:
-    """What a law of time or a signal moves in this state, for a message; empty if all of them stand still."""
+    """Return the name of a law of time or signal that prescribes motion in this state, for a message; empty if none
+    does."""
     e = where.equations
     if not e.timed:
         return ""
@@ -79,16 +81,16 @@ def moved_by_law(where: Situation, state: State) -> str:
 
 
 def check_at_rest(where: Situation, state: State) -> None:
-    """Raise InputError if a law of time moves something in this state: there is no position of rest then."""
-    if told := moved_by_law(where, state):
+    """Raise InputError if a law of time prescribes motion in this state: there is no equilibrium then."""
+    if moving := moved_by_law(where, state):
         raise InputError(
-            f"{where.name}, t = {state.t:.6g} s: {told}, so that nothing is at rest; name a time at which all laws "
+            f"{where.name}, t = {state.t:.6g} s: {moving}, so that nothing is at rest; name a time at which all laws "
             "stand still (their rates and accelerations are zero), or let an input prescribe the motion, which is held"
         )
 
 
 def _carried(where: Situation, state: State) -> str:
-    """What moves although no coordinate does, for a message."""
+    """Return the moving part if no coordinate moves, for a message."""
     e = where.equations
     y = where.value("readings", state, a=np.zeros(e.n), lam=np.zeros(e.l))
     kinds = ("vx", "vy", "vz", "ax", "ay", "az", "angular_velocity", "angular_acceleration")
@@ -100,7 +102,7 @@ def _carried(where: Situation, state: State) -> str:
 
 
 def prescribed(where: Situation) -> Sequence[str]:
-    """What a reader should know of laws of time and signals, where there are any."""
+    """Return notes on laws of time and signals, if there are any."""
     e = where.equations
     if not e.timed:
         return ()

@@ -1,4 +1,4 @@
-"""Linearisations: A, B, C, D with names, eigenvalues and mode shapes, and the files and pictures of them."""
+"""Linearisations: A, B, C, D with names, eigenvalues and mode shapes, their files and plots."""
 
 from __future__ import annotations
 
@@ -38,32 +38,32 @@ __all__ = ["AMPLITUDE", "Linearization", "Mode", "check_file", "figure", "linear
 Matrix = NDArray[np.float64]
 
 AMPLITUDE = 0.25
-"""largest change of a coordinate in the film of a mode [rad, sizes]."""
+"""Largest change of a coordinate in the film of a mode [rad, sizes]."""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A small motion that goes on by itself: dq = shape exp(eigenvalue t), of a pair its upper one."""
+    """A mode dq = shape exp(eigenvalue t); of a pair of eigenvalues the upper one."""
 
     eigenvalue: complex
     """[1/s]"""
     shape: Mapping[str, complex]
-    """Changes of the coordinates by name, the largest 1 [m or rad], and of further states."""
+    """Changes of the coordinates by name, the largest 1 [m or rad], and of states."""
 
     @property
     def frequency(self) -> float:
-        """Of the vibration [Hz]; 0 if there is none."""
+        """Frequency of the vibration [Hz]; 0 if there is none."""
         return abs(self.eigenvalue.imag) / (2 * math.pi)
 
     @property
     def damping(self) -> float:
-        """Damping ratio [1]: 0 undamped, 1 and more without vibration, negative where it grows."""
+        """Damping ratio [1]: 0 undamped, 1 and more without vibration, negative if it grows."""
         size = abs(self.eigenvalue)
         return -self.eigenvalue.real / size + 0.0 if size else 0.0
 
     @property
     def time_constant(self) -> float:
-        """Time [s] in which it decays by the factor e; negative where it grows, infinite where it does neither."""
+        """Time [s] in which it decays by the factor e; negative if it grows, infinite if it is constant."""
         return -1 / self.eigenvalue.real if self.eigenvalue.real else math.inf
 
     def __repr__(self) -> str:
@@ -74,15 +74,15 @@ class Mode:
 class Linearization:
     """Small motions about a state: x' = A x + B u + x'0, y = y0 + C x + D u, with x, u, y changes from the state.
 
-    `states` are independent coordinates NAME, their rates der(NAME), and further states of the mechanism where it has
-    any; `inputs` and `outputs` have the names of FMI. An input that moves something acts by its value, its rate and its
-    acceleration: those that are no inputs of the mechanism are called der(NAME) and der(NAME,2). Where laws of time
-    move something, time stands still at the state.
+    `states` are independent coordinates NAME, their rates der(NAME), and states of the mechanism if it has any;
+    `inputs` and `outputs` have the names of FMI. An input that prescribes motion acts by its value, its rate and its
+    acceleration: those that are no inputs of the mechanism are named der(NAME) and der(NAME,2). Laws of time are frozen
+    at the state.
     """
 
     mechanism: str
     time: float
-    """[s]"""
+    """Time of the state [s]."""
     A: Matrix
     B: Matrix
     C: Matrix
@@ -91,14 +91,14 @@ class Linearization:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     units: Mapping[str, str]
-    """Of states, inputs and outputs by name."""
+    """Units of states, inputs and outputs by name."""
     values: Mapping[str, float]
-    """Of states, inputs and outputs at the state, by name."""
+    """Values of states, inputs and outputs at the state, by name."""
     drift: Vector
-    """x' at the state (2f,): zero at rest."""
+    """x' at the state (2f,): zero in equilibrium."""
     frictions: Mapping[str, str]
-    """What joints with dry friction do, by name: "sticks" (held as by a lock), "slides" (by the law of its friction),
-    "held by others", "left out" (at a position of rest, which is told without dry friction)."""
+    """States of joints with dry friction, by name: "sticks" (fixed), "slides" (with its friction law), "held by
+    others", "left out" (in an equilibrium, which is found without dry friction)."""
     notes: tuple[str, ...]
     situation: Situation = field(repr=False)
     small: Small = field(repr=False)
@@ -109,18 +109,18 @@ class Linearization:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the state is a position of rest."""
+        """Whether the state is an equilibrium."""
         still = np.abs(self.drift).max(initial=0.0) <= 1e-9 * max(1.0, np.abs(self.A).max(initial=0.0))
         return bool(still) and not moved_by_law(self.situation, self.situation.state)
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Of A [1/s], the slowest first."""
+        """Eigenvalues of A [1/s], the slowest first."""
         return self.small.eigenvalues
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The modes, the slowest first, one for each pair of eigenvalues; along a motion those of the frozen state."""
+        """Modes, the slowest first, one for each pair of eigenvalues; along a motion those of the frozen state."""
         found_values, vectors = np.linalg.eig(self.A) if len(self.A) else (np.zeros(0), np.zeros((0, 0)))
         values, order = ordered(found_values.astype(complex))
         f = len(self.small.independent)
@@ -134,11 +134,11 @@ class Linearization:
             found.append(Mode(complex(value), {**dict(zip(names, (shape / size).tolist(), strict=True)), **others}))
         return tuple(found)
 
-    # For others ---------------------------------------------------------------------------------------------------
+    # Conversion ---------------------------------------------------------------------------------------------------
 
     def to_scipy(self) -> scipy.signal.StateSpace:
-        """As `scipy.signal.StateSpace`; raise InputError if there is no input or no output, which SciPy does not
-        take."""
+        """Return a `scipy.signal.StateSpace`; raise InputError if there is no input or no output, as SciPy
+        needs both."""
         from scipy.signal import StateSpace
 
         if not (self.inputs and self.outputs):
@@ -149,7 +149,7 @@ class Linearization:
         return StateSpace(self.A, self.B, self.C, self.D)
 
     def to_control(self) -> control.StateSpace:
-        """As `control.StateSpace` of python-control, `_` in names for the dots it refuses. Needs `alfmu[control]`."""
+        """Return a `control.StateSpace` of python-control, with `_` for dots in names. Needs `alfmu[control]`."""
         try:
             import control
         except ImportError:
@@ -160,7 +160,7 @@ class Linearization:
         return control.ss(self.A, self.B, self.C, self.D, name=self.mechanism, remove_useless_states=False, **how)
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it, as JSON has it."""
+        """Return all of it as data for JSON."""
         matrices = {name: getattr(self, name).tolist() for name in ("A", "B", "C", "D")}
         modes = [
             {
@@ -179,13 +179,13 @@ class Linearization:
 
     @asked
     def save(self, path: str | Path) -> None:
-        """Write all of it as `.json`, or matrices and names as `.mat`, which MATLAB and GNU Octave read."""
+        """Write all of it as `.json`, or matrices and names as `.mat` for MATLAB and GNU Octave."""
         save([self], path)
 
-    # To look at ---------------------------------------------------------------------------------------------------
+    # Display ------------------------------------------------------------------------------------------------------
 
     def lines(self) -> list[str]:
-        """Return a table for readers."""
+        """Return a table as lines of text."""
         state = ", ".join(
             f"{name} = {self.values[name] + 0.0:.6g} {self.units[name]}"
             + f" ({math.degrees(self.values[name]):.4g} deg)" * (self.units[name] == "rad" and self.values[name] != 0)
@@ -209,8 +209,7 @@ class Linearization:
 
     @asked
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return a figure of matplotlib: the eigenvalues in the plane; written where a path says so. Needs
-        `alfmu[plot]`."""
+        """Return a matplotlib figure of the eigenvalues, and write it if a path is given. Needs `alfmu[plot]`."""
         return figure([self], path)
 
     @asked
@@ -222,17 +221,17 @@ class Linearization:
         amplitude: float = AMPLITUDE,
         fps: float = 25.0,
     ) -> None:
-        """Write a mode as a film, `.gif` or `.html`: `mode` counts from 1, the slowest. Loops stay closed in it.
+        """Write a film of a mode, `.gif` or `.html`; `mode` counts from 1, the slowest. Loops stay closed.
 
         `amplitude` is the largest change of a coordinate [rad, lengths over the size of the mechanism]. A vibration is
-        shown without its decay, in two seconds; what does not vibrate goes to its amplitude and back. Raises InputError
-        where there is no such mode, or how the mechanism looks is not known.
+        shown without its decay, in two seconds; a mode without vibration moves to its amplitude and back. Raises
+        InputError if there is no such mode, or only the equations of the mechanism are known.
         """
         film(self, Path(path), mode, amplitude, fps)
 
 
 def _plainly(x: complex) -> str:
-    """Return a part of a shape: a number where it is in phase, else its size and phase."""
+    """Format an entry of a shape: a number if it is real, else magnitude and phase."""
     if abs(x.imag) <= 1e-6 * abs(x):
         return f"{x.real:.3g}"
     return f"{abs(x):.3g} at {math.degrees(math.atan2(x.imag, x.real)):.0f} deg"
@@ -266,16 +265,16 @@ def linearize(
 ) -> Linearization | list[Linearization]:
     """Linearise a mechanism: A, B, C, D in independent coordinates, with inputs and outputs by their names in FMI.
 
-    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, in its present state. `at` says where: "start",
-    "equilibrium" (the position of rest that a run would begin with, `Equilibria.nearest`), an `Equilibrium`, a time [s]
-    of the motion that begins at the start, or several times, for which a list is returned. `parameters` sets
-    parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes them. `outputs` are
-    names or patterns of the outputs that C and D have, None for all but monitors.
+    `mechanism` is a mechanism as for `simulate`, but no FMU; or an `Instance`, in its present state. `at` selects the
+    state: "start", "equilibrium" (`Equilibria.nearest`, the one that a run would start in), an `Equilibrium`, a time
+    [s] of the motion from the start, or several times, for which a list is returned. `parameters` sets parameters,
+    start values and inputs by name, `inputs` gives inputs over time as `simulate` takes them. `outputs` are names or
+    patterns of the outputs in C and D, None for all but monitors.
 
-    A joint with dry friction is held where it sticks, and has the law of its friction where it slides; at a position of
-    rest it is left out, as `equilibrium` does.
+    A joint with dry friction is fixed while it sticks, and has its friction law while it slides; in an equilibrium
+    friction is left out, as in `equilibrium`.
 
-    Raises AlfmuError if a name or a value is at fault, and InputError at a singular position, where motions are not
+    Raises AlfmuError if a name or a value is invalid, and InputError at a singular position, where motions are not
     functions of independent coordinates.
     """
     found: list[Linearization] = []
@@ -285,15 +284,15 @@ def linearize(
 
 
 def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: Sequence[int] = ()) -> Linearization:
-    """Return the linearisation of a situation about its state; in the wanted coordinates where these tell its
-    motions."""
+    """Return the linearisation of a situation about its state, in the wanted coordinates if these describe
+    its motions."""
     e, s = where.equations, where.state
     mobility, _ = where.mobility(s.q)
     if mobility.freedom_here > mobility.freedom:
         raise InputError(
             f"{where.name}, t = {s.t:.6g} s: the position is singular, {mobility.freedom_here} motions begin there "
-            f"instead of {mobility.freedom}, so that no independent coordinates tell them and nothing can be said of "
-            "small motions; start beside it, or name a time at which the motion is past it"
+            f"instead of {mobility.freedom}, so that no independent coordinates describe them and nothing can be said "
+            "of small motions; start beside it, or name a time at which the motion is past it"
         )
     small = small_motions(where, mobility.freedom, wanted)
     names = [v.name for v in e.outputs]
@@ -339,14 +338,14 @@ def _notes(where: Situation, redundant: int) -> list[str]:
     if where.equations.switches:
         notes.append("locks and released joints stay as they are")
     if where.equations.timed:
-        notes.append("what is prescribed is as it is at this instant: time stands still")
+        notes.append("prescribed motions are frozen at this instant: time stands still")
     if "sticks" in where.frictions.values():
         notes.append("a joint that sticks is held, as long as its load stays within its limit")
     return notes
 
 
 def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> list[int]:
-    """Return places of the outputs that match; raise InputError if a pattern matches none."""
+    """Return indices of the outputs that match; raise InputError if a pattern matches none."""
     if patterns is None:
         return list(range(len(names)))
     if not isinstance(patterns, str) and not (
@@ -364,9 +363,9 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
 
 
 def save(found: Sequence[Linearization], path: str | Path) -> None:
-    """Write linearisations as `.json` (one as it is, several in a list) or as `.mat`, several along a third dimension.
+    """Write linearisations as `.json` (one alone, several as a list) or as `.mat`, several along a third dimension.
 
-    Raises InputError if the suffix is another one, else WriteError.
+    Raises InputError for another suffix, else WriteError.
     """
     path = Path(path)
     check_file(path)
@@ -399,14 +398,14 @@ def save(found: Sequence[Linearization], path: str | Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise InputError if a linearisation has no kind of file of this name."""
+    """Raise InputError if a linearisation cannot be written to a file of this name."""
     if path.suffix.lower() not in (".json", ".mat"):
         raise InputError(f"{path} cannot hold a linearisation; its name must end in .json or .mat")
 
 
 @asked
 def figure(found: Sequence[Linearization], path: str | Path | None = None) -> Figure:
-    """Return the eigenvalues of linearisations in the plane, written where a path says so."""
+    """Return a figure of the eigenvalues of linearisations, and write it if a path is given."""
     from ..view import eigenvalues, plot
 
     if not found:

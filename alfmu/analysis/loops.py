@@ -1,8 +1,8 @@
-"""The places where the loops of a mechanism are closed: how to get there, which motions start there, how to walk on.
+"""Positions with closed loops: corrections onto them, their motions, and steps along these.
 
-Coordinates are divided by one size each (`Loops.scale`): 1 for angles, the size of the mechanism for lengths, so that
-steps of all coordinates compare. Rows are divided by their units. The letters y, N stand for q and a basis of motions
-in these coordinates. Where time is the last coordinate it is in y, and in no motion.
+Coordinates are divided by their sizes (`Loops.scale`): 1 for angles, the size of the mechanism for lengths, so that
+steps of all coordinates are comparable. Rows are divided by their units. The letters y, N stand for q and a basis of
+motions in these coordinates. If time is the last coordinate it is in y, and in no motion.
 """
 
 from __future__ import annotations
@@ -23,33 +23,32 @@ from .situation import Situation, State, Vector
 __all__ = ["CLOSED", "STEP", "Loops", "WithStates", "plain"]
 
 CLOSED = 1e-12
-"""largest gap [units of a row]: loops are closed below it."""
+"""Largest gap of closed loops [units of a row]."""
 
 STEP = 0.3
-"""longest step [rad, or sizes]: loops are linear enough over it that a step leads to the assembly nearest by."""
+"""Longest step [rad, or sizes]: short enough for a linear step to lead to the nearest assembly."""
 
 CORRECTIONS = 60
-"""number of corrections [1]: a place from which the loops are not closed after them is given up."""
+"""Most corrections until the loops of a position must be closed [1]."""
 
 HALVED = 6
-"""number of times [1] that a correction is halved where it opens loops more than it closes them; where that does not
-help twice, the place is given up."""
+"""Most halvings of a correction [1] that opens loops more than it closes them; the position is abandoned after two such
+corrections."""
 
 SETTLED = 20
-"""number of steps of Newton's method [1] that find the values at which further states rest; one where rates are linear
-in them."""
+"""Most steps of Newton's method for the equilibrium of states [1]; one suffices if rates are linear in the states."""
 
 FARTHER = 10.0
-"""number of loads [1], as the largest stiffness gives over one size, that a step of STEP changes by further states."""
+"""Largest change of loads by states in a step of STEP, over the largest stiffness times a size [1]."""
 
 NOTHING = 1e-10
-"""singular value over the largest [1]: a direction that constraints hold less is hardly corrected."""
+"""Singular value over the largest [1]: corrections are damped in directions that constraints fix less."""
 
 
 class Loops:
-    """Places (n,) that close the loops of a situation, with `freedom` independent motions at regular ones.
+    """Positions (n,) that close the loops of a situation, with `freedom` independent motions at regular ones.
 
-    Further states are as they are in the situation, or with `settled` at rest, at each place.
+    States keep their values of the situation, or with `settled` are in equilibrium at each position.
     """
 
     def __init__(self, situation: Situation, settled: bool = False):
@@ -62,7 +61,7 @@ class Loops:
         self.freedom: int = situation.start.freedom
         self.rank: int = 0 if e.resting else e.dependent - self.freedom
         self.moving: int = e.dependent
-        """How many of the coordinates move, without time."""
+        """Number of coordinates without time."""
         self._rows = situation.held
         self._weights = 1 / situation.units[self._rows]
         self.home: Vector = situation.state.q / self.scale
@@ -75,12 +74,12 @@ class Loops:
         self._C = self._values[0].reshape((l, n), order="F")
 
     def state(self, y: Vector) -> State:
-        """At rest at a place, further states with it."""
+        """Return the state at rest in a position, with its states."""
         self._at(y)
         return replace(self.situation.at_rest(y * self.scale), u=self._u.copy())
 
     def _at(self, y: Vector) -> None:
-        """Evaluate what a place tells, once; further states have the values there at which they rest."""
+        """Evaluate the equations at a position once; states have their equilibrium values there."""
         q = y * self.scale
         if np.array_equal(q, self._q):
             return
@@ -100,7 +99,7 @@ class Loops:
                 break
 
     def unsettled(self) -> list[str]:
-        """Return states whose rates no values of the states bring to zero at home, as that of the integral of a
+        """Return states whose rates no values of the states bring to zero at home, such as the integral of a
         controller."""
         e = self.situation.equations
         if not e.states:
@@ -110,7 +109,7 @@ class Loops:
         return plain._unsettled()
 
     def _unsettled(self) -> list[str]:
-        """Return the same where these numbers were evaluated."""
+        """Return these states at the last evaluated position."""
         names = [x.name for x in self.situation.equations.states]
         if not np.isfinite(self._by_x).all():
             return names
@@ -119,7 +118,7 @@ class Loops:
         return [name for name, part in zip(names, free, strict=True) if part > NOTHING]
 
     def gaps(self, y: Vector) -> Vector:
-        """How far each constraint in force is open, in units of its row."""
+        """Return how far each constraint in force is open, in units of its row."""
         self._at(y)
         return self._weights * self._values[1][self._rows]
 
@@ -133,33 +132,33 @@ class Loops:
         return self._weights[:, None] * C[self._rows] * self.scale
 
     def along_time(self, y: Vector) -> NDArray[np.float64]:
-        """Return the same matrix with the rates of rows in its column of time, where that is a coordinate."""
+        """Return this matrix with the partial time derivatives of rows in the column of time, if there is one."""
         found, e = self.matrix(y), self.situation.equations
         found[:, e.dependent] = self._weights * self.situation.value("Phi_dot", self.state(y))[self._rows]
         return found
 
     def motions(self, y: Vector, count: int | None = None) -> NDArray[np.float64]:
-        """Return the motions (n, count) that constraints hold least, orthonormal; `freedom` of them where none is
-        said."""
+        """Return the motions (n, count), orthonormal, that constraints fix least; `freedom` of them by default."""
         count = self.freedom if count is None else count
         return self.parts(self.matrix(y))[2][self.moving - count :].T
 
     def parts(self, matrix: NDArray[np.float64]) -> tuple[Any, Any, Any]:
-        """U, s, V of rows (k, n) by the coordinates that move, each row of V (moving, n) with a zero for time; None
-        where they are not finite."""
+        """Return U, s, V of rows (k, n) without time, with rows of V (moving, n) extended by a zero for time; None for
+        rows that are not finite."""
         if not np.isfinite(matrix).all():
             return None, None, None
         U, s, V = np.linalg.svd(matrix[:, : self.moving])
         return U, s, np.pad(V, ((0, 0), (0, matrix.shape[1] - self.moving)))
 
     def sizes(self, y: Vector) -> Vector:
-        """Singular values of the constraint matrix: how much the constraints hold, in `rank` directions."""
+        """Return the `rank` largest singular values of the constraint matrix."""
         return np.asarray(np.linalg.svd(self.matrix(y), compute_uv=False)[: self.rank], float)
 
     def closed(self, y: Vector, near: Vector | None = None) -> Vector | None:
-        """Return the place nearest by that closes the loops, by corrections (10) of least norm; None if none is found.
+        """Return the nearest position that closes the loops, by corrections (10) of least norm; None if none is found.
 
-        Only motions that constraints hold are corrected. With `near`, None if that is farther than STEP from it.
+        Corrections leave free motions unchanged. With `near`, returns None if the position is farther than STEP from
+        it.
         """
         y, before, stuck = y.copy(), np.inf, 0
         for _ in range(CORRECTIONS):
@@ -190,8 +189,8 @@ class Loops:
         return y if np.abs(self.gaps(y)).max(initial=0.0) <= CLOSED else None
 
     def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
-        """Return places on the branch of the motion that begins at y in direction `way`, a step apart; ends where it
-        ends."""
+        """Yield positions on the branch of the motion that begins at y in direction `way`, a step apart, up to
+        its end."""
         before = y - step * way / np.linalg.norm(way)
         for _ in range(most):
             ahead = y - before
@@ -204,11 +203,11 @@ class Loops:
             before, y = y, found
             yield y
 
-    # Which places are the same ------------------------------------------------------------------------------------
+    # Equality of positions ----------------------------------------------------------------------------------------
 
     @cached_property
     def turns(self) -> NDArray[np.bool_]:
-        """Coordinates (n,) that are angles after whole turns of which everything is as before, loads included."""
+        """Return which coordinates (n,) are angles of period 2 pi, loads included."""
         home = self.home[: len(self.units)]
         places = [home, home + 0.3 + 0.1 * np.arange(len(home))]
         found = self.units == "rad"
@@ -219,14 +218,14 @@ class Loops:
         return found
 
     def _alike(self, y: Vector, other: Vector) -> bool:
-        """Return whether loops, loads and rates of further states are the same at two places."""
+        """Return whether loops, loads and rates of states are the same at two positions."""
         pairs = [(self.gaps(a), self.matrix(a).ravel(), self.loads(a), self._values[3].copy()) for a in (y, other)]
         limits = [1e-9 * max(1.0, np.abs(x).max(initial=0.0)) for x in pairs[0]]
         return all(np.abs(a - b).max(initial=0.0) <= limit for a, b, limit in zip(*pairs, limits, strict=True))
 
     @cached_property
     def attitudes(self) -> list[NDArray[np.intp]]:
-        """Groups of coordinates that are Euler parameters of one body, which say the same with all signs changed."""
+        """Return groups of coordinates that are Euler parameters of one body, equivalent with all signs changed."""
         e = self.situation.equations
         if not e.lengths:
             return []
@@ -234,7 +233,8 @@ class Loops:
         return [np.flatnonzero(np.abs(C[row]) > 0) for row in e.lengths]
 
     def nearer(self, y: Vector, to: Vector) -> Vector:
-        """Return the same place by whole turns and signs of Euler parameters that are nearest to another one."""
+        """Return the equivalent position, by whole turns and signs of Euler parameters, that is nearest to
+        another one."""
         y = np.where(self.turns, to + np.remainder(y - to + np.pi, 2 * np.pi) - np.pi, y)
         for group in self.attitudes:
             if np.linalg.norm(y[group] + to[group]) < np.linalg.norm(y[group] - to[group]):
@@ -242,12 +242,11 @@ class Loops:
         return y
 
     def apart(self, y: Vector, other: Vector) -> float:
-        """Return the largest difference of two places [rad, sizes]."""
+        """Return the largest difference of two positions [rad, sizes]."""
         return float(np.abs(self.nearer(y, other) - other).max(initial=0.0))
 
     def same(self, y: Vector, other: Vector, within: float) -> bool:
-        """Return whether two places that close the loops are one: by turns of all angles together too, as gears have
-        them."""
+        """Return whether two closed positions are equal, also by turns of all angles together, as in gears."""
         if self.apart(y, other) <= within:
             return True
         apart = self.nearer(y, other) - other
@@ -263,7 +262,8 @@ class Loops:
         return self.scale * self._values[2]
 
     def balance(self, y: Vector, count: int | None = None) -> tuple[NDArray[np.float64], Vector, Vector]:
-        """Motions N (n, count), the loads along them, and multipliers of rows in force that balance the others best."""
+        """Return motions N (n, count), the loads along them, and multipliers of rows in force that best balance the
+        others."""
         F, C = self.loads(y), self.matrix(y)
         count = self.freedom if count is None else count
         U, s, V = self.parts(C)
@@ -274,22 +274,22 @@ class Loops:
         return V[rank:].T, V[rank:] @ F, lam
 
     def stiffness(self, y: Vector, N: NDArray[np.float64], lam: Vector) -> NDArray[np.float64]:
-        """-dF/dz along motions N (n, k), with what the turn of the constraints adds: positive where it brings back."""
+        """Return -dF/dz along motions N (n, k), with the geometric stiffness of constraints: positive if restoring."""
         s, still = self.state(y), np.zeros(len(y))
         full = np.zeros(len(self._rows))
         full[self._rows] = self._weights * lam
         Rq = self.situation.change("tangents", s, a=still, lam=full)[0]
-        if len(self._x):  # dx = -Gx^-1 Gq dq keeps further states at rest
+        if len(self._x):  # dx = -Gx^-1 Gq dq keeps states in equilibrium
             Ru, Gq = (self.situation.change(name, s, a=still, lam=full)[0] for name in ("inputs", "rates"))
             Rq = Rq - Ru[:, -len(self._x) :] @ np.linalg.solve(self._by_x, Gq)
         return -N.T @ (self.scale[:, None] * Rq * self.scale) @ N
 
 
 class WithStates(Loops):
-    """Places with further states beside them, as positions of rest need that determine both together.
+    """Positions extended by states, for equilibria that must determine both together.
 
-    A place is y and behind it the states over a size each. Its motions are those of the mechanism and the states; what
-    has to vanish is the loads along the former and the rates of the latter, in units of a load.
+    A position is y followed by the states, each over its size. Its motions are those of the mechanism and the states;
+    the equations of equilibrium are the loads along the former and the rates of the latter, in units of a load.
     """
 
     def __init__(self, situation: Situation):
@@ -310,14 +310,14 @@ class WithStates(Loops):
         self.home = np.append(home, s.u[len(e.inputs) :] / self._sizes)
 
     def _by_states(self, s: State, lam: Vector) -> tuple[NDArray[np.float64], ...]:
-        """Return derivatives of loads by further states, and of their rates by coordinates and by themselves."""
+        """Return derivatives of loads by states, and of the rates of states by coordinates and states."""
         inputs, still = len(self.situation.equations.inputs), np.zeros(len(s.q))
         Ru = self.situation.change("inputs", s, a=still, lam=lam)[0]
         Gq, _, Gu = self.situation.change("rates", s)
         return Ru[:, inputs:], Gq, Gu[:, inputs:]
 
     def _split(self, y: Vector) -> Vector:
-        """Return the place alone; further states are evaluated with the values that y has."""
+        """Return the position alone; states are evaluated with their values in y."""
         x = y[len(self.units) :] * self._sizes
         if not np.array_equal(x, self._u[len(self._u) - self._states :]):
             self._u[len(self._u) - self._states :] = x
@@ -336,7 +336,7 @@ class WithStates(Loops):
         return self._beside(super().motions(self._split(y), count))
 
     def _beside(self, N: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Motions of the mechanism, and behind them further states."""
+        """Return motions of the mechanism, extended by states."""
         m = self._states
         return np.block([[N, np.zeros((len(N), m))], [np.zeros((m, N.shape[1])), np.eye(m)]])
 
@@ -366,12 +366,12 @@ class WithStates(Loops):
 
 
 def _inverses(s: Vector) -> Vector:
-    """1 / s, but next to nothing of what is nothing."""
+    """Return 1 / s, bounded where s vanishes."""
     return s / (s**2 + (NOTHING * s.max(initial=0.0)) ** 2 + 1e-300)
 
 
 def plain(x: float, unit: str = "1") -> str:
-    """Return a coordinate for readers, angles in degrees too: what is left of zero by round-off is zero."""
+    """Format a coordinate, angles in degrees too; round-off counts as zero."""
     if abs(x) <= 1e-12:
         return "0"
     return f"{x:.6g}" + f" ({math.degrees(x):.4g} deg)" * (unit == "rad")

@@ -1,4 +1,4 @@
-"""A mechanism with its numbers: what an analysis begins with, from a declaration, equations or a running instance."""
+"""A mechanism with its numbers, the input of an analysis, from a declaration, equations or a running instance."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ..equations import Equations, Mobility, Variable
 from ..equations.changes import LEVELS, changes, signal_numbers
 from ..equations.evaluation import ARGUMENTS
 from ..fmi.recipe import Recipe, of
+from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
@@ -44,37 +45,37 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 Subject = str | Path | Mechanism | Recipe | Equations | Instance
-"""What can be analysed."""
+"""Types that can be analysed."""
 
 
 LEFT_OUT = "left out"
-"""What is said of a joint whose dry friction does not count."""
+"""State of a joint whose dry friction is ignored."""
 
 NONE = Mobility(0, 0, 0)
-"""Of equations of states alone, whose one coordinate stands for none."""
+"""Mobility of equations of states alone, whose dummy coordinate does not move."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What was asked for: equations with defaults, as they were derived, and the declaration where it is known."""
+    """The subject of an analysis: equations with defaults, as derived, and the declaration if known."""
 
     equations: Equations
     changes: dict[str, ca.Function]
     """Derivatives of the equations by name (`alfmu.equations.changes`)."""
     declared: Mechanism | None
     plain: Equations
-    """As they were derived, with the defaults of the declaration."""
+    """Equations as derived, with the defaults of the declaration."""
     given: Mapping[str, float | str]
-    """Other defaults by name."""
+    """Changed defaults by name."""
     outputs: Sequence[str] | None = None
-    """Patterns of the outputs that a recipe keeps; None for all."""
+    """Patterns of the outputs that a recipe selects; None for all."""
 
     @property
     def name(self) -> str:
         return self.equations.name
 
     def drawn(self) -> Mechanism:
-        """Return the declaration, for a picture; raise InputError if the equations alone are known."""
+        """Return the declaration, for a drawing; raise InputError if only the equations are known."""
         if self.declared is None:
             raise InputError(f"{self.equations.name}: how it looks is not known of equations alone; give the mechanism")
         return self.declared
@@ -83,12 +84,14 @@ class Source:
 def source(
     mechanism: str | Path | Mechanism | Recipe | Equations | Source, parameters: Mapping[str, float | str] | None
 ) -> Source:
-    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults; or a source with more.
+    """Return the source of a name, file, declaration, recipe or equations, with other defaults; or a source with more.
 
-    Raises AlfmuError if a name or a value is at fault.
+    Raises AlfmuError if a name or a value is invalid.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
-        raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
+        raise InputError(
+            f"{mechanism}: an FMU does not contain its equations; name the mechanism that it was exported from"
+        )
     parameters = by_name(mechanism, "parameters", parameters)
     if isinstance(mechanism, Source):
         given = {**mechanism.given, **parameters}
@@ -103,7 +106,7 @@ def source(
 
 @dataclass(frozen=True)
 class State:
-    """Where a mechanism is and how it moves: q, v (n,), inputs u, with further states behind them, and time t [s]."""
+    """A state: positions and velocities q, v (n,), inputs u followed by states, and time t [s]."""
 
     q: Vector
     v: Vector
@@ -113,21 +116,21 @@ class State:
 
 @dataclass(frozen=True)
 class Situation:
-    """A mechanism with its numbers: parameters, constraints in force, units of rows, the state that it begins with."""
+    """A mechanism with its numbers: parameters, constraints in force, units of rows, initial state."""
 
     source: Source
     state: State
     p: Vector
     held: NDArray[np.bool_]
-    """Constraints (l,) that are in force."""
+    """Which constraints (l,) are in force."""
     units: Vector
-    """Of the rows (l,), as the start found them."""
+    """Units of the rows (l,), as found at the start."""
     shares: Vector
-    """Weights (l,) by whose inverse redundant constraints share a load."""
-    told: Callable[[Vector, str], tuple[Mobility, Vector]]
-    """What `mobility` gives, for a place and a word of `COUNTED_ROWS`."""
+    """Weights (l,) whose inverses are the compliances by which redundant constraints share a load."""
+    count_freedoms: Callable[[Vector, str], tuple[Mobility, Vector]]
+    """Computes the result of `mobility`, for a position and a word of `COUNTED_ROWS`."""
     rubs: bool = False
-    """Whether dry friction counts: joints that stick are held, those that slide have the law of their friction."""
+    """Whether dry friction counts: sticking joints are fixed, sliding ones have their friction law."""
 
     @property
     def equations(self) -> Equations:
@@ -139,7 +142,7 @@ class Situation:
 
     @property
     def coordinates(self) -> Sequence[Variable]:
-        """The coordinates that move, without time."""
+        """Coordinates without time."""
         return () if self.equations.resting else self.equations.coordinates[: self.equations.dependent]
 
     @property
@@ -153,18 +156,19 @@ class Situation:
         return self.mobility(self.state.q)[0]
 
     def mobility(self, q: Vector) -> tuple[Mobility, Vector]:
-        """Degrees of freedom near a place (n,), and a place beside it that tells them, by the rule of the runtime."""
-        return self.told(q, "in force" if self.rubs else "without friction")
+        """Return degrees of freedom near a position (n,), and a regular position near it, by the rule of
+        the runtime."""
+        return self.count_freedoms(q, "in force" if self.rubs else "without friction")
 
     def at_rest(self, q: Vector) -> State:
-        """At rest in another place (n,); time goes on."""
+        """Return the state at rest in another position (n,), at the same rate of time."""
         e, v = self.equations, np.zeros_like(self.state.v)
         v[e.dependent :] = 1.0
         return replace(self.state, q=np.array(q), v=v)
 
     @property
     def frictions(self) -> dict[str, str]:
-        """What joints with dry friction do, by name: "sticks", "slides", "held by others", or `LEFT_OUT`."""
+        """States of joints with dry friction, by name: "sticks", "slides", "held by others", or `LEFT_OUT`."""
         e, words = self.equations, {0.0: "sticks", 1.0: "slides"}
         slips = [abs(float(self.p[len(e.parameters) + x.slip])) for x in e.frictions]
         return {
@@ -173,7 +177,7 @@ class Situation:
         }
 
     def without_friction(self) -> Situation:
-        """Return the same as if no joint had dry friction."""
+        """Return the situation without dry friction."""
         if not self.rubs:
             return self
         e, p, held = self.equations, self.p.copy(), self.held.copy()
@@ -182,11 +186,11 @@ class Situation:
         return replace(self, p=p, held=held, rubs=False)
 
     def known(self, s: State, **more: Any) -> dict[str, Any]:
-        """Return numbers of a state by the letters of the equations."""
+        """Return the numbers of a state by the letters of the equations."""
         return {"q": s.q, "v": s.v, "u": s.u, "p": self.p, "t": s.t, **more}
 
     def value(self, name: str, s: State, **more: Any) -> NDArray[np.float64]:
-        """Return a function of the equations, dense; a vector where it is one."""
+        """Return the value of a function of the equations as a dense array, a vector if it has one column."""
         known = self.known(s, **more)
         found = np.array(self.equations.functions[name](*(known[letter] for letter in ARGUMENTS[name])))
         return found if name in ("M", "C") else found.ravel()
@@ -199,10 +203,10 @@ class Situation:
 
 
 def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situation:
-    """Return the situation at the start that the defaults give, at a time [s] where there are laws of time, with what
-    the runtime finds there; with `rubs` as dry friction has it, which takes a traced scene.
+    """Return the situation at the start that the defaults give, at a time [s] if there are laws of time.
 
-    Raises AssemblyError if there is no such start.
+    The runtime assembles it; with `rubs` dry friction is included, which needs a traced scene. Raises AssemblyError if
+    there is no such start.
     """
     e = source.equations
     begin = time if e.timed else 0.0
@@ -215,12 +219,12 @@ def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situatio
     if probe is None:
         unit = Instance(_by_rk4(e))
         unit.time = begin
-        unit.initialize()  # says why there is no start
+        unit.initialize()  # its message names the reason
         raise InputError(f"{e.name}: the start cannot be found from the equations alone; analyse an Instance")
     if probe.unit.text:
         warnings.warn(probe.unit.text, AlfmuWarning, stacklevel=3)
 
-    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
+    def count_freedoms(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         probe.place(q)
@@ -228,18 +232,20 @@ def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situatio
 
     x = probe.numbers
     state = State(x["q"].copy(), x["v"].copy(), x["u"].copy(), float(x["t"][0]))
-    found = Situation(source, state, _here(e, x["p"], x["q"]), probe.penalty > 0, probe.units, probe.shares, told, True)
+    found = Situation(
+        source, state, _here(e, x["p"], x["q"]), probe.penalty > 0, probe.units, probe.shares, count_freedoms, True
+    )
     return found.without_friction() if e.frictions else found
 
 
 def situation_of(instance: Instance) -> Situation:
-    """Return the situation of a running instance, which is left as it is."""
+    """Return the situation of a running instance, without changing the instance."""
     if not instance.initialized:
         raise InputError(f"{instance.name}: its state is known after initialising; call initialize() first")
     e, memory = instance.equations, instance.memory
     penalty = instance.penalty
 
-    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
+    def count_freedoms(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         before = instance.q.copy()
@@ -252,16 +258,18 @@ def situation_of(instance: Instance) -> Situation:
     u = np.array(instance.driven)
     state = State(instance.q.copy(), instance.v.copy(), u, instance.time)
     rows = penalty > 0, row_units(e, memory["k"]), row_shares(e, memory["k"], penalty)
-    return Situation(Source(e, changes(e), None, e, {}), state, _here(e, memory["p"], instance.q), *rows, told, True)
+    return Situation(
+        Source(e, changes(e), None, e, {}), state, _here(e, memory["p"], instance.q), *rows, count_freedoms, True
+    )
 
 
 def _by_rk4(equations: Equations) -> Equations:
-    """Equations of which a scene takes little to trace."""
+    """Return the equations with the integrator that is fastest to trace."""
     return replace(equations, solver={**equations.solver, "method": "rk4"})
 
 
 def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
-    """Return numbers p with signals as polynomials from the time of q (n,) on, by what accelerations follow from."""
+    """Return numbers p with signals as polynomials from the time of q (n,), up to the acceleration."""
     p = p.copy()
     for begin in signal_numbers(equations):
         numbers = p[begin + 1 : begin + 1 + COEFFICIENTS]
@@ -279,9 +287,9 @@ def subject(
     time: float = 0.0,
     rubs: bool = False,
 ) -> Situation:
-    """Return the situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
+    """Return the situation of a subject with other defaults, with loads and laws at a time [s].
 
-    Raises AlfmuError if a name or a value is at fault, or the mechanism cannot start.
+    Raises AlfmuError if a name or a value is invalid, or the mechanism cannot start.
     """
     if isinstance(mechanism, Instance):
         if parameters:
@@ -301,9 +309,11 @@ def begun(
     time: float = 0.0,
     rubs: bool = False,
 ) -> Situation:
-    """Return the situation at a start with inputs as they are at its time [s]; see `subject`."""
+    """Return the situation at a start with inputs at its time [s]; see `subject`."""
     signals = signals_of(mechanism, inputs)
     where = subject(mechanism, parameters, time, rubs and not signals)
+    if where.source.declared is not None:
+        tell_of_gravity(where.source.declared)
     if not signals:
         return where
     e = where.equations
@@ -313,13 +323,13 @@ def begun(
     if isinstance(mechanism, Instance):
         if elsewhere:
             raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
-    elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
+    elif elsewhere or (rubs and e.frictions):  # the start is another, or joints that slid now stick
         return subject(mechanism, {**parameters, **given}, time, rubs)
     return _with_inputs(where, given)
 
 
 def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
-    """Return the same with other inputs."""
+    """Return the situation with other inputs."""
     u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
     for name, value in inputs.items():
         if name not in names:

@@ -4,15 +4,15 @@ With S (n, f) the motions q' = S z' that the constraints allow, C S = 0, and z i
 are
 
     dq = S dz,  dv = S dz' + T dz,  C T = -d(C v)/dq S
-    da = S dz'' + what the constraints ask for, C da = dX,  X = xi - C a
+    da = S dz'' + a particular solution of C da = dX,  X = xi - C a
     S' M S dz'' = S' (dR - M (da - S dz'')),  R = f - d - M a - C' lam
 
-so that constraints of any rank and massless bodies are no obstacle, and the multipliers drop out. Their changes, which
-outputs may show, are those by which joints carry the least, as the runtime reads them: what makes it least is C y.
+so that constraints of any rank and massless bodies are allowed, and the multipliers drop out. Changes of multipliers,
+on which outputs may depend, minimise the loads of joints, as in the runtime; the condition is g = C y.
 
-Where laws of time or signals s move something, C v + Phi_t and xi have their rates, and time stands still: dq = S dz +
-Q ds with C Q = -Phi_s, and so on for rates and accelerations. Dry friction of joints that slide has multipliers of its
-own, mu = law(q, v, a, lam, mu), which depend on all others.
+If laws of time or signals s prescribe motion, C v + Phi_t and xi contain their rates, and time is frozen: dq = S dz + Q
+ds with C Q = -Phi_s, and so on for rates and accelerations. Dry friction of sliding joints has its own multipliers, mu
+= law(q, v, a, lam, mu), which depend on all others.
 """
 
 from __future__ import annotations
@@ -34,37 +34,36 @@ __all__ = ["ZERO", "Small", "independent", "ordered", "small_motions"]
 Matrix = NDArray[np.float64]
 
 WELL = 20.0
-"""condition [1]: independent coordinates of a start are taken for a linearisation where they tell its motions better
-than this; others are chosen otherwise."""
+"""Condition number [1] up to which the independent coordinates of a start are used for a linearisation."""
 
 EARLIER = 0.3
-"""part [1] by which the coordinate declared last counts less than the first, where both tell a motion."""
+"""Relative weight [1] by which the coordinate declared last counts less than the first, if both describe a motion."""
 
 ZERO = 1e-7
-"""real part over the largest eigenvalue [1]: a smaller one cannot be told from none, as a double root moves by the
-square root of round-off."""
+"""Real part over the largest eigenvalue [1] below which it counts as zero: round-off moves a double root by its square
+root."""
 
 SETTLED = 1e-13
-"""change of the multipliers of dry friction over their size [1]: Newton's method has found them below it."""
+"""Relative change of the multipliers of dry friction [1] at which Newton's method has converged."""
 
 PASSES = 50
-"""number of its steps [1]: without a solution after them the joints jam."""
+"""Most iterations of it [1]: without convergence the joints jam."""
 
 CONSISTENT = 1e-6
-"""part of a change of the constraints that no motion follows, over the change [1]: above it the position is too near a
+"""Relative part of a change of the constraints that no motion follows [1], above which the position is too close to a
 singular one."""
 
 SYMMETRIC = 1e-9
-"""part of a stiffness that is not symmetric, over the stiffness [1]: with less loads have a potential."""
+"""Relative asymmetry of a stiffness [1] below which loads count as conservative."""
 
 
 @dataclass(frozen=True)
 class Small:
-    """Small motions about a state, in independent coordinates z (f,) and further states x:
-    z'' = P z + Q z' + X x + U u, x' = G (z, z', x) + Gu u."""
+    """Small motions about a state, in independent coordinates z (f,) and states x: z'' = P z + Q z' + X x + U u, x' = G
+    (z, z', x) + Gu u."""
 
     independent: list[int]
-    """Coordinates z."""
+    """Indices of the coordinates z."""
     S: Matrix
     T: Matrix
     mass: Matrix
@@ -76,19 +75,19 @@ class Small:
     G: Matrix
     Gu: Matrix
     rates: Vector
-    """Of the further states [their unit per s]."""
+    """Rates of the states [their unit per s]."""
     a: Vector
     lam: Vector
-    """Accelerations (n,) and multipliers (l,) of least norm at the state."""
+    """Accelerations (n,), and multipliers (l,) of least norm, at the state."""
     readings: Vector
     """Outputs at the state."""
     by_state: Matrix
-    """Their derivatives by (z, z', x)."""
+    """Derivatives of the outputs by (z, z', x)."""
     by_input: Matrix
     load: float
-    """The largest acceleration of z [per s2]: none at rest."""
+    """Largest acceleration of z [per s2]; zero in equilibrium."""
     driving: list[Driving]
-    """Inputs u: those of the mechanism, and behind them derivatives of signals."""
+    """Inputs u: those of the mechanism, followed by derivatives of signals."""
 
     @property
     def A(self) -> Matrix:
@@ -102,11 +101,11 @@ class Small:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Of A [1/s], the slowest first, the upper one of a pair first."""
+        """Eigenvalues of A [1/s], the slowest first, the upper one of a pair first."""
         return ordered(np.linalg.eigvals(self.A).astype(complex))[0]
 
     def stability(self, isolated: bool) -> tuple[str, str]:
-        """What the small motions tell of a position of rest, and by what: Lagrange's and Lyapunov's theorems."""
+        """Return the stability of an equilibrium and its criterion, by Lagrange's and Lyapunov's theorems."""
         values, K, D = self.eigenvalues, -self.mass @ self.P, -self.mass @ self.Q
         if not len(values):
             return "stable", "it has no motion"
@@ -128,7 +127,7 @@ class Small:
 
 
 def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
-    """Return eigenvalues, the slowest first and the upper one of a pair first, and their places."""
+    """Return eigenvalues, the slowest first and the upper one of a pair first, and their permutation."""
     size = np.abs(values)
     clean = np.where(np.abs(values.imag) <= 1e-12 * size, values.real + 0j, values).astype(complex)
     order = np.lexsort((-clean.imag, clean.real, np.round(np.log(np.maximum(size, 1e-12)), 9)))
@@ -136,9 +135,9 @@ def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDA
 
 
 def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) -> Small:
-    """Return the small motions about the state of a situation, at a regular position of so many degrees of freedom.
+    """Return the small motions about the state of a situation, at a regular position with `freedom` degrees of freedom.
 
-    Raises InputError if it is too near a singular one, or a motion has no mass.
+    Raises InputError if it is too close to a singular position, or a motion has no mass.
     """
     e, s, held = where.equations, where.state, where.held
     loops = Loops(where)
@@ -148,13 +147,13 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     F, xi = where.value("f", s) - where.value("d", s), where.value("xi", s)[held] / units
     U, sizes, V = loops.parts(C * loops.scale)
     left = U[:, rank:]
-    inverse = loops.scale[:, None] * (V[:rank].T / sizes[:rank]) @ U[:, :rank].T  # of C, of least norm
+    inverse = loops.scale[:, None] * (V[:rank].T / sizes[:rank]) @ U[:, :rank].T  # pseudoinverse of C
     N = V[rank:].T
     z = independent(where, N, wanted)
     S = (loops.scale[:, None] * N) @ np.linalg.inv(N[z]) / loops.scale[z]
 
     def followed(right: Matrix) -> Matrix:
-        """What the constraints ask for, with z as they are."""
+        """Return the change that the constraints require at fixed z."""
         found = inverse @ right
         return found - S @ found[z]
 
@@ -164,7 +163,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
             f"{where.name}: a motion of {', '.join(e.coordinates[i].name for i in z)} has no mass here; give a mass to "
             "what moves"
         )
-    # What makes the loads of joints least, or weighs them by compliances, is g = C y: linear in lam, a and the state.
+    # The condition g = C y for least loads of joints, weighted by compliances, is linear in lam, a and the state.
     nothing = np.zeros(e.l)
     if not left.size or e.compliances:
         lengths = np.isin(np.arange(e.l), e.lengths)
@@ -178,14 +177,15 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     W = g_lam[:, held] / units
 
     def shared(lam: Matrix, more: Matrix) -> Matrix:
-        """Return multipliers that act like lam, with U' (W lam) = U' more for the rows U that are redundant."""
+        """Return multipliers with the same effect as lam, with U' (W lam) = U' more for the dependencies U of redundant
+        rows."""
         if not left.size:
             return lam
         return lam + left @ np.linalg.lstsq(left.T @ W @ left, left.T @ (more - W @ lam), rcond=None)[0]
 
     def answered(force: Matrix, right: Matrix, more: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-        """Return accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make;
-        `more` is what g lacks without them."""
+        """Return accelerations of z and of q, and multipliers (l, ...), due to forces (n, ...) and C a = right; `more`
+        is the part of g due to other changes."""
         asked = followed(right)
         moved = np.linalg.solve(mass, S.T @ (force - M @ asked)) if freedom else np.zeros((0, *force.shape[1:]))
         a = asked + S @ moved
@@ -220,8 +220,8 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     def changed(
         dq: Matrix, dv: Matrix, R: Matrix, X: Matrix, y: Matrix, law: Matrix, g: Matrix
     ) -> tuple[Matrix, Matrix]:
-        """Changes of the acceleration of z and of the outputs with dq, dv, and with what R, X, outputs, laws of
-        friction and g change by themselves."""
+        """Return changes of the acceleration of z and of the outputs due to dq, dv, and to explicit changes of R, X,
+        outputs, friction laws and g."""
         right = Xq @ dq + Xv @ dv + X
         found = answered(Rq @ dq + Rv @ dv + R, right, -(g_q @ dq + g_v @ dv + g))
         _check(where, C @ found[1] - right, right)
@@ -269,7 +269,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
 
 
 def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> list[Matrix]:
-    """Return derivatives of the multipliers of joints that slide, by q, v, a, lam, u and signals."""
+    """Return derivatives of the multipliers of sliding joints by q, v, a, lam, u and signals."""
     e = where.equations
     if not slides:
         sizes = (e.n, e.n, e.n, e.l, len(where.state.u), LEVELS * len(e.followed))
@@ -279,7 +279,7 @@ def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> li
 
 
 def _rubbed(where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix, Matrix, Matrix]) -> Vector:
-    """Return multipliers of joints that slide, by Newton's method from none; raise InputError if they jam."""
+    """Return multipliers of sliding joints, by Newton's method from zero; raise InputError if the joints jam."""
     (a, lam), (_, by_a, by_lam) = smooth, by_mu
     e, rows = where.equations, [x.row for x in where.equations.frictions if not where.held[x.row]]
     which, mu = [k for k, x in enumerate(e.frictions) if x.row in rows], np.zeros(len(rows))
@@ -299,7 +299,7 @@ def _rubbed(where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix
 
 
 def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) -> None:
-    """Raise InputError if a signal cannot change by itself."""
+    """Raise InputError if a signal cannot change independently."""
     for each in given:
         if each.signal >= 0 and not each.level:
             opened = np.abs(missed[:, each.signal * LEVELS]).max(initial=0.0)
@@ -312,7 +312,7 @@ def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) ->
 
 
 def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:
-    """Raise InputError if constraints ask for what no motion follows."""
+    """Raise InputError if the constraints require a change that no motion follows."""
     if np.abs(missed).max(initial=0.0) > CONSISTENT * max(1.0, np.abs(wanted).max(initial=0.0)):
         raise InputError(
             f"{where.name}, t = {where.state.t:.6g} s: the position is too near a singular one to be linearised, as "
@@ -321,16 +321,16 @@ def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:
 
 
 def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list[int]:
-    """Return the coordinates that tell the motions N (n, f) best; those that are wanted, or that a start gives, if they
-    do."""
+    """Return the coordinates that best describe the motions N (n, f); wanted ones, or those of a start, if they
+    suffice."""
     from scipy.linalg import qr
 
     f = N.shape[1]
     if not f:
         return []
-    for told in (list(wanted), list(where.equations.telling)):
-        if len(told) == f and f and np.linalg.cond(N[told]) < WELL and np.linalg.norm(N[told], 2) > 1 / WELL:
-            return sorted(told)
-    # Of coordinates that tell them as well, the one declared first.
+    for choice in (list(wanted), list(where.equations.telling)):
+        if len(choice) == f and f and np.linalg.cond(N[choice]) < WELL and np.linalg.norm(N[choice], 2) > 1 / WELL:
+            return sorted(choice)
+    # Of coordinates that describe them equally well, the one declared first is preferred.
     weights = 1 - EARLIER * np.arange(len(N)) / len(N)
     return sorted(int(i) for i in qr((weights[:, None] * N).T, mode="r", pivoting=True)[1][:f])

@@ -1,4 +1,4 @@
-"""An instance that a run begins with: at the start values of whatever `simulate` is given, or in a position of rest."""
+"""Prepare the instance for a run: at its start values, or in an equilibrium."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ __all__ = ["Prepared", "prepare", "rest_of", "simulated"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run of a mechanism begins with."""
+    """The instance and remaining parameters at the start of a run."""
 
     unit: Instance
     left: Mapping[str, float | str]
-    """Parameters that are still to be set."""
+    """Parameters not set yet."""
     stop_time: float
     interval: float
     facts: Mapping[str, Any]
@@ -49,8 +49,10 @@ def prepare(
     kept: Sequence[str] = (),
     jacobian: bool = True,
 ) -> Prepared:
-    """Return an instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never
-    folded, and without `jacobian` no derivatives over a step are among the outputs."""
+    """Return an instance that is not yet initialised, for arguments of `simulate`.
+
+    Parameters in `kept` are never folded; without `jacobian` the outputs include no derivatives over a step.
+    """
     given, declared = dict(parameters), None
     facts: dict[str, Any] = {}
     if isinstance(mechanism, Equations):
@@ -59,6 +61,7 @@ def prepare(
     else:
         recipe = of(mechanism)
         declared = recipe.declared()
+        tell_of_gravity(declared)
         equations, given = derive(declared), {**recipe.parameters, **given}
         outputs = recipe.outputs if outputs is None else outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
@@ -70,6 +73,7 @@ def prepare(
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
+    scene: Equations
     scene, left = ready(equations, given, outputs, freeze, kernel)
     if start not in (None, "declared"):
         found = rest(with_defaults(equations, given), start, inputs)
@@ -80,14 +84,14 @@ def prepare(
 
 
 def rest_of(recipe: Recipe) -> Equilibrium | None:
-    """Return the position of rest in which the FMU of a recipe starts; None if it starts at its start values."""
+    """Return the equilibrium in which the FMU of a recipe starts; None if it starts at its start values."""
     if recipe.start == "declared":
         return None
     return rest(with_defaults(derive(recipe.declared()), recipe.parameters), recipe.start)
 
 
 def simulated(found: Prepared, stop_time: float | None, communication_step: float | None, **how: Any) -> Result:
-    """Return the run of an instance; times that are None are the mechanism's own, `how` is what `run` takes."""
+    """Run an instance; times that are None are the mechanism's own, `how` are arguments of `run`."""
     stop = found.stop_time if stop_time is None else stop_time
     step = found.interval if communication_step is None else communication_step
     result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
@@ -96,11 +100,9 @@ def simulated(found: Prepared, stop_time: float | None, communication_step: floa
 
 
 def _tell_what_was_forgotten(of: Prepared) -> None:
-    """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
+    """Warn once of coordinates that nothing determines at the start."""
     if of.unit.equations.kept.latest(_tell_what_was_forgotten, lambda: of) is not of:
         return
-    if of.declared is not None:
-        tell_of_gravity(of.declared)
-    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+    with contextlib.suppress(AlfmuError):  # freedoms may be undefined where a run has ended
         if free := of.unit.forgotten():
             tell(f"{of.unit.name}: {free}")

@@ -1,4 +1,4 @@
-"""States in which a mechanism is looked at: its start, a position of rest, instants of a motion."""
+"""States in which a mechanism is analysed: its start, an equilibrium, instants of a motion."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .situation import Situation, Source, Subject, begun, situation_of, source
 __all__ = ["PLACES", "motion", "rest", "states"]
 
 PLACES = ("start", "equilibrium")
-"""Words that say where a mechanism is looked at."""
+"""Words for states in which a mechanism is analysed."""
 
 
 STARTS = ("declared", "equilibrium")
-"""Where a run starts: at the start values, or in a position of rest."""
+"""Words for starts of a run: at the start values, or in an equilibrium."""
 
 
 def states(
@@ -36,9 +36,10 @@ def states(
     parameters: Mapping[str, float | str],
     inputs: Mapping[str, Signal],
 ) -> list[Situation]:
-    """Situations of a mechanism at a place, an `Equilibrium`, or at instants [s] of the motion from the start.
+    """Return situations of a mechanism at a word of `PLACES`, an `Equilibrium`, or instants [s] of the motion from the
+    start.
 
-    Raises InputError if `at` is none of these, AlfmuError if the mechanism does not get there.
+    Raises InputError if `at` is none of these, AlfmuError if the mechanism does not reach it.
     """
     if isinstance(at, Equilibrium):
         return [at.situation]
@@ -59,10 +60,10 @@ def states(
 def rest(
     equations: Equations, start: str | Equilibrium | None, inputs: Mapping[str, Signal] | None = None
 ) -> Equilibrium:
-    """Return the position of rest in which equations with their defaults start: a given one, or with "equilibrium" the
-    one that `Equilibria.nearest` tells for the inputs at 0 s.
+    """Return the equilibrium in which equations with their defaults start.
 
-    Raises InputError if there is none, or where it is one of another mechanism.
+    `start` is one, or "equilibrium" for `Equilibria.nearest` with the inputs at 0 s. Raises InputError if there is
+    none, or if it belongs to another mechanism.
     """
     if isinstance(start, Equilibrium):
         own, theirs = ([c.name for c in e.coordinates] for e in (equations, start.situation.equations))
@@ -83,7 +84,7 @@ def rest(
 
 
 def _times(mechanism: Any, at: Any) -> list[float]:
-    """Instants [s]; raise InputError if they are none."""
+    """Return instants [s]; raise InputError if `at` is not a time or several."""
     name = getattr(mechanism, "name", mechanism)
     times = list(at) if isinstance(at, Sequence | np.ndarray) and not isinstance(at, str) else [at]
     for t in times or [None]:
@@ -95,8 +96,10 @@ def _times(mechanism: Any, at: Any) -> list[float]:
 def motion(
     source: Source, times: Iterable[float], inputs: Mapping[str, Signal], step: float | None = None
 ) -> Iterator[tuple[float, Situation]]:
-    """Situations of the motion from the start at instants [s] in rising order, with communication steps of the
-    mechanism's own length, or of `step` [s], and inputs that are held over each of them."""
+    """Yield situations of the motion from the start at instants [s] in rising order.
+
+    Communication steps have the mechanism's own length, or `step` [s], and inputs are held constant in each.
+    """
     e = source.equations
     scene, left = ready(source.plain, source.given, None, None, DEFAULT)
     unit = instance(scene, DEFAULT)

@@ -1,6 +1,6 @@
-"""Mechanisms by name or file, and what comes with alfmu: `mechanisms`, which it declares, and `fmus`, their recipes.
+"""Mechanisms by name or file, including those of alfmu: `mechanisms`, and their recipes `fmus`.
 
-These are installed in this folder. In a source tree, also one that is installed editable, they are folders at its top.
+These are installed in this folder; in a source tree they are folders at its top, also if it is installed editable.
 
 Other rooms import `registry`.
 """

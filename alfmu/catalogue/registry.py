@@ -190,10 +190,10 @@ def executed(path: Path) -> dict[str, Any]:
 
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
-    """Run a user's code; what goes wrong in a file of theirs, or of the package of a name, is said with its line."""
+    """Run a user's code; errors in a user's file, or in the package of a name, get its line."""
     try:
         with warnings.catch_warnings():
-            # What NumPy makes of symbols changes from one version of CasADi to the next.
+            # Results of NumPy functions of symbols differ between versions of CasADi.
             warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
             return run()
     except (Exception, SystemExit) as error:
@@ -220,7 +220,7 @@ def _place(frames: traceback.StackSummary, name: str | Path) -> str:
 
 
 def _explained(error: BaseException, file: str, line: int) -> str:
-    """What Python or CasADi says of a user's line, or what to do where they say it of symbols."""
+    """Return the message of Python or CasADi on a user's line, or advice for common errors with symbols."""
     said = str(error).strip().partition("\n")[0]
     if "truth value" in said:
         return (

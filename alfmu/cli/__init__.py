@@ -29,14 +29,16 @@ GROUPS = {
     "look": ("list", "info", "draw", "live", "animate"),
     "run": ("simulate", "sweep", "fit"),
     "judge": ("equilibrium", "linearize", "mobility", "validate", "report", "stability"),
-    "connect": ("system", "couple", "completion"),
+    "connect": ("system", "couple"),
+    "install": ("cache", "completion"),
 }
-"""Commands by what they are for, in the order of the help."""
+"""Commands by purpose, in the order of the help."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 3 not judged, 130
-    interrupted.
+    """Run one command and return the exit code.
+
+    It is 0 on success, 1 for a failure or problems found, 2 for wrong usage, 3 if not judged, 130 if interrupted.
     """
     parser, commands = _parser()
     if "_ARGCOMPLETE" in os.environ:
@@ -61,14 +63,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sub.error(f"{unknown[0]} is not understood{known}")
     try:
         with warnings.catch_warnings(), handling(signal.default_int_handler, signal.SIGTERM):
-            # What is under way when a signal comes is put in order.
+            # Cleanup runs if a signal interrupts work.
             warnings.filterwarnings("always", category=AlfmuWarning)
             warnings.showwarning = _printed(warnings.showwarning)
             with showing(GettingReady()):
                 return chosen.run(chosen) or 0
     except AlfmuError as error:
         return failed(str(error))
-    except BrokenPipeError:  # whoever reads our output has seen enough
+    except BrokenPipeError:  # the reader of the output has closed it
         fall_silent()
         return 0
     except OSError as error:
@@ -80,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
-    """What shows a warning: those of alfmu as one line, once."""
+    """Return a handler that shows a warning of alfmu as one line, once."""
     seen: set[str] = set()
 
     def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
@@ -94,7 +96,7 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
 
 
 class _Grouped(argparse.HelpFormatter):
-    """Help that lists commands by GROUPS."""
+    """Formats help with commands grouped by GROUPS."""
 
     def _format_action(self, action: argparse.Action) -> str:
         if not isinstance(action, argparse._SubParsersAction):
@@ -110,12 +112,12 @@ class _Grouped(argparse.HelpFormatter):
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of the command line, from which its page in the documentation is made."""
+    """Return the parser of the command line, from which the documentation page is made."""
     return _parser()[0]
 
 
 def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
-    """The parser, and those of the commands by name."""
+    """Return the parser, and those of the commands by name."""
     from importlib.metadata import version
 
     parser = argparse.ArgumentParser(

@@ -29,7 +29,6 @@ coordinates. Prescribed motions count as constraints, dry friction does not."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("equilibrium", _equilibrium, "find the positions where a mechanism is at rest, stable or not")
     sub.epilog = _EQUILIBRIUM
     _add_analysis(sub, "FILE.json", "write all that is known of them, outputs and reactions included")
@@ -82,7 +81,7 @@ def add(command: Command) -> None:
 
 
 def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
-    """What all analyses have in common."""
+    """Add the options common to all analyses."""
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
     sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
     sub.add_argument("-o", "--output", metavar=files, help=what)
@@ -158,7 +157,7 @@ def _mobility(chosen: argparse.Namespace) -> None:
 def _analysed(
     chosen: argparse.Namespace, found: Sequence[Any], path: Path | None, save: Callable[[Path], None]
 ) -> None:
-    """Print what an analysis found, and write it where that is asked for."""
+    """Print the results of an analysis, and write them on request."""
     if chosen.json:
         data = [each.as_data() for each in found]
         print(json.dumps(data[0] if len(data) == 1 else data, indent=1))
@@ -171,7 +170,7 @@ def _analysed(
 
 
 def _at(text: str) -> str | float | list[float]:
-    """A place, a time, or several."""
+    """Parse a word for a state, a time, or several times."""
     from ..analysis.states import PLACES
 
     if text in PLACES:

@@ -1,4 +1,4 @@
-"""The command that fits parameters and start values to measurements."""
+"""Command that fits parameters and start values to measurements: fit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ not tell is warned of."""
 
 
 def add(command: Command) -> None:
-    """Add it to the command line."""
     sub = command("fit", _fit, "fit parameters and start values to measurements, by least squares")
     sub.epilog = _FIT
     add_name(sub, "name", "NAME", "a mechanism, a recipe, or a Python file")

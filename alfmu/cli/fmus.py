@@ -32,19 +32,18 @@ not forbid and what hides mistakes of importers; a note is worth knowing. Exit c
 3: nothing did, and most could not be judged."""
 
 NOT_JUDGED = 3
-"""Exit code where an FMU could not be judged."""
+"""Exit code if an FMU could not be judged."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
     add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
-        choices=("python", "native"),
-        help="python, the default, runs in hosts that have Python; native is C and nothing else, for every host",
+        choices=("native", "python"),
+        help="native, the default, is C and nothing else, for every host; python runs in hosts that have Python alone",
     )
     sub.add_argument("--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for native FMUs alone")
     sub.add_argument(
@@ -61,6 +60,11 @@ def add(command: Command) -> None:
         *STEP, dest="step", type=float, metavar="S", help="communication step of the default experiment in s"
     )
     add_start(sub)
+    sub.add_argument(
+        "--derivatives",
+        action=argparse.BooleanOptionalAction,
+        help="have directional derivatives in a native FMU (default) or, to be smaller, leave them out",
+    )
     sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
@@ -113,7 +117,7 @@ def _export(chosen: argparse.Namespace) -> None:
         _export_system(chosen)
         return
     from ..api import export
-    from ..fmi.native import libraries_in
+    from ..fmi.native import PLATFORMS, libraries_in
     from ..fmi.recipe import load
 
     recipe = changed_by(chosen, load(chosen.mechanism)).changed(
@@ -123,22 +127,28 @@ def _export(chosen: argparse.Namespace) -> None:
         kernel=chosen.kernel,
         stop_time=chosen.stop_time,
         communication_step=chosen.step,
+        derivatives=chosen.derivatives,
         reference=chosen.reference,
     )
-    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
+    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # empty if -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
     glibc = libraries_in(path, recipe.kind)
-    where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
+    native = recipe.kind == "native"
+    where = "every host" if native else "hosts with Python"
     on = ", ".join(f"{name} (glibc {version})" if version else name for name, version in glibc.items())
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {on}")
+    if not native:
+        print("  FMI 2, no derivatives, only where it is unpacked under plain letters; --kind native has no such limit")
+    elif missing := [each for each in PLATFORMS if each not in glibc]:
+        print(f"  for {', '.join(missing)}, too: pip install ziglang, then --platform all")
 
 
 def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
     own = ["kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
-    own += ["option", "set", "compliances", "reference"]
+    own += ["option", "set", "compliances", "derivatives", "reference"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
     if not chosen.ssp:

@@ -1,9 +1,10 @@
-"""Commands that judge: report, stability."""
+"""Commands for studies of accuracy: report, stability."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ..model.errors import InputError
@@ -18,9 +19,15 @@ network; --quick takes less than a minute for a mechanism. Needs pip install 'al
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
+    sub.add_argument(
+        "--profile",
+        choices=("usual", "tolerances", "paper", "peers"),
+        default="usual",
+        help="tolerances: those of whole runs, beside SciPy; paper: the study of Blajer (2002) in full; peers: run "
+        "times at equal error on five_bar and slider_crank, beside codes that are tuned to them",
+    )
     sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
     _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")
@@ -29,13 +36,13 @@ def add(command: Command) -> None:
 def _add_study(sub: argparse.ArgumentParser, what: str, usual: str) -> None:
     sub.add_argument("mechanism", metavar="NAME|all", help=f"{NAME_HELP}; or all that are registered")
     sub.add_argument("-o", "--output", metavar="DIR", required=True, help=f"folder for {what}")
-    sub.add_argument("--quick", action="store_true", help=f"few and short runs: some minutes for all (usual: {usual})")
+    sub.add_argument("--quick", action="store_true", help=f"short runs: some minutes for all (otherwise {usual})")
 
 
 def _report(chosen: argparse.Namespace) -> None:
     from ..studies.report import report
 
-    _study(chosen, report)
+    _study(chosen, partial(report, profile=chosen.profile))
 
 
 def _stability(chosen: argparse.Namespace) -> None:

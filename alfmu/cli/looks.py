@@ -29,9 +29,9 @@ _DRAW = """What --at gives holds when the loops are closed; other start values a
 guesses otherwise. Names of coordinates: `alfmu info NAME`."""
 
 _IMPORT = """MJCF (.xml), SDF and URDF files also run as they are: `alfmu simulate robot.xml --option key=home`.
-The Python file declares the same mechanism with the same numbers, to change and extend. What does nothing to the
-motion is left out and told; what does not map is refused with its line. Options are those of the file's format:
-`alfmu info FILE`."""
+The Python file declares the same mechanism with the same numbers, to change and extend. Elements without effect on
+the motion are left out and reported; an element that does not map is an error with its line. Options are those of the
+file's format: `alfmu info FILE`."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
@@ -40,7 +40,6 @@ with."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     command("list", _list, "list the mechanisms that have a name: registered ones, and those of the gallery")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
@@ -180,7 +179,7 @@ def _live(chosen: argparse.Namespace) -> None:
 
 
 def _scene_options(chosen: argparse.Namespace) -> list[str]:
-    """What was said of a scene, as options of the command line."""
+    """Return the given options of a scene as a command line."""
     said = [
         text
         for name in ("option", "set")

@@ -31,7 +31,6 @@ row with its reason. With them come summary.json and, where plotly is installed,
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("sweep", _sweep, "run a mechanism or an FMU many times with other numbers, on all cores or a cluster")
     sub.epilog = _SWEEP
     add_name(sub, "unit", "NAME|FMU", f"{EITHER_HELP}, or an .fmu file", ".fmu")

@@ -1,4 +1,4 @@
-"""Options that several commands have, and what they choose."""
+"""Options shared by several commands, and the objects that they select."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
 
 Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argparse.ArgumentParser]
-"""Adds a command: its name, what runs it and gives the exit code (None for 0), and its help in a line."""
+"""Adds a command: its name, the function that runs it and returns the exit code (None for 0), and a line of help."""
 
 
 STEP = ("--communication-step", "--step")
-"""How the communication step is given: as FMI calls it, or in short."""
+"""Options for the communication step: the name in FMI, and a short one."""
 
 NAME_HELP = "a name of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
@@ -30,7 +30,7 @@ EITHER_HELP = "a mechanism or recipe of `alfmu list`, or a Python, MJCF, SDF or 
 
 
 def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *suffixes: str) -> None:
-    """What is shown or run: a name, or a file with one of the suffixes, `.py` at least."""
+    """Add the argument for a mechanism: a name, or a file with one of the suffixes, at least `.py`."""
 
     def known(prefix: str, **_: Any) -> list[str]:
         from ..catalogue.registry import known as mechanisms
@@ -44,7 +44,7 @@ def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *
 
 
 def _files(prefix: str, suffixes: tuple[str, ...]) -> list[str]:
-    """Files and folders that a word on the command line may be the beginning of."""
+    """Return files and folders that complete a word on the command line."""
     folder = Path(prefix if prefix.endswith("/") else os.path.dirname(prefix) or ".")
     base = prefix[: prefix.rfind("/") + 1]
     found = list(folder.iterdir()) if folder.is_dir() else []
@@ -70,7 +70,7 @@ def add_kernel(sub: argparse.ArgumentParser) -> None:
 
 
 def add_scene(sub: argparse.ArgumentParser) -> None:
-    """What a scene consists of."""
+    """Add the options of a scene."""
     add_option(sub)
     add_set(sub)
     sub.add_argument(
@@ -153,21 +153,21 @@ def pair(text: str) -> tuple[str, float | str]:
 
 
 def changed_by(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
-    """A recipe with what the command line says of its scene."""
+    """Return a recipe changed by the options of a scene."""
     of_scene = ("outputs", "freeze", "lock", "release", "measure", "compliances", "start")
     own = {name: getattr(chosen, name, None) for name in of_scene}
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
 
 def chosen_recipe(chosen: argparse.Namespace, name: str) -> Recipe:
-    """What is shown or run: a mechanism, or a recipe where no mechanism is called so."""
+    """Return the mechanism of this name as a recipe, or the recipe of this name."""
     from ..fmi.recipe import of
 
     return changed_by(chosen, of(name))
 
 
 def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
-    """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
+    """Return the equations of a recipe; warn of values in it that seem to be in another unit."""
     from ..equations.derivation import derive
     from ..model.checks import hint, perhaps_degrees, perhaps_millimetres
     from ..model.doubts import masses, perhaps_grams
@@ -187,7 +187,7 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
 
 
 def refuse_scene_of_fmu(chosen: argparse.Namespace, fmu: str) -> None:
-    """InputError where something is asked for that an FMU has fixed."""
+    """Raise InputError for an option that is fixed in an FMU."""
     fixed = ("option", "kernel", "outputs", "freeze", "lock", "release", "measure", "compliances", "start")
     if any(getattr(chosen, name, None) for name in fixed):
         raise InputError(
@@ -197,5 +197,5 @@ def refuse_scene_of_fmu(chosen: argparse.Namespace, fmu: str) -> None:
 
 
 def file_name(name: str) -> str:
-    """A name of a model, which may be any text, as that of a file here."""
+    """Return a valid file name for the name of a model, which may be any text."""
     return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:60] or "result"

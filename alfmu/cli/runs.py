@@ -36,7 +36,6 @@ which `alfmu animate` makes a film. What alfmu did not write is replaced only wh
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
     sub.epilog = _SIMULATE
     add_name(sub, "unit", "NAME|FMU", f"{EITHER_HELP}, or an .fmu file", ".fmu")
@@ -107,7 +106,7 @@ def _close(unit: Any) -> None:
 
 
 def _checked(chosen: argparse.Namespace, unit: Any, result: Result, how: Mapping[str, Any]) -> Result:
-    """The result with how far it is from a run with a finer setting."""
+    """Return the result with its deviation from a run with a finer setting."""
     from ..simulation import checked, finer, run, settings_of
 
     known = {**unit.starts(), **dict(chosen.set)} if chosen.unit.endswith(".fmu") else settings_of(unit)
@@ -126,9 +125,9 @@ def run_and_keep(
     run: Callable[[Callable[..., Iterable[Any]]], Result],
     notes: Callable[[Result], Iterable[str]] = lambda result: (),
 ) -> None:
-    """Run something with a progress, and keep its rows as a table and a picture: those up to its end if it ends early.
+    """Run with progress, and write the rows as a table and a plot, also if the run ends early.
 
-    Notes are said where it came to its end.
+    Notes are printed if it reaches its end.
     """
     table = _table_path(chosen, name)
     try:
@@ -151,7 +150,7 @@ def run_and_keep(
 
 
 def add_table(sub: argparse.ArgumentParser) -> None:
-    """Where the rows of a run go."""
+    """Add the options for the table of a run."""
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
     sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
@@ -172,7 +171,7 @@ def add_table(sub: argparse.ArgumentParser) -> None:
 
 
 def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
-    """Inputs over time from a file; what is to be drawn is checked as well, before anything runs."""
+    """Return inputs over time from a file, after checking the names to be plotted."""
     from ..simulation.result import read_inputs
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
@@ -186,7 +185,7 @@ def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
 
 
 def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any, dict[str, Any]]:
-    """What to run, and how where nobody says otherwise."""
+    """Return the unit to run, and default arguments of the run."""
     if chosen.unit.endswith(".fmu"):
         from ..fmi.drive import Fmu
 
@@ -215,7 +214,7 @@ def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any
 
 
 def _table_path(chosen: argparse.Namespace, name: str) -> Path:
-    """Where the table of a run goes; InputError where it, or the facts beside it, would replace something else."""
+    """Return the path of the table of a run; raise InputError if it, or its `.json`, would replace another file."""
     from ..simulation.result import facts_beside, facts_in
 
     table = Path(chosen.output or f"{file_name(name)}.csv")
@@ -231,7 +230,7 @@ def _table_path(chosen: argparse.Namespace, name: str) -> Path:
 
 
 def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
-    """Write what a run gave, then say so."""
+    """Write the results of a run, and print their paths."""
     said: list[str] = []
     try:
         wrote = once_written(table)

@@ -1,4 +1,4 @@
-"""What commands say, and what they do when they are interrupted."""
+"""Output of commands, progress, and handling of interrupts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 
 
 def failed(why: str, code: int = 1) -> int:
-    """Say why a command failed, after all else that it said."""
+    """Print why a command failed, after all other output; return the exit code."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -26,12 +26,12 @@ def failed(why: str, code: int = 1) -> int:
 
 
 def fall_silent() -> None:
-    """Say no more where nobody listens, so that the interpreter does not complain about it at exit."""
+    """Redirect output whose reader is gone, so that the interpreter does not report it at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def perhaps(word: str, words: Collection[str]) -> str:
-    """What to say of a word that is none of these."""
+    """Return a suggestion for an unknown word."""
     from ..model.words import in_words, nearest
 
     meant = nearest(word, words)
@@ -39,24 +39,24 @@ def perhaps(word: str, words: Collection[str]) -> str:
 
 
 def once_written(path: Path) -> str:
-    """What to say once a file is written."""
+    """Return the message to print once a file is written, before it is."""
     return f"replaced {path}" if path.exists() else f"wrote {path}"
 
 
 def say(chosen: Namespace, text: str) -> None:
-    """Say what was written; beside JSON, where it is not in the way."""
+    """Print a message, to stderr if stdout has JSON."""
     print(text, file=sys.stderr if chosen.json else sys.stdout)
 
 
 def progress_bar(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:
-    """A progress bar on a terminal, for what takes longer than a second."""
+    """Return a progress bar for a terminal, shown if it takes longer than a second."""
     from tqdm import tqdm
 
     return lambda steps: tqdm(steps, desc=what, unit=unit, delay=1.0, disable=None, leave=False)
 
 
 class GettingReady:
-    """Shows on a terminal what is made while a mechanism gets ready; stages that follow each other count as one."""
+    """Shows on a terminal the stages of preparing a mechanism; consecutive ones share a delay."""
 
     AFTER = 2.0
     """Time [s] after which it is shown."""
@@ -84,7 +84,7 @@ class GettingReady:
 
 @contextmanager
 def checking() -> Iterator[Callable[[str], None]]:
-    """Shows on a terminal what is being checked, where that takes longer than a second."""
+    """Show on a terminal the current check, if it takes longer than a second."""
     from tqdm import tqdm
 
     with tqdm(desc="checking", unit="check", delay=1.0, disable=None, leave=False) as bar:
@@ -98,7 +98,7 @@ def checking() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def handling(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[None]:
-    """Handle signals; in the main thread, where Python takes them."""
+    """Handle signals in the main thread, which receives them."""
     main = threading.current_thread() is threading.main_thread()
     before = {each: signal.signal(each, handler) for each in signals if main}
     try:
@@ -110,7 +110,8 @@ def handling(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[
 
 @contextmanager
 def between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[..., Iterable[Any]]]:
-    """A progress that an interrupt ends between two steps, where FMU and rows are whole; a second one at once."""
+    """Return a progress that an interrupt ends between two steps, with FMU and rows intact; a second one ends it at
+    once."""
     asked: list[int] = []
 
     def ask(number: int, frame: object) -> None:

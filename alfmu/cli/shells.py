@@ -1,20 +1,38 @@
-"""The command completion."""
+"""Commands for this machine: cache, completion."""
 
 from __future__ import annotations
 
 import argparse
+import os
 
+from ..model.cache import LIMIT, VARIABLE, clear, entries, folder, is_off
 from ..model.errors import InputError
 from .options import Command
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
-"""Shells whose completion argcomplete knows."""
+"""Shells with completion by argcomplete."""
+
+
+_CACHE = f"""Scenes and compiled kernels are kept for the next start, up to {LIMIT / 1e6:.0f} MB; files that nobody used
+for longest go first. {VARIABLE}=FOLDER in the environment moves the folder, {VARIABLE}=off keeps nothing."""
 
 
 def add(command: Command) -> None:
-    """Add it to the command line."""
+    sub = command("cache", _cache, "show or clear the folder in which scenes and compiled kernels are kept")
+    sub.epilog = _CACHE
+    sub.add_argument("--clear", action="store_true", help="remove all files that alfmu keeps there")
+
     sub = command("completion", _completion, "print what makes a shell complete the names of commands and mechanisms")
     sub.add_argument("shell", choices=SHELLS, help='for bash, put this into ~/.bashrc: eval "$(alfmu completion bash)"')
+
+
+def _cache(chosen: argparse.Namespace) -> None:
+    if chosen.clear:
+        clear()
+    found = entries()
+    size = sum(about.st_size for _, about in found)
+    kept = f"{folder()}: {len(found)} files, {size / 1e6:.1f} MB of at most {LIMIT / 1e6:.0f} MB"
+    print(f"nothing is kept: {VARIABLE} is {os.environ[VARIABLE]}" if is_off() else kept)
 
 
 def _completion(chosen: argparse.Namespace) -> None:

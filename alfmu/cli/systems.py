@@ -21,7 +21,6 @@ counts as stable as long as no output is further off than its largest value."""
 
 
 def add(command: Command) -> None:
-    """Add them to the command line."""
     sub = command("system", _system, "run connected mechanisms, parts and FMUs, from a TOML file or an SSP")
     sub.epilog = _SYSTEM
     sub.add_argument("system", metavar="FILE.toml|FILE.ssp", help="what describes the system")

@@ -1,8 +1,8 @@
-"""Declaration to equations: what derivation hands on, and what numbers need of it.
+"""Equations derived from a declaration, and their evaluation.
 
 Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`, `types`.
 """
 
-from .types import Equations, Mobility, Row, Switch, Variable
+from .types import Configuration, Equations, Mobility, Row, Switch, Variable
 
-__all__ = ["Equations", "Mobility", "Row", "Switch", "Variable"]
+__all__ = ["Configuration", "Equations", "Mobility", "Row", "Switch", "Variable"]

@@ -1,4 +1,4 @@
-"""Functions of equations called on NumPy arrays, by CasADi: for the oracle, studies and references."""
+"""Functions of equations on NumPy arrays, evaluated by CasADi: for the oracle, studies and references."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["ArrayFunction", "ArrayFunctions", "Backend"]
 
 
 class Backend(Protocol):
-    """A way to run functions."""
+    """Evaluates functions."""
 
     def bind(self, name: str, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]) -> Callable[[], Any]:
-        """Return the function bound to arrays for its arguments and the nonzeros of its results."""
+        """Return a call without arguments that evaluates the function from arrays x into the nonzeros y."""
 
 
 class ArrayFunctions:
-    """The functions of equations as CasADi holds them."""
+    """Functions of equations, evaluated by CasADi."""
 
     def __init__(self, equations: Equations):
         self.equations = equations
@@ -34,7 +34,7 @@ class ArrayFunctions:
     def bound(
         self, function: ca.Function, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]
     ) -> Callable[[], Any]:
-        """Return a function bound to arrays, to be called without any argument."""
+        """Return a call without arguments that evaluates the function from arrays x into the nonzeros y."""
         buffer, run = function.buffer()
         for i, each in enumerate(x):
             buffer.set_arg(i, memoryview(each))
@@ -45,12 +45,12 @@ class ArrayFunctions:
 
 
 class ArrayFunction:
-    """A function called on arrays of its own: dense, or sparse matrices whose pattern never changes."""
+    """A function with its own arrays: dense, or sparse matrices of constant pattern."""
 
     def __init__(self, backend: Backend, name: str, signature: Signature):
         self.x: list[NDArray[np.float64]] = [np.zeros(size) for size in signature["inputs"]]
         y = [np.zeros(len(shape[3]) if len(shape) > 2 else shape[0] * shape[1]) for shape in signature["outputs"]]
-        self._run, self._backend = backend.bind(name, self.x, y), backend  # which keeps alive what runs
+        self._run, self._backend = backend.bind(name, self.x, y), backend  # the backend owns memory that `_run` uses
         self.y: list[Any] = [
             _matrix(each, shape) if i < signature["matrices"] else each
             for i, (each, shape) in enumerate(zip(y, signature["outputs"], strict=True))

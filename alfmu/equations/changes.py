@@ -1,4 +1,4 @@
-"""Derivatives of the equations that analyses take; no scene carries them."""
+"""Derivatives of the equations for analyses; no scene contains them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .types import Equations
 __all__ = ["LEVELS", "changes", "signal_numbers", "value"]
 
 LEVELS = 3
-"""Value, rate and acceleration of a signal: what accelerations and reactions follow from."""
+"""Value, rate and acceleration of a signal, on which accelerations and reactions depend."""
 
 
 def signal_numbers(equations: Equations) -> list[int]:
-    """Return places in p of the numbers of each signal: `since`, and behind it the coefficients of its polynomial."""
+    """Return indices in p of the numbers of each signal: `since`, then the coefficients of its polynomial."""
     e, length = equations, 1 + COEFFICIENTS
     end = len(e.parameters) + len(e.held)
     return [end - length * (len(e.followed) - k) for k in range(len(e.followed))]
@@ -24,21 +24,24 @@ def signal_numbers(equations: Equations) -> list[int]:
 
 @once
 def changes(equations: Equations) -> dict[str, ca.Function]:
-    """Return functions of derivatives by name, made once for these equations.
+    """Return functions of derivatives by name, cached with these equations.
 
-    With R = F - M a - C' lam and X = xi - C a, what (4) and (3) lack: tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n),
-    Xq, Xv (l, n); inputs(q, v, a, lam, u, p, t): Ru, Xu. turned(w, q, u, p, t): derivative (l, n) by q of C w, for w
-    (n,), and turning(q, v, u, p, t) that of C v + Phi_t. readings(q, v, a, lam, u, p, t): derivatives of all outputs by
-    q, v, a, lam, u, and shares(q, v, a, lam, u, p, t) those of what makes loads of joints least. rates(q, v, u, p, t):
-    those of the rates of further states by q, v, u, where u are the inputs and behind them these states. And what a
-    place alone tells, place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the rates of further states, and their
-    derivative by these.
+    R = F - M a - C' lam and X = xi - C a are the residuals of (4) and (3); u holds the inputs, then the states.
 
-    Where there are signals, signals(q, v, a, lam, u, p, t): derivatives of Phi, C v + Phi_t, R, X, the outputs, the
-    rates of states and shares by `LEVELS` coefficients of each polynomial, the constant one first. Where there is dry
-    friction, rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these
-    coefficients. Where time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of what moves by
-    itself and its second rate, each zero if nothing does.
+    * tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n).
+    * inputs(q, v, a, lam, u, p, t): Ru, Xu.
+    * turned(w, q, u, p, t): derivative (l, n) of C w by q, for w (n,).
+    * turning(q, v, u, p, t): derivative (l, n) of C v + Phi_t by q.
+    * readings(q, v, a, lam, u, p, t): derivatives of all outputs by q, v, a, lam, u.
+    * shares(q, v, a, lam, u, p, t): the same of the condition for least loads of joints.
+    * rates(q, v, u, p, t): derivatives of the rates of states by q, v, u.
+    * place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the rates of states, and their derivative by the states.
+
+    If there are signals, signals(q, v, a, lam, u, p, t): derivatives of Phi, C v + Phi_t, R, X, the outputs, the rates
+    of states and shares by `LEVELS` coefficients of each polynomial, the constant one first. If there is dry friction,
+    rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these coefficients. If
+    time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of the prescribed motion and its second
+    rate, each zero if nothing is prescribed.
     """
     e, x = equations, symbols(equations)
     w = ca.SX.sym("w", e.n)
@@ -50,7 +53,7 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
     place = {"q": q, "u": u, "p": p, "t": t}
     x_dot, Phi_dot = value(e, "state_rates", x), value(e, "Phi_dot", x) if e.timed else C @ v
     rates = {"q": q, "v": v, "u": u, "p": p, "t": t}
-    # Time goes on at rest.
+    # At rest, time advances at the rate 1.
     rest = ca.vertcat(ca.SX.zeros(e.dependent), ca.SX.ones(int(e.timed)))
     still = {**x, "v": rest}
     at_rest = ca.substitute(x_dot, v, rest)
@@ -88,5 +91,5 @@ def _results(values: list[ca.SX]) -> list[str]:
 
 
 def value(equations: Equations, name: str, known: dict[str, ca.SX]) -> ca.SX:
-    """Return a function of the equations at symbols, or numbers, that are known by letter."""
+    """Return a function of the equations evaluated at the symbols or numbers in `known`, by letter."""
     return equations.functions[name](*(known[letter] for letter in ARGUMENTS[name]))

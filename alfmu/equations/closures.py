@@ -1,4 +1,4 @@
-"""Constraints: the directions that they close, in what order, and what of them can be switched."""
+"""Constraint rows: the directions of joints that they close, their order, and the rows that can be switched."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["closures_of", "compliances_of", "held_by", "relations_of", "slid", "
 def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     """Return directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
 
-    Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
+    Their residual is identically zero, as for two natural bars that share a point, or a slider without an angle.
     """
     coordinates = {key_of(c.q) for c in m.coordinates}
     held: dict[Joint, tuple[str, ...]] = {}
@@ -62,7 +62,7 @@ def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]
 
 
 def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
-    """Check that joints that one body's coordinates close do not disturb each other when displaced virtually."""
+    """Check that joints closed by the coordinates of one body do not disturb each other in virtual displacements."""
     eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in directions} for j, directions in held.items()}
     by_body: dict[Body, list[Joint]] = {}
     for joint in held:
@@ -95,10 +95,10 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
 
 
 def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
-    """Return constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
+    """Return constraint rows in the order of declaration, the closing of each, and the sign of its residual.
 
-    A row reads point of the second body minus point of the first, the other way round where only the first body is torn
-    off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
+    A row is the second body's point minus the first's, reversed if only the first body is cut free (has absolute
+    coordinates): this is the sign of the paper's five-bar.
     """
     rows: list[Row] = []
     closures: list[Closing] = []
@@ -120,7 +120,7 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
             turning = direction.startswith("rotation")
             own = isinstance(closure, Constraint | Lock | Motion | Relation)
             unit = closure.unit if own else "rad" if turning else "m"
-            # The axes of bodies may lie anywhere, which coefficients would tell of instead of the unit.
+            # The axes of bodies have any direction, so the coefficients would not show the unit.
             rows.append(Row(closure.name, direction, unit, float(isinstance(closure, SpatialJoint))))
             closures.append((closure, direction))
             signs.append(sign)
@@ -130,8 +130,8 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
 def slips_of(
     m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Return velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C, by `own`
-    rates."""
+    """Return velocities that non-holonomic rows keep at zero (zero in other rows), and their rows of C, by the rates
+    `own`."""
     rows = []
     for closure, direction in closures:
         slip = closure.slip(kinematics, direction) if isinstance(closure, Relation) else None
@@ -141,7 +141,7 @@ def slips_of(
 
 
 def slid(closing: Closing, plain: Kinematics, moved: Kinematics) -> ca.SX:
-    """What a row of velocities would measure of virtual displacements, up to a constant."""
+    """Return the virtual displacement of a row of velocities, up to a constant."""
     closure, direction = closing
     if not isinstance(closure, Relation) or (at_rest := closure.slip(plain, direction)) is None:
         return ca.SX(0)
@@ -171,7 +171,7 @@ def compliances_of(rows: list[Row]) -> list[Variable]:
 
 
 def switches_of(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing]) -> list[Switch]:
-    """Boolean inputs, locks first, each kind in the order of declaration."""
+    """Return Boolean inputs, locks first, each kind in the order of declaration."""
     switches = []
     for i, lock in enumerate(locks):
         if isinstance(lock, Friction):

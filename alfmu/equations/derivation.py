@@ -1,23 +1,22 @@
 """Mechanism -> Equations: every matrix, energy, output and reaction by symbolic differentiation.
 
-The inertia of a mechanism is a set of displacements X(q) with weights w (place of a centre of mass with the mass, angle
-with the inertia), so that
+The inertia of a mechanism is a set of displacements X(q) with weights w (mass for the position of a centre of mass,
+moment of inertia for an angle), so that
 
     T = v' M v / 2,  M = X_q' w X_q,  d = X_q' w (d(X_q)/dt) v.
 
-Reactions are found in one way, whether a joint is closed by a coordinate or by constraints: each suppressed direction
-of a joint gets a virtual displacement eps that moves the second body away from the first, and the reaction is the
-generalised force that holds eps at zero,
+Every suppressed direction of a joint, whether closed by a coordinate or by constraints, gets a virtual displacement eps
+that moves the second body away from the first. The reaction is the generalised force that keeps eps at zero,
 
     r = X_eps' w a_X + V_eps - s_eps' F + Phi_eps' lambda   at eps = 0,
 
 with a_X the accelerations of X, V the potential, s the displacements along which efforts F act. Bodies in space that
-joints place have recursions of their own (`equations.space`).
+are placed by joints use recursions (`equations.space`).
 
-Where places, constraints or energies depend on time, time is the last coordinate, with the rate 1: X(q, t) is X of all
-coordinates, and d/dt of anything contains its partial time derivatives. So C v + Phi_t = 0 for (2), and xi has what
-(3) then needs. No force moves that coordinate: its row of M, d, f and its column of C are empty, but for a number on
-the diagonal of M that keeps its acceleration at zero (`STEADY`).
+If positions, constraints or energies depend on time, time is the last coordinate, with the rate 1: X(q, t) is X of all
+coordinates, and d/dt contains partial time derivatives. So C v + Phi_t = 0 for (2), and xi in (3) contains the terms of
+time. No force acts on that coordinate: its row of M, d, f and its column of C are empty, except for a diagonal entry of
+M that keeps its acceleration at zero (`STEADY`).
 """
 
 from __future__ import annotations
@@ -62,13 +61,13 @@ from .types import Equations, Followed, Leap, Row, Variable
 __all__ = ["derive"]
 
 STEADY = 1e-9
-"""diagonal entry of M for time over the mean of masses and inertias [1]: small, so that no measure of M sees it."""
+"""Diagonal entry of M for time over the mean of masses and inertias [1]: too small to affect any norm of M."""
 
 
 def derive(mechanism: Mechanism) -> Equations:
     """Return all equations of a mechanism, with names, units and every joint reaction.
 
-    Raises DeclarationError if the declaration has no equations: a body that nothing places, a joint that no coordinate
+    Raises DeclarationError if the declaration has no equations: a body without a position, a joint that no coordinate
     can close, an expression with a foreign symbol.
     """
     m = mechanism
@@ -85,7 +84,7 @@ def derive(mechanism: Mechanism) -> Equations:
 
 
 def _check_declared(m: Mechanism) -> None:
-    """Raise DeclarationError if there is nothing that moves, or a body in space that nothing places."""
+    """Raise DeclarationError if nothing moves, or a body in space is not placed."""
     if not m.coordinates and not m.states and not m.moves:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
     for body in m.spatial_bodies:
@@ -99,7 +98,7 @@ def _check_declared(m: Mechanism) -> None:
 
 @dataclass
 class _Symbols:
-    """The symbols that equations are in, time among q where places, constraints or energies depend on it."""
+    """The symbols of the equations; q contains time if positions, constraints or energies depend on it."""
 
     coordinates: Sequence[Coordinate]
     own: tuple[ca.SX, ca.SX]
@@ -111,7 +110,7 @@ class _Symbols:
     a: ca.SX
     t: ca.SX
     begin: ca.SX
-    """When a run began."""
+    """Time at which the run began."""
     inputs: ca.SX
     u: ca.SX
     """Inputs, then states."""
@@ -119,9 +118,9 @@ class _Symbols:
     """Start values."""
     locks: list[Lock | Motion]
     frictions: list[Friction]
-    """Those among the locks."""
+    """Dry frictions that have a lock."""
     kept: list[tuple[str, ca.SX]]
-    """What is remembered beside locks, by name: when a run began, numbers of signals."""
+    """Values stored beside those of locks, by name: when a run began, numbers of signals."""
 
 
 def _symbols(m: Mechanism) -> _Symbols:
@@ -142,7 +141,7 @@ def _symbols(m: Mechanism) -> _Symbols:
 
 @dataclass
 class _Closed:
-    """What constraints close."""
+    """Constraints by the parts of a mechanism that they close."""
 
     plain: Kinematics
     held: dict[Joint, tuple[str, ...]]
@@ -176,7 +175,7 @@ class _Terms:
     """Generalised forces of efforts, without those of the potential."""
     efforts: ca.SX
     slipping: ca.SX
-    """The part of C that no constraint in places has: of relations that slip."""
+    """Rows of C without a constraint on positions, of relations that slip."""
     moving: dict[str, ca.SX]
     """Functions of mechanisms that depend on time, by name."""
 
@@ -206,7 +205,7 @@ def _terms(m: Mechanism, at: _Symbols, closed: _Closed) -> _Terms:
 def _inertial(
     m: Mechanism, at: _Symbols, plain: Kinematics, motion: space.SpatialMotion, placed: list[SpatialBody]
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """M, d and the kinetic energy of bodies and at the general level, and the weights of displacements."""
+    """Return M, d and the kinetic energy of bodies and general terms, and the weights of displacements."""
     q, v, own, n = at.q, at.v, at.own, at.n
     X, W = inertia_of(m, plain, pivoted=True)
     Xq = ca.jacobian(X, own[0])
@@ -231,7 +230,7 @@ def _inertial(
 def _loaded(
     m: Mechanism, at: _Symbols, plain: Kinematics, motion: space.SpatialMotion, placed: list[SpatialBody]
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """f, the part of it that efforts have, the potential, and the efforts along their paths."""
+    """Return f, the part of it due to efforts, the potential, and the efforts along their paths."""
     V = potential_of(m, plain)
     paths, efforts = efforts_of(m, plain, at.q, at.v)
     f_applied = ca.jacobian(paths, at.q).T @ efforts
@@ -249,17 +248,17 @@ def _loaded(
 
 @dataclass
 class _Readings:
-    """Everything a user can read, in the order of the outputs."""
+    """All readable quantities, in the order of the outputs."""
 
     values: list[Scalar] = field(default_factory=list)
     outputs: list[Variable] = field(default_factory=list)
     wrapped: dict[str, int] = field(default_factory=dict)
-    """Angles that are known up to whole turns, and the start value that tells their turns."""
+    """Angles known up to whole turns, and the start value that determines their turns."""
     borne: list[tuple[ca.SX, Variable]] = field(default_factory=list)
-    """Reactions of joints, and all that can be read of joints in space."""
+    """Reactions of joints, and all outputs of joints in space."""
     rubs: Rubs | None = None
     limits: list[tuple[ca.SX, EndStop]] = field(default_factory=list)
-    """How far each side of each stop is passed."""
+    """Displacement beyond each limit of each stop."""
 
     def add(self, values: Sequence[Scalar], outputs: Sequence[Variable]) -> None:
         self.values += values
@@ -317,7 +316,7 @@ def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed)
     """Add multipliers, states, declared outputs, and limit stops."""
     read.values += ca.vertsplit(closed.lam)
     for i, row in enumerate(closed.rows):
-        force = "N" if row.unit == "m" else "N.m"  # times the row it is work
+        force = "N" if row.unit == "m" else "N.m"  # its product with the row is work
         text = f"multiplier of {row.name}, {row.what}"
         read.outputs.append(Variable(f"multiplier[{i + 1}]", force, description=text))
     read.add([state.symbol for state in m.states], _states(m))
@@ -343,13 +342,13 @@ def _states(m: Mechanism) -> list[Variable]:
 
 @dataclass
 class _Expressions:
-    """All that becomes a function of the equations, by name."""
+    """Expressions of all functions of the equations, by name."""
 
     of: dict[str, ca.SX]
     symbols: dict[str, ca.SX]
     """Arguments of the functions."""
     counted: dict[str, tuple[ca.SX, ca.SX]]
-    """Angles whose turns a run counts: where each was last, and the angle."""
+    """Angles whose turns a run counts: their last value, and the angle."""
     tied: list[int]
     """Start values that are tied."""
 
@@ -410,7 +409,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
 def _equations(
     m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, read: _Readings, said: _Expressions
 ) -> Equations:
-    """Return the functions with the names and units of all that they are of."""
+    """Return the equations: functions with names and units of their arguments and results."""
     locks, frictions, closures, plain, counted = at.locks, at.frictions, closed.closures, closed.plain, said.counted
     instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
     return Equations(
@@ -456,7 +455,7 @@ def _equations(
 
 
 def _rest() -> Coordinate:
-    """Return the coordinate of a mechanism that has none, and states alone: of a mass of 1 that no force moves."""
+    """Return the coordinate for a mechanism of states alone: a mass of 1 without forces."""
     return Coordinate("rest", *(ca.SX.sym(f"rest_{letter}") for letter in "qva"), "m", 0.0)
 
 
@@ -481,11 +480,10 @@ def _motion_power(
     motion: tuple[ca.SX, ca.SX, ca.SX],
     lam: ca.SX,
 ) -> ca.SX:
-    """Return power [W] of what moves by itself: the rate of the energies less the power of efforts, on the motion of
-    (4).
+    """Return power [W] of prescribed motion, on the motion of (4): the rate of the energies less the power of efforts.
 
-    There v' (M a + d - f) = -v' C' lam = Phi_t' lam, so that what energies lack is in multipliers and in what T and V
-    themselves depend on time.
+    There v' (M a + d - f) = -v' C' lam = Phi_t' lam, so this power is that of multipliers, plus the explicit time
+    derivatives of T and V.
     """
     q, v, a = motion
     n, time, rate = M.shape[0], q[-1], v[-1]
@@ -500,7 +498,7 @@ def _motion_power(
 
 
 def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return the terms of (4) and (3) with time as the last coordinate, which no force moves."""
+    """Return the terms of (4) and (3) with time as the last coordinate, on which no force acts."""
     n = M.shape[0]
     size = STEADY * (ca.sum1(w) / w.numel() if w.numel() and not w.is_zero() else 1)
     return (
@@ -512,7 +510,7 @@ def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX,
 
 
 def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
-    """Angles whose turns a run counts, as something depends on them: by name where each was last, and the angle."""
+    """Return the angles whose turns a run counts because something depends on them: by name, last value and angle."""
     known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _between_points(m)}
     for joint in m.spatial_joints:
         for which in (x for x in joint.freedoms if joint.is_wrapped(x)):
@@ -524,23 +522,23 @@ def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX])
 
 
 def _between_points(m: Mechanism) -> list[Body]:
-    """Return bodies that two points place."""
+    """Return bodies placed by two points."""
     return [body for body in m.bodies if body.between is not None]
 
 
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
-    """Return an expression with angles as they are before a run has counted their turns."""
+    """Return an expression with angles before a run has counted their turns."""
     nears = [body.near for body in _between_points(m)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 
 def _still(matrix: ca.SX, n: int, moves: bool) -> ca.SX:
-    """Return the derivative of something by n coordinates, with an empty column for time where that is one."""
+    """Return a derivative by n coordinates, with an empty column for time if it is one."""
     return ca.horzcat(matrix[:, :n], ca.SX(matrix.shape[0], int(moves)))
 
 
 def _followed(m: Mechanism) -> list[Followed]:
-    """What the runtime makes of inputs that move something; raise DeclarationError if companions of others do
+    """Return the extrapolation of inputs that prescribe motion; raise DeclarationError if companions of other inputs do
     nothing."""
     places = {i.name: k for k, i in enumerate(m.inputs)}
     for each in m.inputs:
@@ -553,20 +551,20 @@ def _followed(m: Mechanism) -> list[Followed]:
 
 
 def _laws(m: Mechanism, q: ca.SX, v: ca.SX) -> ca.SX:
-    """Laws that may jump or not be finite, their rates, and the rates of these where coordinates move evenly."""
+    """Return laws that may jump or diverge, and their first and second rates at constant velocities."""
     laws = stack([law.value for law in m.laws])
     rates = ca.jtimes(laws, q, v)
     return ca.vertcat(laws, rates, ca.jtimes(rates, q, v))
 
 
 def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
-    """What a run is told of them; one that can be switched counts while its constraint is in force."""
+    """Return these laws for messages of a run; a switchable one applies while its constraint is in force."""
     rows = {c.name: i for i, (c, direction) in enumerate(closures) if direction == "motion"}
     return [Leap(law.what, law.unit, rows[law.motion] if law.motion else -1) for law in m.laws]
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
-    """Check that every coordinate moves a mass or is in a constraint, whatever the parameters are."""
+    """Check that every coordinate moves a mass or is in a constraint, for any parameters."""
     there = {*ca.sparsify(M).sparsity().get_triplet()[1], *C.sparsity().get_triplet()[1]}
     if free := [c for i, c in enumerate(m.coordinates) if i not in there]:
         q = stack([c.q for c in free])
@@ -583,7 +581,7 @@ def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.S
 
 
 def _check_names(m: Mechanism, equations: Equations) -> None:
-    """No name of the user's may be that of a variable that is derived."""
+    """Raise DeclarationError if a user's name is that of a derived variable."""
     found: dict[str, Variable] = {}
     for _, v in variables_of(equations).causalities:
         if v.name in found:
@@ -611,8 +609,7 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) 
 def _body_outputs(
     m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX, a: ca.SX
 ) -> tuple[list[ca.SX], list[Variable]]:
-    """Return place, velocity and acceleration of every centre of mass and angle, and of every slider along its
-    guide."""
+    """Return position, velocity and acceleration of centres of mass and angles, and of sliders along their guides."""
     names: list[tuple[str, str, str, str, str]] = []
     places: list[Scalar] = []
     for body in m.bodies:
@@ -647,7 +644,7 @@ def _body_outputs(
 
 
 def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Return place and velocity of every point that is watched."""
+    """Return position and velocity of every watched point."""
     values: list[ca.SX] = []
     outputs: list[Variable] = []
     for point in m.watched:
@@ -664,7 +661,7 @@ def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
 
 
 def _guess(m: Mechanism, coordinates: Sequence[Coordinate], begin: ca.SX) -> ca.SX:
-    """Guesses of the coordinates in parameters and start values alone, and in the time at which the run begins."""
+    """Return guesses of the coordinates in parameters, start values and the time at which the run begins."""
     resolved: dict[int, ca.SX] = {}
     for c in coordinates:
         guess = symbolic(c.guess)
@@ -677,7 +674,7 @@ def _guess(m: Mechanism, coordinates: Sequence[Coordinate], begin: ca.SX) -> ca.
 
 
 def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
-    """Which start quantity each tie uses, and the ties; an angle that is computed counts up to whole turns."""
+    """Return the start quantity of each tie, and the ties; a computed angle is compared up to whole turns."""
     tied, residuals = [], []
     place = {key_of(x.symbol): i for i, x in enumerate(m.starts)}
     for symbol, expression in m.ties:
@@ -699,6 +696,6 @@ def _tied_start(m: Mechanism, angle: ca.SX) -> int:
 
 
 def _depends_on_any(y: ca.SX, x: ca.SX) -> list[bool]:
-    """Which entries of y depend on any entry of x."""
+    """Return which entries of y depend on any entry of x."""
     touched = set(ca.jacobian_sparsity(y, x).row())
     return [i in touched for i in range(y.numel())]

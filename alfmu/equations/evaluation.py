@@ -1,10 +1,11 @@
-"""Functions of a mechanism combined for evaluation with numbers: each needed result once, subexpressions shared."""
+"""Functions of a mechanism combined for numerical evaluation: each result once, with shared subexpressions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
 import casadi as ca
 
@@ -15,6 +16,7 @@ __all__ = [
     "ARGUMENTS",
     "DENSE",
     "EVALUATED",
+    "Stage",
     "evaluable",
     "shared",
     "symbols",
@@ -23,14 +25,17 @@ __all__ = [
     "with_tangents",
 ]
 
+Stage = TypeVar("Stage", bound=Equations)
+"""Equations, or what is made of them."""
+
 DENSE = 50
-"""Coordinates up to which matrices are dense arrays; larger ones are sparse."""
+"""Number of coordinates up to which matrices are dense arrays; larger ones are sparse."""
 
 MANY = 100
-"""Coordinates from which on they may be eliminated in the order of declaration."""
+"""Number of coordinates from which they may be eliminated in the order of declaration."""
 
 MORE = 1.1
-"""Work of a factorisation in the order of declaration, over that with little fill, up to which it is taken."""
+"""Largest work of a factorisation in the order of declaration, over that of least fill, for which it is used."""
 
 ARGUMENTS = {
     name: letters.split()
@@ -65,7 +70,7 @@ ARGUMENTS = {
         "stops": "q p",
     }.items()
 }
-"""What each function of the equations depends on; the last three are there where time is a coordinate."""
+"""Arguments of each function of the equations; the last three exist if time is a coordinate."""
 
 EVALUATED = {
     "dynamics": 2,
@@ -82,7 +87,7 @@ EVALUATED = {
     "sliding": 0,
     "tangents": 4,
 }
-"""Functions that run with numbers outside the kernel, and how many of their results are matrices."""
+"""Functions evaluated outside the kernel, and how many of their results are matrices."""
 
 
 def symbols(equations: Equations) -> dict[str, ca.SX]:
@@ -101,12 +106,12 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
     return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
 
-def evaluable(equations: Equations) -> Equations:
+def evaluable(equations: Stage) -> Stage:
     """Return the same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
-    energy(q, v, p): kinetic and potential, kinetic alone [J]. closure(q, p, s): derivatives of gaps and ties, gaps,
-    ties. guesses(p, s, sdot): q, v.
+    energy(q, v, p): total and kinetic energies [J]. closure(q, p, s): derivatives of gaps and ties, gaps, ties.
+    guesses(p, s, sdot): q, v.
     """
     e, x = equations, symbols(equations)
     q, v, u, p, t, s, sdot = (x[k] for k in ("q", "v", "u", "p", "t", "s", "sdot"))
@@ -144,25 +149,25 @@ def evaluable(equations: Equations) -> Equations:
 
 
 def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
-    """Return the order in which coordinates are eliminated from H: one that fills L little.
+    """Return an elimination order of the coordinates in H with little fill in L.
 
-    Independent coordinates come last where that takes no more work: masses alone contribute to their pivots then, and
-    no other pivot is small except at a singular position. Many coordinates are eliminated in the order of their
-    declaration where it takes hardly more work: what repeats in a mechanism is then compiled as a loop.
+    Independent coordinates come last if that takes no more work: only masses then contribute to their pivots, and no
+    other pivot is small except at a singular position. Many coordinates are eliminated in the order of declaration if
+    it takes hardly more work, so that repeated parts of a mechanism compile to loops.
     """
     factor, order = pattern.ldl(True)
     if pattern.size1() >= MANY:
         declared, plain = pattern.ldl(False)
         if _work(declared) <= MORE * _work(factor):
             return list(plain)
-    told = sorted(order, key=lambda i: i in telling)
-    if _work(ca.DM(pattern, 1)[told, told].sparsity().ldl(False)[0]) <= _work(factor):
-        return told
+    reordered = sorted(order, key=lambda i: i in telling)
+    if _work(ca.DM(pattern, 1)[reordered, reordered].sparsity().ldl(False)[0]) <= _work(factor):
+        return reordered
     return list(order)
 
 
 def _work(factor: ca.Sparsity) -> int:
-    """Multiplications in a factorisation, nearly: squares of the nonzeros of the columns of L."""
+    """Return the approximate number of multiplications of a factorisation: squared column counts of L."""
     ends = factor.colind()
     return sum((end - begin) ** 2 for begin, end in pairwise(ends))
 
@@ -170,7 +175,7 @@ def _work(factor: ca.Sparsity) -> int:
 def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:
     """Return a function with its common subexpressions shared.
 
-    They are found on the nonzeros: on a matrix, CasADi's search takes time with the square of its size.
+    The search runs on the nonzeros: on a matrix, CasADi's search takes quadratic time.
     """
     making(name)
     entries = ca.cse(ca.vertcat(*(ca.vec(value.nz[:]) for value in values)))
@@ -179,8 +184,8 @@ def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Functio
     return ca.Function(name, arguments, values)
 
 
-def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
-    """Return the same equations with more functions, or others, that run with numbers."""
+def with_functions(equations: Stage, functions: dict[str, ca.Function]) -> Stage:
+    """Return the same equations with functions for numerical evaluation added or replaced."""
     signatures = {name: _signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
     return replace(
         equations,
@@ -190,7 +195,7 @@ def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> E
 
 
 def _signature(f: ca.Function, matrices: int = 0) -> Signature:
-    """Sizes of arguments and results, see `Signature`."""
+    """Return sizes of arguments and results, see `Signature`."""
     outputs = []
     for i in range(f.n_out()):
         pattern = f.sparsity_out(i)
@@ -199,12 +204,12 @@ def _signature(f: ca.Function, matrices: int = 0) -> Signature:
     return {"inputs": [f.nnz_in(i) for i in range(f.n_in())], "outputs": outputs, "matrices": matrices}
 
 
-def with_tangents(equations: Equations) -> Equations:
-    """Return the same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and
-    lam.
+def with_tangents(equations: Stage) -> Stage:
+    """Return the same equations with the tangents of implicit methods, at fixed a and lam.
 
-    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and X =
-    xi - C a; where there are states x, also Rx (n, x) of R, and Gq, Gv, Gx of their rates.
+    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,), derivatives by q, v and t of the residuals R
+    = F - M a - C' lam of (4) and X = xi - C a of (3); if there are states x, also Rx (n, x) of R, and Gq, Gv, Gx of
+    their rates.
     """
     if "tangents" in equations.signatures:
         return equations
@@ -212,13 +217,12 @@ def with_tangents(equations: Equations) -> Equations:
 
 
 def tangents_once(equations: Equations) -> ca.Function:
-    """Return the same function, to be evaluated a few times: what it computes twice is not looked for, which takes
-    longest."""
+    """Return the function of `with_tangents` for a few evaluations, without the slow search for
+    common subexpressions."""
     return equations.functions.get("tangents") or ca.Function("tangents", *_tangents(equations))
 
 
 def _tangents(equations: Equations) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Return arguments and values."""
     e, x = equations, symbols(equations)
     q, v, a, lam, u, p, t = (x[k] for k in ("q", "v", "a", "lam", "u", "p", "t"))
     R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam

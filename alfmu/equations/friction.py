@@ -5,14 +5,14 @@ While it slides in the direction s = 1 or -1, that constraint is not in force, a
 
     lambda = s mu(rate) L,      mu(rate) = coulomb + (static - coulomb) exp(-(rate / stribeck)^2),
 
-so that friction enters M a + d = f - C' lambda as all reactions do. Where more joints are at rest than there are
-motions to hold, some are held by others: they have a share of their limit static L, or all of it. The load L is that of
-the joint itself: in a journal its radius times the force; in a guide whose edges are b apart, the sum of |N/2 + M/b|
-and |N/2 - M/b| of force N and moment M about the point half-way, which is the larger one of |N| and 2 |M|/b.
+so that friction enters M a + d = f - C' lambda as all reactions do. If more joints are at rest than there are motions
+to hold, others hold some of them: these carry a share of their limit static L, or all of it. The load L is that of the
+joint itself: in a journal its radius times the force; in a guide whose edges are b apart, the sum of |N/2 + M/b| and
+|N/2 - M/b| of force N and moment M about the midpoint, which is the larger of |N| and 2 |M|/b.
 
 In space N and M/b are vectors across the axis. A journal with bearings b apart carries them as a guide does, and a
 force along its axis by a collar; a guide carries a moment about its axis by a key at a radius r, which adds |M|/r. In a
-screw of radius r with p = lead/(2 pi) the flank carries what the force W along the axis and friction T itself leave,
+screw of radius r with p = lead/(2 pi), force W along the axis and friction T load the flank with
 
     L = |W (r^2 + p^2) - T p| / r.
 """
@@ -32,22 +32,23 @@ from .types import Rubbing, Variable
 __all__ = ["LIMITED", "SHARED", "Rubs", "rubbing"]
 
 LIMITED = 2.0
-"""Direction, 2 or -2, of a joint that is at rest and would slide so, if others did not hold it: at its static limit."""
+"""Direction, 2 or -2, of a joint at rest at its static limit, held by other joints."""
 
 SHARED = 3.0
-"""The same of one that holds with a given share of its limit, between -1 and 1, which stands where it would stick."""
+"""Direction of a joint at rest with a given share of its limit, between -1 and 1; the share replaces its sticking
+displacement."""
 
 _NOTHING = 1e-300
-"""Added to a sum of squares, so that its root has a derivative where the force vanishes."""
+"""Added to a sum of squares, so that its root is differentiable at zero force."""
 
 
 @dataclass
 class Rubs:
-    """What follows from the dry friction of a mechanism."""
+    """Functions and outputs of the dry friction of a mechanism."""
 
     frictions: list[Rubbing]
     functions: dict[str, ca.SX]
-    """Expressions of the functions `rubbing` and `sliding`; none without friction."""
+    """Expressions of the functions `rubbing` and `sliding`; empty without friction."""
     values: list[Scalar]
     outputs: list[Variable]
 
@@ -60,7 +61,7 @@ def rubbing(
     motion: tuple[ca.SX, ca.SX, ca.SX],
     lam: ca.SX,
 ) -> Rubs:
-    """Laws and outputs of the frictions among locks.
+    """Return laws and outputs of the frictions among locks.
 
     `rows` are the constraints of the locks, `free` gives the displacement of a joint, `reactions` are expressions by
     the names of outputs, `motion` is q, v, a.
@@ -97,7 +98,7 @@ def rubbing(
 
 
 def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
-    """Return the load of a joint, which has this friction."""
+    """Return the load of a joint with this friction."""
     if isinstance(x.of, SpatialJoint):
         return _load_in_space(x, x.of, reactions, friction)
     if x.radius is not None:
@@ -109,7 +110,7 @@ def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX
 
 
 def _load_in_space(x: Friction, joint: SpatialJoint, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
-    """Return the same of a joint in space: parts of its reaction along its axis and two normals."""
+    """Return the load of a joint in space, from its reaction along its axis and two normals."""
     triad = joint.triad()
     force, moment = (
         [ca.dot(each, stack([reactions[f"{x.name}.{what}.{axis}"] for axis in "xyz"])) for each in triad]

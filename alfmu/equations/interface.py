@@ -1,4 +1,4 @@
-"""What every scene has beside the variables of its mechanism: the solver's, monitors of the method, impacts."""
+"""Variables that every scene has beside those of its mechanism: solver variables, monitors, impacts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
 from ..model.words import there_is
-from .types import REACTION_ERROR, Equations, Variable
+from .types import REACTION_ERROR, Configuration, Equations, Variable
 
 __all__ = [
     "CHOICES",
@@ -80,7 +80,7 @@ SOLVER_VARIABLES = (
         type="Integer",
     ),
 )
-"""Numbers of the method that a user may set; `CHOICES` come beside them."""
+"""Solver variables that are numbers; those of `CHOICES` are text."""
 
 Choice = Literal["solver.formulation", "solver.branch", "solver.method"]
 """Names of solver variables that are text."""
@@ -90,7 +90,7 @@ CHOICES: dict[Choice, dict[str, str]] = {
     "solver.branch": BRANCHES,
     "solver.method": METHODS,
 }
-"""What each of them can be."""
+"""Values of each of them."""
 
 MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
@@ -100,7 +100,7 @@ MONITORS = (
     Variable(
         "monitor.step_error",
         "1",
-        description="what the last communication step changed of energy less work, over the largest kinetic energy or "
+        description="change of energy minus work in the last communication step, over the largest kinetic energy or "
         "work so far",
     ),
     Variable(
@@ -132,21 +132,21 @@ MONITORS = (
         instant=True,
     ),
 )
-"""Outputs by which every instance reports its own accuracy."""
+"""Outputs in which every instance reports its own accuracy."""
 
 
 BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
-"""Monitors that tell of the balance of energies: where all are left out, no work is integrated."""
+"""Monitors of the energy balance: without all of them, no work is integrated."""
 
 
 def events(equations: Equations) -> list[Variable]:
-    """What is reported of impacts, the last impulse of each constraint that can be switched and the energy lost so far;
+    """Return variables that report impacts (last impulse of each switchable constraint, energy lost so far),
     and peaks."""
     return [v for v in every_event(equations) if v.name not in equations.monitors]
 
 
 def every_event(e: Equations) -> list[Variable]:
-    """Return the same with those that are left out."""
+    """Return the variables of `events`, including those that are left out."""
     found = []
     for row in (e.rows[i] for switch in e.switches for i in switch.rows):
         name = f"{row.name}.impulse" if row.direction == "locked" else f"{row.name}.impulse.{row.direction}"
@@ -162,7 +162,7 @@ def every_event(e: Equations) -> list[Variable]:
 
 
 PEAK = ".peak"
-"""Behind the name of an output, or of a vector of outputs, that of its peak."""
+"""Suffix of the peak of an output, or of a vector of outputs."""
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,9 @@ class Interface:
     """Boolean inputs."""
     outputs: list[Variable]
     jacobian: list[Variable]
-    """Outputs behind those: entries of the interface Jacobian."""
+    """Entries of the interface Jacobian, which follow the outputs."""
 
     def causal(self, causality: str) -> list[Variable]:
-        """Return the variables of a causality."""
         return [v for each, v in self.causalities if each == causality]
 
     @property
@@ -193,15 +192,15 @@ class Interface:
 
 
 def default_settings(equations: Equations) -> Settings:
-    """Return the settings of a mechanism where nobody says otherwise."""
+    """Return the default settings of a mechanism."""
     return Settings(**{"step_size": equations.step_size, **equations.solver})
 
 
 def integrator(equations: Equations) -> str:
-    """Return the method of integration that the settings of a mechanism ask for; of `auto` what it was decided to
-    be."""
+    """Return the integrator that the settings of a mechanism select, `auto` already resolved."""
     method = default_settings(equations).method
-    return equations.decision.method if method == "auto" and equations.decision else method
+    decided = equations.decision if isinstance(equations, Configuration) else None
+    return decided.method if method == "auto" and decided else method
 
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:
@@ -234,7 +233,7 @@ def _jacobian(e: Equations) -> list[Variable]:
 
 
 def state_starts(equations: Equations) -> list[Variable]:
-    """Return the parameters that give states their values at the start."""
+    """Return the parameters that set start values of states."""
     return [replace(v, name=f"start.{v.name}", description=f"{v.name} at the start") for v in equations.states]
 
 
@@ -244,13 +243,13 @@ def setting(name: str) -> str:
 
 
 def _default(settings: Settings, name: str) -> float:
-    """Return a number of the settings; 0 for penalties of each constraint, which are no variable."""
+    """Return the default of a solver variable; 0 for penalties of single constraints, which are no variables."""
     value = getattr(settings, setting(name))
     return float(value) if np.ndim(value) == 0 else 0.0
 
 
 def not_there(equations: Equations, name: str, names: Collection[str]) -> str:
-    """What to say of a name that is no input or parameter; a coordinate has a start value where it is independent."""
+    """Return the message for a name that is no input or parameter; an independent coordinate has a start value."""
     said = f"{equations.name} has no input or parameter {name!r}"
     own = name.removeprefix("start.").removesuffix("_rate")
     if own in {c.name for c in equations.coordinates} and f"start.{own}" not in names:
@@ -278,17 +277,17 @@ class Counters:
 
     steps: int = 0
     evaluations: int = 0
-    """Of accelerations and multipliers, those for outputs included."""
+    """Evaluations of accelerations and multipliers, including those for outputs."""
     multiplier_iterations: int = 0
     unconverged: int = 0
     """Evaluations in which the multiplier iteration reached its limit."""
     projection_iterations: int = 0
     refused: int = 0
-    """Steps that were too inaccurate, and made again shorter."""
+    """Steps rejected as too inaccurate and repeated at a shorter step."""
     patient: int = 0
-    """Steps by loops that stop on convergence, where those that are unrolled were not enough."""
+    """Steps by loops that stop on convergence, used where unrolled iterations did not converge."""
     unprojected: int = 0
-    """Steps after which a constraint was left above the tolerance."""
+    """Steps after which a constraint was above the tolerance."""
     position_error: float = 0.0
     """Largest |Phi| after a step [m, rad]."""
     velocity_error: float = 0.0
@@ -298,13 +297,13 @@ class Counters:
     energy_error: float = 0.0
     """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
     run_error: float = 0.0
-    """The same at communication points, over the largest kinetic energy or work so far [1]."""
+    """Energy error at communication points, over the largest kinetic energy or work so far [1]."""
     drift: float = 0.0
-    """How far places have come off by that, where no work is done: an estimate [rad or m]."""
+    """Estimated drift of positions that this energy error causes if no work is done [rad or m]."""
 
 
 def checked(name: str, v: Variable, value: object) -> None:
-    """Raise InputError if a value cannot be that of a variable of the mechanism of this name."""
+    """Raise InputError if the variable of the mechanism of this name cannot have this value."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
         raise InputError(f"{name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
     if v.type == "Integer" and value != int(value):

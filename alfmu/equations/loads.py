@@ -1,4 +1,4 @@
-"""Inertia, potential and efforts of what is declared in the plane."""
+"""Inertia, potential and efforts of parts declared in the plane."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ __all__ = ["efforts_of", "elongation_of", "inertia_of", "is_guided", "limited_by
 
 
 def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights W: places of centres of mass, angles (natural coordinates, space: directions).
+    """Return displacements X and their weights W: positions of centres of mass, and angles.
 
-    With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
+    Natural coordinates and bodies in space have directions instead of angles. With `pivoted`, a body that a hinge on
+    the ground places has only its angle, with the inertia about the hinge.
     """
     X: list[Scalar] = []
     w: list[Scalar] = []
@@ -58,8 +59,8 @@ def is_guided(m: Mechanism, body: Body) -> bool:
 
 
 def potential_of(m: Mechanism, kinematics: Kinematics) -> ca.SX:
-    """Return potential energy of gravity, springs and the user's own terms, but of the weight of bodies that joints in
-    space place."""
+    """Return potential energy of gravity, springs and the user's terms, without the weight of bodies placed by joints
+    in space."""
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
@@ -84,7 +85,7 @@ def limited_by(kinematics: Kinematics, stop: EndStop) -> ca.SX:
 
 
 def paths_of(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
-    """Displacements along which the efforts of drives, loads and dampers act, in that order."""
+    """Return displacements along which the efforts of drives, loads and dampers act, in that order."""
     paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
     for load in m.loads:
         paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]

@@ -1,4 +1,4 @@
-"""What is measured on request: the motion of joints, the elongation and the effort of springs."""
+"""Measures on request: the motion of joints, the elongation and the effort of springs."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def measures(
         said = "in tension" if not isinstance(between, AnyJoint) else f"against the motion of {between.name}"
         stretch = x - spring.rest
         add(f"{name}.elongation", stretch, joint_unit, f"of {name}, from where it is at rest")
-        stretching = ca.jtimes(stretch, q, v)  # The place of rest may move, too.
+        stretching = ca.jtimes(stretch, q, v)  # The rest length may vary, too.
         add(f"{name}.elongation_rate", stretching, rate_of(joint_unit), f"rate of {name}.elongation")
         add(f"{name}.{what}", ca.SX(effort), EFFORTS[joint_unit], f"{what} of {name}, positive {said}")
     return values, outputs, angles

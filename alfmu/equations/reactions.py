@@ -48,11 +48,11 @@ def reactions_of(
     lam: ca.SX,
     relations: list[tuple[Relation, dict[str, ca.SX]]],
 ) -> tuple[list[ca.SX], list[Variable]]:
-    """Reaction of every joint along every direction it suppresses, on the second body from the first."""
+    """Return the reaction of every joint along every direction it suppresses, on the second body from the first."""
     if not m.joints:
         return [], []
     eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in _suppressed(m, j)} for j in m.joints}
-    # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
+    # A direction closed by a constraint is displaced in the constraint, any other one in the kinematics.
     in_frames = {
         j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
     }
@@ -61,7 +61,7 @@ def reactions_of(
     _, closures, signs = closures_of(m, held)
     displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
     Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
-    # A row of velocities is displaced along what it keeps at rest.
+    # A row of velocities is displaced along the motion it prevents.
     Phie += signs * stack([slid(each, plain, moved) for each in closures])
     X, W = inertia_of(m, plain)
     aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
@@ -87,8 +87,7 @@ def reactions_of(
 
 
 def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
-    """Return the directions of a joint that have a reaction: also that in which a law in place of a coordinate moves
-    it."""
+    """Return the directions of a joint that have a reaction, including one in which a law replaces a coordinate."""
     law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
     if (
         law
@@ -112,11 +111,11 @@ def carried_by(
     lam: ca.SX,
     lengths: Sequence[int],
 ) -> tuple[ca.SX, ca.SX]:
-    """Forces [N] and moments [N.m] that joints and motions carry, and multipliers of what is no joint; weights of their
-    squares.
+    """Return forces [N] and moments [N.m] of joints and motions with multipliers of other constraints, and weights of
+    their squares.
 
-    The sum depends on no axes, and not on which joints are closed by coordinates. Forces that part teeth are by the
-    size of a multiplier and in no norm, so that all is linear.
+    The sum is independent of axes and of which joints coordinates close. Forces that separate teeth depend on the
+    magnitude of a multiplier and are left out, so all terms are linear.
     """
     found = [(x, o.unit == "N.m") for x, o in reactions if o.unit in ("N", "N.m")]
     for i, (closure, _) in enumerate(closures):
@@ -132,16 +131,16 @@ def carried_by(
 
 
 _SMALLEST = 1e-30
-"""Square of a length [m2] below which no mechanism is."""
+"""Square of a length [m2] below that of any mechanism."""
 
 _PROBES = 2
-"""Random values of parameters by which lengths that are always the same are told."""
+"""Number of random parameter values used to find lengths that are always equal."""
 
 
 def _square_of_size(m: Mechanism) -> ca.SX:
-    """Return square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 if there is none.
+    """Return the square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 if there is none.
 
-    It depends on no axes, coordinates or position: bodies are rigid.
+    It is independent of axes, coordinates and position: bodies are rigid.
     """
     ground = m.ground, m.spatial_ground
     arms = [[body.length / 2] for body in m.bodies if body.length is not None]
@@ -165,7 +164,8 @@ def _square_of_size(m: Mechanism) -> ca.SX:
 def spatial_efforts(
     m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX
 ) -> list[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]]:
-    """What drives, springs and stops do along joints in space, and between two points there, second from first."""
+    """Return efforts of drives, springs and stops along joints in space, and between two points there, second from
+    first."""
     found = [(drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)]
     for spring in m.springs:
         ends = spring.between if isinstance(spring.between, tuple) else (spring.between.first, spring.between.second)
@@ -182,7 +182,7 @@ def spatial_efforts(
 
 
 def locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Effort of each lock, in the direction in which its displacement grows."""
+    """Return the effort of each lock, in the direction in which its displacement grows."""
     values, outputs = [], []
     for lock in locks:
         if isinstance(lock, Lock):
@@ -194,7 +194,7 @@ def locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> 
 
 
 def driving(closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Effort that each motion takes, in the direction in which its displacement grows."""
+    """Return the effort of each motion, in the direction in which its displacement grows."""
     values, outputs = [], []
     for i, (motion, _) in enumerate(closures):
         if isinstance(motion, Motion):

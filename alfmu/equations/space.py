@@ -1,12 +1,12 @@
-"""Bodies in space: recursion from the ground outwards and back for those in relative coordinates, what is read of all.
+"""Bodies in space: outward and inward recursions for relative coordinates, and outputs of all bodies.
 
-A body is placed by a joint on another one, or by coordinates of its own. Each coordinate c has a column of its joint:
-the angular velocity w and the velocity u of the body's anchor that a unit of its rate gives. Accelerations go outwards
-from body to body; forces and moments about the anchors come back, and do w.n + u.f along c (Newton and Euler). The mass
-matrix takes for a column the momentum of all that the joint carries, as if it were one body. Where a law or an input
-moves the point of a joint on one of its bodies, the coordinates of that point have columns, too. Expressions therefore
-grow with the number of bodies, the mass matrix with the number of its entries. (Featherstone, Rigid Body Dynamics
-Algorithms, chapters 5 and 6, in ground axes.)
+A body is placed by a joint on another one, or by coordinates of its own. Each coordinate c has a column in its joint:
+the angular velocity w and the velocity u of the body's anchor per unit of its rate. Accelerations are computed outwards
+from body to body; forces and moments about the anchors are summed inwards, with the power w.n + u.f along c (Newton and
+Euler). A column of the mass matrix is the momentum of all bodies that the joint carries, taken as one body. If a law or
+an input moves the point of a joint on one of its bodies, the coordinates of that point have columns, too. Expressions
+therefore grow linearly with the number of bodies, the mass matrix with the number of its entries. (Featherstone, Rigid
+Body Dynamics Algorithms, chapters 5 and 6, in ground axes.)
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Closing = tuple[PlanarJoint | SpatialJoint | SpatialFreedom | Rigidity | Constra
 
 @dataclass(frozen=True)
 class Column:
-    """What a unit of the rate of a coordinate gives a body: angular velocity and velocity of its anchor."""
+    """Angular velocity of a body and velocity of its anchor per unit rate of a coordinate."""
 
     coordinate: Scalar
     w: ca.SX
@@ -46,9 +46,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Moving:
-    """How a body moves: angular velocity and its rate, velocity and acceleration of the anchor.
+    """Motion of a body: angular velocity and its rate, velocity and acceleration of the anchor.
 
-    `bending` (3, 3) makes of an arm the acceleration of its end from the anchor, w' x arm + w x (w x arm).
+    `bending` (3, 3) maps an arm to the acceleration of its end relative to the anchor, w' x arm + w x (w x arm).
     """
 
     spin: ca.SX
@@ -67,7 +67,7 @@ class Moving:
 
 
 def relative_bodies(m: Mechanism) -> list[SpatialBody]:
-    """Return the bodies that joints place."""
+    """Return the bodies placed by joints."""
     return [body for body in m.spatial_bodies if body.placed_by is not None]
 
 
@@ -85,12 +85,12 @@ def check_points(m: Mechanism) -> None:
 
 
 class SpatialMotion:
-    """How bodies in space move with the rates v and the accelerations a, zero if they are left out."""
+    """Motion of bodies in space at rates v and accelerations a (zero if left out)."""
 
     def __init__(self, mechanism: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX | None = None):
         self.mechanism, self.q, self.v, self.a = mechanism, q, v, a
         self.order: list[SpatialBody] = []
-        """Each body after the one that carries it, without the ground."""
+        """Bodies without the ground, each after the one that carries it."""
         for body in mechanism.spatial_bodies:
             self._add(body)
         self._moving: dict[SpatialBody, Moving] = {}
@@ -123,14 +123,14 @@ class SpatialMotion:
         return self._columns[body]
 
     def _of_joint(self, joint: SpatialJoint) -> list[Column]:
-        """What the coordinates of a joint give its second body at the joint's point, and those of that point on the
-        first body, where it moves there."""
+        """Return columns of a joint's coordinates for its second body at the joint's point, and of coordinates that
+        move that point on the first body."""
         first = joint.first.body
         found = [Column(c, *column) for c, column in zip(joint.coordinates or (), joint.columns, strict=True)]
         return found + self._moved(stack(joint.first.point) - stack(first.anchor[0]), first)
 
     def _moved(self, local: ca.SX, body: SpatialBody) -> list[Column]:
-        """Return columns of the coordinates (3,) of a point in a body's frame, those that move."""
+        """Return columns of the moving coordinates among the three of a point in a body's frame."""
         return [
             Column(x, ca.SX.zeros(3), body.rotation[:, i])
             for i, x in enumerate(ca.vertsplit(local))
@@ -150,7 +150,7 @@ class SpatialMotion:
         return rate, second if self.a is None else second + ca.jtimes(c, self.q, self.a)
 
     def moving(self, body: SpatialBody) -> Moving:
-        """How a body moves."""
+        """Return the motion of a body."""
         if body not in self._moving:
             self._moving[body] = self._worked_out(body)
         return self._moving[body]
@@ -160,7 +160,7 @@ class SpatialMotion:
         if body is self.mechanism.spatial_ground:
             return Moving(nothing, nothing, nothing, nothing)
         joint = body.placed_by
-        if joint is None:  # the angular velocity is linear in the rates, and its rate without accelerations vanishes
+        if joint is None:  # the angular velocity is linear in the rates, so its rate without accelerations vanishes
             before, arm = Moving(nothing, nothing, nothing, nothing), nothing
         else:
             before, arm = self.moving(joint.first.body), joint.first.arm + joint.slide
@@ -204,7 +204,7 @@ class SpatialMotion:
         return self._inertia[body]
 
     def inertial(self, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wrench]:
-        """What the motion of bodies takes: mass times acceleration, and the rate of the angular momentum."""
+        """Return inertia loads: mass times acceleration, and the rate of the angular momentum."""
         found = {}
         for body in bodies:
             moving, lever, J = self.moving(body), body.turned(body.center), self.inertia(body)
@@ -214,7 +214,7 @@ class SpatialMotion:
         return found
 
     def carried(self, loads: Mapping[SpatialBody, Wrench]) -> dict[SpatialBody, Wrench]:
-        """What is needed to carry each body with all that hangs on it, where each of these needs a load."""
+        """Return the load that each body transmits for itself and all bodies that it carries."""
         found = dict(loads)
         for body in reversed(self.order):
             if body in found and body.placed_by is not None:
@@ -234,7 +234,7 @@ class SpatialMotion:
         return ca.jacobian(stack(coordinates), self.q).T @ stack(efforts) if efforts else ca.SX(self.q.numel(), 1)
 
     def mass_matrix(self, bodies: Sequence[SpatialBody]) -> ca.SX:
-        """Return the mass matrix (n, n) of bodies, by what each joint carries."""
+        """Return the mass matrix (n, n) of bodies, from the bodies that each joint carries."""
         whole: dict[SpatialBody, tuple[ca.SX, ca.SX, ca.SX]] = {}  # mass, first moment, inertia about the anchor
         for body in bodies:
             lever, mass = body.turned(body.center), symbolic(body.mass)
@@ -278,7 +278,7 @@ class SpatialMotion:
 
 
 def _way(joint: SpatialJoint) -> ca.SX:
-    """Return the way (3,) from the anchor of the first body of a joint to that of the second, in ground axes."""
+    """Return the vector (3,) from the anchor of the first body of a joint to that of the second, in ground axes."""
     way = joint.first.arm + joint.slide
     return way + joint.reach if joint.drifts else way
 
@@ -290,11 +290,11 @@ def _add_to(loads: dict[SpatialBody, Wrench], body: SpatialBody, wrench: Wrench)
 
 
 def _square(a: ca.SX, b: ca.SX) -> ca.SX:
-    """a.b 1 - b a': for b = a the inertia of a mass of 1 kg at a."""
+    """Return a.b 1 - b a': for b = a the inertia of 1 kg at a."""
     return ca.dot(a, b) * ca.SX.eye(3) - b @ a.T
 
 
-# What acts ----------------------------------------------------------------------------------------------------------
+# Applied loads --------------------------------------------------------------------------------------------------------
 
 
 def gravity(m: Mechanism, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wrench]:
@@ -304,7 +304,7 @@ def gravity(m: Mechanism, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wr
 
 
 def loads(m: Mechanism) -> dict[SpatialBody, Wrench]:
-    """What forces and torques declared on bodies in space do."""
+    """Return forces and torques declared on bodies in space."""
     found: dict[SpatialBody, Wrench] = {}
     for load in m.spatial_loads:
         _push(found, load.at, stack(load.force), stack(load.torque))
@@ -317,11 +317,11 @@ def applied(
     closures: Sequence[Closing],
     lam: ca.SX,
 ) -> dict[SpatialBody, Wrench]:
-    """Return all that acts on bodies in space but joints with coordinates: weights, loads, efforts, joints that
-    constraints close.
+    """Return all loads on bodies in space except those of joints with coordinates.
 
-    `efforts` act along joints, or push two points apart. Those along a joint with coordinates are left out, as their
-    pair of forces does nothing to any other joint.
+    These are weights, declared loads, efforts and reactions of joints that constraints close. `efforts` act along
+    joints, or push two points apart. Those along a joint with coordinates are left out, as their pair of forces does
+    nothing to any other joint.
     """
     found = dict(gravity(m, m.spatial_bodies))
     for body, wrench in loads(m).items():
@@ -350,7 +350,7 @@ def applied(
 
 
 def _effort(found: dict[SpatialBody, Wrench], along: SpatialJoint | SpatialFreedom, effort: ca.SX) -> None:
-    """An effort along a free motion of a joint that constraints close."""
+    """Add an effort along a free motion of a joint that constraints close."""
     joint = along.joint if isinstance(along, SpatialFreedom) else along
     which = along.which if isinstance(along, SpatialFreedom) else next(iter(joint.freedoms))
     if joint.coordinates is None:
@@ -362,7 +362,8 @@ def _effort(found: dict[SpatialBody, Wrench], along: SpatialJoint | SpatialFreed
 def _pair(
     found: dict[SpatialBody, Wrench], first: SpatialMarker, second: SpatialMarker, force: ca.SX, moment: ca.SX
 ) -> None:
-    """A force at the second point, and a moment, on the second body; the opposite, in the same line, on the first."""
+    """Add a force at the second point and a moment on the second body, and the opposite, on the same line, on the
+    first."""
     _push(found, second, force, moment)
     across = second.place - first.place
     _push(found, first, -force, -moment - ca.cross(across, force))
@@ -372,11 +373,11 @@ def _push(found: dict[SpatialBody, Wrench], at: SpatialMarker, force: ca.SX, mom
     _add_to(found, at.body, (force, moment + ca.cross(at.arm, force)))
 
 
-# What is read -------------------------------------------------------------------------------------------------------
+# Outputs --------------------------------------------------------------------------------------------------------------
 
 
 def reaction(joint: SpatialJoint, force: ca.SX, moment: ca.SX) -> Wrench:
-    """Of what a joint with coordinates hands on, what does no work in its free motions."""
+    """Return the part of a joint's load that does no work in its free motions."""
     columns = joint.columns
     axis = joint.triad()[2]
     if joint.kind in ("prismatic", "cylindrical"):
@@ -402,7 +403,7 @@ def outputs(
     lam: ca.SX,
     efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
 ) -> tuple[list[ca.SX], list[Variable]]:
-    """Motion of every body in space, free motions and reaction of every joint between such bodies."""
+    """Return the motion of every body in space, and free motions and reaction of every joint between such bodies."""
 
     def rate(x: ca.SX) -> ca.SX:
         return ca.jtimes(x, q, v) + ca.jtimes(x, v, a)
@@ -411,7 +412,7 @@ def outputs(
     found: list[Variable] = []
 
     def add(name: str, vector: ca.SX, unit: str, text: str) -> None:
-        """A number, or a vector by its components; {} stands for the axis in the name, ` along {}` in the text."""
+        """Add a number, or a vector by components; {} is the axis in the name, ` along {}` in the text."""
         for axis, x in zip("xyz", ca.vertsplit(vector), strict=False):
             values.append(x)
             found.append(Variable(name.format(axis), unit, description=text.format(axis)))
@@ -487,7 +488,7 @@ def _driven(
     moment: ca.SX,
     efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
 ) -> list[tuple[SpatialFreedom, ca.SX]]:
-    """Free motions of a joint that laws of time prescribe, and what each takes of the load that the joint hands on."""
+    """Return free motions of a joint that laws of time prescribe, and the share of the joint's load that each takes."""
     found, own = [], stack([c.q for c in m.coordinates])
     for which, coordinate, (w, u) in zip(joint.freedoms, joint.coordinates or (), joint.columns, strict=False):
         x = symbolic(coordinate)
@@ -499,7 +500,7 @@ def _driven(
 
 
 def _about(joint: SpatialJoint, which: str) -> str:
-    """What a joint with several free motions of a kind says of one."""
+    """Return the description of one of several free motions of a kind in a joint."""
     return {
         "angle1": f", about the axis of {joint.name} on the first",
         "angle2": f", about the axis of {joint.name} on the second",

@@ -1,5 +1,4 @@
-"""Change what a scene begins with before it is traced: leave out outputs nobody reads and parameters that never change,
-start elsewhere."""
+"""Specialise a scene before it is traced: leave out outputs, freeze parameters, change the start."""
 
 from __future__ import annotations
 
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..model.errors import InputError
 from ..model.words import some_like, there_is
-from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
+from .evaluation import ARGUMENTS, Stage, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, PEAK, events
-from .types import REACTION_ERROR, Equations
+from .types import REACTION_ERROR, Configuration, Equations
 
 __all__ = ["plain", "specialised", "starting_at", "without_steps"]
 
@@ -24,38 +23,34 @@ __all__ = ["plain", "specialised", "starting_at", "without_steps"]
 ALL = "all"
 """Stands for every parameter of the mechanism."""
 
-_UNTRACED: dict[str, Any] = {"signatures": {}, "kernel": {}, "library": None}
-"""What a scene of all outputs and parameters was traced to is no part of it."""
-
 
 def specialised(
     equations: Equations, outputs: Iterable[str] | None = None, freeze: Sequence[str] | None = None
 ) -> Equations:
-    """Return the same equations with what is not needed left out: outputs but those that match, parameters to freeze.
+    """Return the same equations with only the outputs that match, and with frozen parameters folded in.
 
-    `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
-    `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
-    outputs that they are of; one such as `A.force.peak` for the largest magnitude of an output, or of a vector of them,
-    within each communication step; `monitor.reaction_error` is left out unless it is named. `freeze` are parameters of
-    the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in but what
-    has to be asked for. Raises InputError if a pattern matches no output, or a name is no parameter.
+    `outputs` are names or patterns such as `link*.angle`; other outputs are not computed. A pattern such as
+    `link*.angle/A.torque` requests entries of the interface Jacobian, which no other pattern matches, and their
+    outputs; one such as `A.force.peak` requests the largest magnitude of an output, or of a vector of outputs, within
+    each communication step; `monitor.reaction_error` must be named. `freeze` names parameters of the mechanism that
+    become constants at their defaults, `["all"]` for every one. None leaves out only outputs that must be requested.
+    Raises InputError if a pattern matches no output, or a name is no parameter.
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
 
 
 def starting_at(
-    equations: Equations,
+    equations: Stage,
     q: NDArray[np.float64],
     states: Mapping[str, float] | None = None,
     kept: Sequence[float] | NDArray[np.float64] = (),
-) -> Equations:
-    """Return the same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved
-    along.
+) -> Stage:
+    """Return the same equations that start at rest at q (n,), with start values and guesses adapted.
 
-    Further states, by name, start at the given values. With other defaults they start beside it, as far as guesses and
-    start values lead. What is traced stays. `kept` are the numbers of `Equations.held`, which guesses contain where
-    laws of time and signals move something.
+    States, by name, start at the given values. With other parameters they start nearby, as far as guesses and start
+    values lead. Traced programs stay valid. `kept` are the values of `Equations.held`, which guesses contain if laws of
+    time and signals prescribe motion.
     """
     e, x = equations, symbols(equations)
     p = [v.start for v in e.parameters] + (list(kept) or [0.0] * len(e.held))
@@ -78,18 +73,18 @@ def starting_at(
 
 
 def plain(outputs: Iterable[str]) -> list[str]:
-    """Patterns of outputs, with the outputs in place of entries of the interface Jacobian."""
+    """Return patterns of outputs, with entries of the interface Jacobian replaced by their outputs."""
     return [pattern.partition("/")[0] for pattern in ([outputs] if isinstance(outputs, str) else outputs)]
 
 
 def without_steps(outputs: Iterable[str]) -> list[str]:
-    """Return the same, with the outputs in place of peaks, too."""
+    """Return patterns of outputs, with peaks and entries of the interface Jacobian replaced by their outputs."""
     return [f"{x.removesuffix(PEAK)}*" if x.endswith(PEAK) else x for x in plain(outputs)]
 
 
 def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
-    """Return entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for
-    none."""
+    """Return entries of the interface Jacobian that match a pattern such as `link*.angle/A.torque`; none for other
+    patterns."""
     output, by, wanted = pattern.partition("/")
     if not by:
         return set()
@@ -103,7 +98,7 @@ def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
 
 
 def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
-    """Return the same equations with those outputs and monitors alone that match a pattern."""
+    """Return the same equations with only the outputs and monitors that match a pattern."""
     e = equations
     asked = [patterns] if isinstance(patterns, str) else list(patterns)
     entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
@@ -124,9 +119,9 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     readings = shared("readings", arguments, [e.readings(*arguments)[kept]])
     monitors = [name for name in monitors if not _matches(name, patterns)]
     return evaluable(
-        replace(
+        _changed(
             e,
-            # Work is integrated for the balance of energy.
+            # Only the energy balance needs integrated work.
             works=e.works and bool(BALANCE - {*left, *monitors}),
             outputs=[e.outputs[i] for i in kept],
             wrapped={name: at for name, at in e.wrapped.items() if name in needed or _matches(name, patterns)},
@@ -134,14 +129,12 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             monitors=[*left, *monitors],
             jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
-            survey=e.survey.elsewhere,
-            **_UNTRACED,
         )
     )
 
 
 def _magnitudes(e: Equations) -> dict[str, list[str]]:
-    """What can have a peak, and the outputs that it consists of: each output, and vectors of them."""
+    """Return what can have a peak, with its outputs: each output, and vectors of outputs."""
     found = {v.name: [v.name] for v in e.outputs}
     for name in found.copy():
         base, _, axis = name.rpartition(".")
@@ -151,7 +144,7 @@ def _magnitudes(e: Equations) -> dict[str, list[str]]:
 
 
 def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
-    """Return the same equations with parameters folded into them; start values and numbers of the solver stay."""
+    """Return the same equations with parameters folded in; start values and solver variables stay."""
     e = equations
     own = [p.name for p in e.parameters]
     names = own if list(names) == [ALL] else list(names)
@@ -166,11 +159,19 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])
-    return evaluable(replace(e, parameters=left, functions=functions, survey=e.survey.elsewhere, **_UNTRACED))
+    return evaluable(_changed(e, parameters=left, functions=functions))
+
+
+def _changed(e: Equations, **changes: Any) -> Equations:
+    """Return equations with changes, before they are traced and surveyed."""
+    changes["signatures"] = {}
+    if not isinstance(e, Configuration):
+        return replace(e, **changes)
+    return Configuration.of(e, survey=e.survey.elsewhere, **changes)
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:
-    """Return the functions that derivation gave, without what was made of them."""
+    """Return the functions from derivation, without those derived from them."""
     return {name: e.functions[name] for name in ARGUMENTS if name in e.functions}
 
 

@@ -1,13 +1,13 @@
-"""The equations of a mechanism as numbers need them: functions, names, units. No symbols, no declaration.
+"""Equations of a mechanism for numerical use: functions, names, units; no symbols, no declaration.
 
-`alfmu.derive` makes them, a scene file carries them, `alfmu.runtime` evaluates them.
+`alfmu.derive` makes `Equations`; a `Configuration` is what a scene is traced from.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from ..model.kept import Kept
 from ..model.words import Brief
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     *(
         "REACTION_ERROR",
+        "Configuration",
         "Decision",
         "Equations",
         "Followed",
@@ -32,12 +33,12 @@ __all__ = [
 ]
 
 REACTION_ERROR = "monitor.reaction_error"
-"""The monitor that is there on request alone."""
+"""The monitor that must be requested."""
 
 Signature = dict[str, Any]
-"""Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
-column offsets, row indices] where it is sparse; `matrices`, how many of the results are matrices, the rest being
-vectors."""
+"""Sizes of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows,
+columns, column offsets, row indices] of a sparse one; `matrices`, the number of results that are matrices, the others
+being vectors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,43 +56,43 @@ class Variable(Brief):
     instant: bool = False
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
     nominal: float | None = None
-    """What a large value is, where one is declared."""
+    """Order of magnitude, if one is declared."""
     of_step: bool = False
-    """Whether an output belongs to the communication step that was made last, and changes with steps alone."""
+    """Whether an output belongs to the last communication step, and changes only with steps."""
 
 
 @dataclass(frozen=True, repr=False)
 class Switch(Brief):
-    """A Boolean input that puts constraints in force and out of it while the mechanism moves."""
+    """A Boolean input that switches constraints on and off while the mechanism moves."""
 
     name: str
     rows: list[int]
-    """Constraints that it concerns."""
+    """Constraints that it switches."""
     holds: bool
-    """Whether they hold where it is on (a lock) or where it is off (a joint that can be released)."""
+    """Whether they are in force while it is on (a lock) or off (a joint that can be released)."""
     value: int = -1
-    """Place among `Equations.held` of the displacement that a lock keeps; -1 where nothing is kept."""
+    """Index in `Equations.held` of the displacement that a lock keeps; -1 if there is none."""
     start: bool = False
     description: str = ""
 
 
 @dataclass(frozen=True)
 class Followed:
-    """An input that moves something: its place among the inputs, and how it goes on inside a communication step."""
+    """An input that prescribes motion: its index, and its extrapolation within a communication step."""
 
     input: int
     derivatives: int
-    """Companions that follow it among the inputs: none, its rate, or its acceleration too."""
+    """Number of companions that follow it among the inputs: none, its rate, or also its acceleration."""
     order: int
-    """Of the polynomial by which the highest derivative given goes on."""
+    """Order of the polynomial that extrapolates the highest derivative given."""
     jump: float
-    """Largest difference [in its unit] of a value and of what the motion has reached."""
+    """Largest accepted difference [its unit] between a new value and the motion reached."""
 
 
 @dataclass(frozen=True)
 class Leap:
-    """A law of time that may jump, or not be finite: what it is, in words, its unit, and the constraint with which
-    alone it counts, -1 where it always does."""
+    """A law of time that may jump or diverge: its description, its unit, and the switchable constraint that it belongs
+    to, -1 if it is always in force."""
 
     what: str
     unit: str
@@ -100,13 +101,13 @@ class Leap:
 
 @dataclass(frozen=True)
 class Row:
-    """One constraint: the joint (or body, or constraint) that it closes, its direction and unit."""
+    """One constraint: the joint, body or constraint that it closes, its direction and unit."""
 
     name: str
     direction: str
     unit: str
     size: float = 0.0
-    """What the row comes to for a unit of displacement; 0 where the coefficients have to tell (`start/row_units.c`)."""
+    """Value of the row per unit of displacement; 0 if it follows from the coefficients (`start/row_units.c`)."""
 
     @property
     def what(self) -> str:
@@ -115,47 +116,47 @@ class Row:
 
     @property
     def text(self) -> str:
-        """Joint and direction as they are shown: `A x`, `drum locked`, `A dry friction`."""
+        """Joint and direction for display: `A x`, `drum locked`, `A dry friction`."""
         return f"{self.name} {self.what}".strip()
 
 
 @dataclass(frozen=True)
 class Rubbing:
-    """Dry friction of a joint, in proportion to its load: a constraint that holds while the joint sticks.
+    """Dry friction of a joint, proportional to its load: a constraint while the joint sticks.
 
-    While it slides, the multiplier of that constraint is what the law of friction gives for the load.
+    While the joint slides, the law of friction gives the multiplier of that constraint.
     """
 
     name: str
     row: int
     value: int
-    """Place among `Equations.held` of the displacement at which it sticks."""
+    """Index in `Equations.held` of the displacement at which it sticks."""
     slip: int
-    """Place there of the direction in which it slides: 1 or -1, 0 while it sticks (`equations.friction` has others)."""
+    """Index there of the direction in which it slides: 1 or -1, 0 while it sticks (`equations.friction` has others)."""
     output: str
-    """The output of its friction."""
+    """Name of the output for its friction."""
 
 
 @dataclass(frozen=True)
 class Mobility:
-    """How a mechanism can move: in general, and at one position."""
+    """Degrees of freedom of a mechanism: in general, and at one position."""
 
     freedom: int
     """Degrees of freedom at a regular position."""
     redundant: int
-    """Constraints that follow from the others on the whole of the motion."""
+    """Constraints that depend on the others at every position."""
     freedom_here: int
     """Independent velocities at the given position; more than `freedom` where it is singular."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The method of integration of a scene."""
+    """The integrator of a scene."""
 
     method: str
     """A method of `alfmu.model.settings`, never `auto`."""
     reason: str = ""
-    """Why `auto` stands for it; empty where the method was given."""
+    """Reason for which `auto` selected it; empty if the method was given."""
 
 
 @dataclass(frozen=True)
@@ -166,19 +167,19 @@ class Survey:
     """
 
     mobility: Mobility | None = None
-    """None where it is not known: nobody looked, or the defaults have no start."""
+    """None if unknown: not surveyed, or the defaults have no start."""
     iterations: int = 2
     """Multiplier iterations that reach round-off at a regular position."""
     shared: tuple[str, ...] | None = None
-    """Outputs that are not unique, as redundant constraints share a load; None where it is not known."""
+    """Outputs that are not unique, as redundant constraints share a load; None if unknown."""
     brakes: bool = False
     """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
     uneven: bool = False
-    """Whether constraints are in different units, so that each has a penalty of its own."""
+    """Whether constraints have different units, so that each has its own penalty."""
 
     @property
     def elsewhere(self) -> Survey:
-        """The part of it that holds at other starts, too."""
+        """Return the properties that hold at other starts, too."""
         return replace(self, mobility=None, iterations=Survey.iterations)
 
 
@@ -186,7 +187,7 @@ _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
     *("compliances", "switches", "frictions", "states", "jacobian"),
 )
-"""Fields of equations that users read."""
+"""Fields of equations that are converted to tuples, as users read them."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -203,9 +204,9 @@ class Equations:
     Phi(q, p)                        constraints (l,)                                        (1)
     C(q, p)                          constraint matrix (l, n)                                (2)
     xi(q, v, p)                      constraint-induced accelerations (l,)                   (3)
-    displacements(q, p)              what locks keep, m or rad
+    displacements(q, p)              displacements that locks keep, m or rad
     counted(q, p)                    angles whose turns count, rad
-    gaps(q, p)                       how far each constraint is open (l,), m or rad          zero where Phi is
+    gaps(q, p)                       opening of each constraint (l,), m or rad               zero where Phi is
     gaps_matrix(q, p)                its derivative (l, n)
     kinetic_energy(q, v, p)          J
     potential_energy(q, p)           J
@@ -213,28 +214,27 @@ class Equations:
     other_power(q, v, p, t)          power of dampers and loads, W
     state_rates(q, v, u, p, t)       time derivatives of the states
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
-    shares(q, v, a, lam, u, p, t)    half the derivative by lam of the sum of squares of     zero where least
-                                     all that joints carry [N; N.m over L] (l,)
-    rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
+    shares(q, v, a, lam, u, p, t)    half the derivative by lam of the sum of squares of     zero at least loads
+                                     all loads of joints [N; N.m over L] (l,)
+    rubbing(q, v, a, lam, u, p, t)   multipliers, limits, second rates of dry friction
     sliding(q, v, p)                 rates of joints with dry friction
     instants(p)                      times that are declared as events, s
-    stops(q, p)                      how far each limit of a stop is passed, m or rad
+    stops(q, p)                      displacement beyond each limit of a stop, m or rad
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
     ties_matrix(q, p, s)             its derivative with respect to q
     ===============================  ======================================================  ======================
 
-    Where places, constraints or energies depend on time, time is the last coordinate, its rate is 1, and there are also
+    If positions, constraints or energies depend on time, time is the last coordinate, its rate is 1, and there are
 
     ========================================  ==================================================================
     Phi_dot(q, v, p)                          C v + Phi_t (l,), linear in v
-    motion_power(q, v, a, lam, u, p, t)       power of what moves by itself, W
-    laws(q, v, p)                             laws of time that may break, their rates, and the rates of these
+    motion_power(q, v, a, lam, u, p, t)       power of prescribed motion, W
+    laws(q, v, p)                             laws of time that may jump or diverge, and their first and second rates
     ========================================  ==================================================================
 
-    Those that are evaluated with numbers are combined by `alfmu.equations.evaluation`, and traced into a kernel by
-    `alfmu.kernel.trace`.
+    `alfmu.equations.evaluation` combines those that are evaluated with numbers, and `alfmu.kernel.trace` traces them.
     """
 
     name: str
@@ -254,71 +254,72 @@ class Equations:
     stop_time: float
     step_size: float
     interval: float
-    """Communication step when nobody says otherwise [s]."""
+    """Default communication step [s]."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    kernel: dict[str, Any] = field(default_factory=dict)
-    """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
     solver: dict[str, Any] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
-    decision: Decision | None = None
-    """None where the method of integration is not decided yet."""
-    survey: Survey = Survey()
     monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
-    """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
+    """Order of the coordinates with least fill in the factorised augmented mass."""
     telling: list[int] = field(default_factory=list)
-    """Independent coordinates, which a start gives one by one."""
+    """Independent coordinates that have a start value each."""
     lengths: list[int] = field(default_factory=list)
     """Constraints that keep Euler parameters at unit length: they belong to no joint."""
     slips: list[int] = field(default_factory=list)
-    """Constraints of velocities alone (not holonomic): they have rows in C, and none in Phi."""
+    """Nonholonomic constraints: they have rows in C, and none in Phi."""
     compliances: Sequence[Variable] = ()
-    """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
+    """Compliance of each constraint, if a user may give them: redundant ones then share a load as elastic ones do."""
     switches: Sequence[Switch] = ()
     """Boolean inputs that change the topology."""
     frictions: Sequence[Rubbing] = ()
     """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
-    """Displacements that locks keep, and what joints with dry friction remember: their values follow the parameters in
-    p, `displacements` computes them. Behind them angles whose turns count; and where time is a coordinate, the time at
-    which the run began and the numbers of signals."""
+    """Names of stored values in p behind the parameters, which `displacements` computes: displacements that locks keep,
+    states of joints with dry friction, angles whose turns are counted, and if time is a coordinate, the time at which
+    the run began and the numbers of signals."""
     counted: dict[str, int] = field(default_factory=dict)
-    """Angles among `held` whose turns count, as something depends on them, and the start value they begin near."""
+    """Angles among `held` whose turns are counted because something depends on them, and the start value they begin
+    near."""
     states: Sequence[Variable] = ()
-    """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
+    """States of first-order equations, integrated with the motion; `start` is their value at the start."""
     resting: bool = False
-    """Whether the one coordinate stands for none: of states alone, it never moves."""
+    """Whether a dummy coordinate stands for a mechanism of states alone; it never moves."""
     timed: bool = False
     """Whether time is the last coordinate."""
     followed: Sequence[Followed] = ()
-    """Inputs that move something."""
+    """Inputs that prescribe motion."""
     leaps: Sequence[Leap] = ()
-    """Laws of time that may jump, or not be finite."""
+    """Laws of time that may jump or diverge."""
     limited: Sequence[Variable] = ()
     """Stops, by their names and units, one for each of their limits."""
-    breaks: list[int] = field(default_factory=list)
-    """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
-    """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
+    """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
     peaks: dict[str, list[str]] = field(default_factory=dict)
-    """Of what the largest magnitude within a communication step is asked for, and the outputs that it consists of."""
+    """Peaks requested, and the outputs that each consists of."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
-    library: Any = field(default=None, repr=False)
-    """Path of the functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
     kept: Kept = field(default_factory=Kept, init=False, repr=False, compare=False)
-    """Results that follow from these equations: made once, and not kept for others made of them."""
+    """Cache of results of these equations, not passed on to equations made from them."""
 
     def __post_init__(self) -> None:
-        # Equations are shared by instances, so that nobody may change them.
+        # Instances share equations, so users must not change them.
         for each in _TUPLES:
             object.__setattr__(self, each, tuple(getattr(self, each)))
 
     def __repr__(self) -> str:
-        return f"Equations({self.name!r}, n = {self.n}, l = {self.l}{', traced' if self.kernel else ''})"
+        return f"{type(self).__name__}({self.name!r}, n = {self.n}, l = {self.l})"
+
+    @classmethod
+    def of(cls, equations: Equations, **changes: Any) -> Self:
+        """Return equations at this stage, with what belongs to later ones left out, and with changes."""
+        if type(equations) is cls and not changes:
+            return equations
+        given = vars(equations)
+        known = {field.name: given[field.name] for field in fields(cls) if field.init and field.name in given}
+        return cls(**{**known, **changes})
 
     @property
     def n(self) -> int:
@@ -355,3 +356,12 @@ class Equations:
         if name in functions:
             return functions[name]
         raise AttributeError(name)
+
+
+@dataclass(frozen=True, repr=False)
+class Configuration(Equations):
+    """Equations with the defaults, outputs and frozen parameters of a scene, and what is decided and found for it."""
+
+    decision: Decision | None = None
+    """None where the method of integration is not decided yet."""
+    survey: Survey = Survey()

@@ -1,4 +1,4 @@
-"""The modelDescription.xml of an FMU, and its documentation page: everything a tool shows before the first step."""
+"""The modelDescription.xml of an FMU and its documentation page."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ __all__ = [
     "documentation",
     "enumerated",
     "model_description",
-    "model_description3",
 ]
 
 LICENSE = "MIT"
 
 Choices = Mapping[str, Mapping[str, str]]
-"""Variables of a native FMU that are text: what each can be in it, and what that is."""
+"""Text variables of a native FMU: their possible values, with descriptions."""
 
 _LOG_CATEGORIES = {
     "logStatusWarning": "Something was left as it was",
@@ -36,6 +35,37 @@ _LOG_CATEGORIES = {
     "logStatusFatal": "Errors that end the run",
     "logAll": "All messages",
 }
+
+
+_CAPABILITIES = {
+    2: {
+        "needsExecutionTool": "false",
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "{inputs}",
+        "canRunAsynchronuously": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "{directional}",
+        "maxOutputDerivativeOrder": "{order}",
+    },
+    3: {
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "{directional}",
+        "providesAdjointDerivatives": "{directional}",
+        "canHandleVariableCommunicationStepSize": "true",
+        "maxOutputDerivativeOrder": "{order}",
+        "canReturnEarlyAfterIntermediateUpdate": "true",
+        "providesIntermediateUpdate": "true",
+        "mightReturnEarlyFromDoStep": "true",
+    },
+}
+"""Attributes of co-simulation by version of FMI; those in braces depend on the kind of FMU and its inputs."""
+
+_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
+"""Types of FMI 2 and of FMI 3."""
 
 
 def model_description(
@@ -47,131 +77,79 @@ def model_description(
     sources: Sequence[str] = (),
     credits: Mapping[str, str] = MappingProxyType({}),
     choices: Choices = MappingProxyType({}),
+    fmi: int = 2,
+    directional: bool = True,
 ) -> bytes:
-    """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
+    """Return modelDescription.xml (co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
+    A native FMU may have directional derivatives.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
-    derivatives = str(native and bool(e.inputs)).lower()
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=e.name,
-        guid=guid,
-        description=e.description,
-        version=version,
-        license=LICENSE,
-        generationTool=generator,
-        variableNamingConvention=_convention(e),
-        **credits,  # type: ignore[arg-type]
-    )
-    simulation = ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=e.name,
-        needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs=derivatives,
-        canRunAsynchronuously="false",
-        canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-        providesDirectionalDerivative=str(native).lower(),
-        maxOutputDerivativeOrder=str(2 * native),
-    )
-    if sources:
-        files = ET.SubElement(simulation, "SourceFiles")
-        for name in sources:
-            ET.SubElement(files, "File", name=name)
-    _units(root, sorted({v.unit for _, v in variables if v.type == "Real"}))
+    head = {"fmiVersion": f"{fmi}.0", "modelName": e.name, "guid" if fmi == 2 else "instantiationToken": guid}
+    head |= {"description": e.description, "version": version, "license": LICENSE, "generationTool": generator}
+    root = ET.Element("fmiModelDescription", head, variableNamingConvention=_convention(e), **credits)
+    known = {
+        "directional": str(native and directional).lower(),
+        "inputs": str(native and bool(e.inputs)).lower(),
+        "order": 2 * native,
+    }
+    capabilities = {name: value.format(**known) for name, value in _CAPABILITIES[fmi].items()}
+    simulation = ET.SubElement(root, "CoSimulation", {"modelIdentifier": e.name, **capabilities})
+    if fmi == 2 and sources:
+        _files(ET.SubElement(simulation, "SourceFiles"), "File", sources)
+    _units(root, sorted({*["s"] * (fmi == 3), *(v.unit for _, v in variables if v.type == "Real")}))
     types = ET.SubElement(root, "TypeDefinitions") if choices else root
     for name, items in choices.items():
-        _items(ET.SubElement(ET.SubElement(types, "SimpleType", name=name), "Enumeration"), items)
+        if fmi == 2:
+            _items(ET.SubElement(ET.SubElement(types, "SimpleType", name=name), "Enumeration"), items)
+        else:
+            _items(ET.SubElement(types, "EnumerationType", name=name), items)
     _categories(root)
     _experiment(root, e)
     model_variables = ET.SubElement(root, "ModelVariables")
     for reference, (causality, v) in enumerate(variables):
         head, kind = _facts(reference, causality, v)
-        ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
-    _structure(root, e, [causality for causality, _ in variables], [v for _, v in variables])
+        if fmi == 2:
+            ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
+        else:
+            if causality == "input":
+                head.pop("initial", None)
+            ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
+    if fmi == 3:
+        time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
+        ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
+    _structure(root, e, variables, fmi)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
-def model_description3(
-    equations: Equations,
-    version: str,
-    generator: str,
-    token: str,
-    variables: Sequence[tuple[str, Variable]],
-    credits: Mapping[str, str] = MappingProxyType({}),
-    choices: Choices = MappingProxyType({}),
-) -> bytes:
-    """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
-    e, variables = equations, enumerated(variables, choices)
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=e.name,
-        instantiationToken=token,
-        description=e.description,
-        version=version,
-        license=LICENSE,
-        generationTool=generator,
-        variableNamingConvention=_convention(e),
-        **credits,  # type: ignore[arg-type]
-    )
-    ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=e.name,
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        providesDirectionalDerivatives="true",
-        providesAdjointDerivatives="true",
-        canHandleVariableCommunicationStepSize="true",
-        maxOutputDerivativeOrder="2",
-        canReturnEarlyAfterIntermediateUpdate="true",
-        providesIntermediateUpdate="true",
-        mightReturnEarlyFromDoStep="true",
-    )
-    _units(root, sorted({"s"} | {v.unit for _, v in variables if v.type == "Real"}))
-    types = ET.SubElement(root, "TypeDefinitions") if choices else root
-    for name, items in choices.items():
-        _items(ET.SubElement(types, "EnumerationType", name=name), items)
-    _categories(root)
-    _experiment(root, e)
-    model_variables = ET.SubElement(root, "ModelVariables")
-    for reference, (causality, v) in enumerate(variables):
-        head, kind = _facts(reference, causality, v)
-        if causality == "input":
-            head.pop("initial", None)
-        ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
-    time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
-    ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
-    structure = ET.SubElement(root, "ModelStructure")
-    inputs = [str(i) for i, (causality, v) in enumerate(variables) if causality == "input" and v.type == "Real"]
-    outputs = [(str(i), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
-    for number, v in outputs:
+def _structure(root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int) -> None:
+    """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
+
+    A Boolean input takes effect in the next step. FMI 2 counts variables from 1, FMI 3 names their references.
+    """
+    structure, first = ET.SubElement(root, "ModelStructure"), 1 if fmi == 2 else 0
+    inputs = [str(i + first) for i, (c, v) in enumerate(variables) if c == "input" and v.type == "Real"]
+    if fmi == 2:
+        outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
+        names, key = ("Unknown", "Unknown"), "index"
+    else:
+        outputs = unknowns = structure
+        names, key = ("Output", "InitialUnknown"), "valueReference"
+    told = [(str(i + first), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
+    for number, v in told:
         on = inputs if v.instant else []
         kinds = " ".join("dependent" for _ in on)
-        ET.SubElement(structure, "Output", valueReference=number, dependencies=" ".join(on), dependenciesKind=kinds)
-    for number, v in outputs:
-        needed = " ".join(str(i) for i in _at_the_start(e, variables, v))
-        ET.SubElement(structure, "InitialUnknown", valueReference=number, dependencies=needed)
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-
-
-_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
-"""Types of FMI 2 and of FMI 3."""
+        ET.SubElement(outputs, names[0], {key: number}, dependencies=" ".join(on), dependenciesKind=kinds)
+    for number, v in told:
+        needed = " ".join(str(i + first) for i in _at_the_start(e, variables, v))
+        ET.SubElement(unknowns, names[1], {key: number}, dependencies=needed)
 
 
 def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:
-    """The same variables, those that are text as numbers of what this FMU takes, from 1 on."""
+    """Return the variables with text ones as enumerations, whose items are the values of this FMU, counted from 1."""
 
     def numbered(v: Variable) -> Variable:
         items = list(choices[v.name])
@@ -184,8 +162,13 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
 
 
 def _convention(e: Equations) -> str:
-    """How variables are called: names of the interface Jacobian have a slash, which structured ones cannot have."""
+    """Return the naming convention: names of the interface Jacobian have a slash, which structured names forbid."""
     return "flat" if e.jacobian else "structured"
+
+
+def _files(element: ET.Element, kind: str, names: Sequence[str]) -> None:
+    for name in names:
+        ET.SubElement(element, kind, name=name)
 
 
 def _items(element: ET.Element, items: Mapping[str, str]) -> None:
@@ -194,12 +177,10 @@ def _items(element: ET.Element, items: Mapping[str, str]) -> None:
 
 
 def build_description(identifier: str, sources: Sequence[str]) -> bytes:
-    """buildDescription.xml (FMI 3.0) of C files."""
+    """Return buildDescription.xml (FMI 3.0) of C files."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
-    files = ET.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in sources:
-        ET.SubElement(files, "SourceFile", name=name)
+    _files(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", sources)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
@@ -226,7 +207,7 @@ def _units(root: ET.Element, names: Sequence[str]) -> None:
 
 
 def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str], dict[str, str]]:
-    """What is said of a variable, and of the values it can have."""
+    """Return the attributes of a variable, and those of its type."""
     continuous = v.type == "Real" and not v.of_step
     variability = "fixed" if causality == "parameter" else "continuous" if continuous else "discrete"
     head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
@@ -250,44 +231,21 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
     return head, kind
 
 
-def _structure(root: ET.Element, e: Equations, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
-    """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none.
-
-    A Boolean input takes effect in the next step.
-    """
-    structure = ET.SubElement(root, "ModelStructure")
-    continuous = [v.type == "Real" for v in variables]
-    inputs = [str(i + 1) for i, causality in enumerate(causalities) if causality == "input" and continuous[i]]
-    outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
-    for i, (causality, v) in enumerate(zip(causalities, variables, strict=True)):
-        if causality == "output":
-            on = inputs if v.instant else []
-            ET.SubElement(
-                outputs,
-                "Unknown",
-                index=str(i + 1),
-                dependencies=" ".join(on),
-                dependenciesKind=" ".join("dependent" for _ in on),
-            )
-            known = _at_the_start(e, list(zip(causalities, variables, strict=True)), v)
-            ET.SubElement(unknowns, "Unknown", index=str(i + 1), dependencies=" ".join(str(k + 1) for k in known))
-
-
 _LATER = ("step_size", "relative_tolerance", "absolute_tolerance", "input_order", "method")
-"""Of the solver: what has no effect before the first step."""
+"""Solver variables without effect before the first step."""
 
 
 def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], output: Variable) -> list[int]:
-    """Places of the variables that an output may depend on when a run begins.
+    """Return the indices of the variables on which an output may depend at initialisation.
 
-    Those are parameters, Boolean inputs, which take effect at once at the start, inputs that move something, as the run
-    starts where these are, and what the output follows later too. What belongs to a communication step is zero then.
+    These are parameters, Boolean inputs (effective at once at the start), inputs that prescribe motion (the run starts
+    at their values), and the output's dependencies in steps. Outputs of a communication step are zero then.
     """
     if output.of_step:
         return []
     later = {f"solver.{name}" for name in _LATER}
     moving = {v.name for each in e.followed for v in e.inputs[each.input : each.input + 1 + each.derivatives]}
-    if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
+    if output.name == "monitor.iterations":  # counts the iterations of the start, which differ between methods
         later -= {"solver.method"}
     return [
         i
@@ -298,7 +256,7 @@ def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], outpu
 
 
 def _display(unit_name: str) -> str | None:
-    """Angles are read in degrees."""
+    """Return the display unit: degrees for angles."""
     return {"rad": "deg", "rad/s": "deg/s"}.get(unit_name)
 
 
@@ -337,7 +295,8 @@ def documentation(
     picture: str,
     variables: Sequence[tuple[str, Variable]] | None = None,
 ) -> str:
-    """documentation/index.html: the picture that stands in the archive, sketch, equations, all variables, needs."""
+    """Return documentation/index.html: sketch, equations, all variables, requirements; the picture is in
+    the archive."""
     e = equations
     body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
     sketch_block = f"<pre>{html.escape(sketch.strip())}</pre>" if sketch and not readme else ""
@@ -367,7 +326,7 @@ def documentation(
 
 
 def dependencies() -> str:
-    """What an FMU for Python needs from outside, in one line."""
+    """Return the requirements of an FMU for Python, in one line."""
     return (
         "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later), and "
         "no package. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."

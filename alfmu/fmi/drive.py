@@ -1,4 +1,4 @@
-"""An FMU driven through fmpy, behind the same calls as an `Instance`."""
+"""An FMU run by fmpy, with the interface of an `Instance`."""
 
 from __future__ import annotations
 
@@ -42,48 +42,48 @@ __all__ = [
 _LOGGER = logging.getLogger("alfmu")
 
 _LOG: list[tuple[int, str]] = []
-"""Status and text of the messages of the call under way; one list for all, for fmpy hands every message to the newest
-instance's logger."""
+"""Status and text of the messages of the current call. All FMUs share the list, because fmpy passes every message to
+the logger of the newest instance."""
 
 _WARNING = 1
 """Status of a warning, in FMI 2 and 3."""
 
 
 def _logged(*said: Any) -> None:
-    """What an FMU logs; status, category and message come last, whatever the version of FMI."""
+    """Store a logged message; status, category and text are the last arguments in every version of FMI."""
     _LOG.append((said[-3], (said[-1] or b"").decode(errors="replace")))
 
 
 LARGEST = 4e9
-"""Bytes of an FMU, unpacked, at most."""
+"""Largest size of an unpacked FMU in bytes."""
 
 _KINDS = {
     **{"Real": "Real", "Float64": "Real", "Float32": "Real", "Integer": "Integer"},
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
     **{"Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"},
 }
-"""Types of variables in FMI 2 and 3, and what they are here."""
+"""Types of FMI 2 and 3, and the kinds of values that they are mapped to."""
 
 _NUMBERS = ("Real", "Integer", "Boolean")
-"""Kinds whose values are numbers in a table."""
+"""Kinds with numerical values in a table."""
 
 _STATE = {
     "2": ("getFMUstate", "setFMUstate", "freeFMUstate", "serializeFMUstate", "deSerializeFMUstate"),
     "3": ("getFMUState", "setFMUState", "freeFMUState", "serializeFMUState", "deserializeFMUState"),
 }
-"""Calls of fmpy that get, set, free, write and read a state."""
+"""Functions of fmpy that get, set, free, serialise and deserialise a state."""
 
 _LOGGERS: list[object] = []
-"""Callbacks of all FMUs, which have to outlive them."""
+"""Callbacks of all FMUs, which must outlive them."""
 
 
 def platforms_of(folder: Path) -> list[str]:
-    """Names of the platforms for which an unpacked FMU has a library."""
+    """Return the platforms for which an unpacked FMU has a library."""
     return sorted(each.name for each in (folder / "binaries").glob("*") if each.is_dir() and any(each.iterdir()))
 
 
 def missing_library(folder: Path, description: ModelDescription) -> str:
-    """Why the code of an unpacked FMU cannot run on this machine; empty where there is a library for it."""
+    """Return why the code of an unpacked FMU cannot run on this machine; empty if it can."""
     platform = platform_2 if description.fmiVersion.startswith("2") else platform_tuple
     name = f"{description.coSimulation.modelIdentifier}{sharedLibraryExtension}"
     if (folder / "binaries" / platform / name).is_file():
@@ -93,14 +93,14 @@ def missing_library(folder: Path, description: ModelDescription) -> str:
 
 
 def kind_of(type_name: str) -> str:
-    """The type of a variable of FMI 2 or 3 as it is called here; Binary and others are `Other`."""
+    """Return the kind of a type of FMI 2 or 3; Binary and others are `Other`."""
     return _KINDS.get(type_name, "Other")
 
 
 class Fmu:
     """A co-simulation FMU of FMI 2 or 3, unpacked and instantiated; close it, or use it in a `with` statement.
 
-    Of FMI 3, its scalar variables.
+    Of an FMI 3 FMU it has the scalar variables.
     """
 
     def __init__(self, path: str | Path):
@@ -122,7 +122,7 @@ class Fmu:
         self.parameters = {
             v.name: float(v.start) for v in self._of("parameter") if _KINDS.get(v.type) == "Real" and v.start
         }
-        """Defaults of the numbers that can be set before the run."""
+        """Defaults of numerical parameters."""
         with ExitStack() as stack:
             self._folder = stack.enter_context(scratch())
             extract(str(path), self._folder)
@@ -133,16 +133,16 @@ class Fmu:
                 self.slave = instantiate_fmu(
                     self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
                 )
-                # fmpy's library for logs calls the last logger that an FMU of this process had, even of a dead one.
+                # fmpy's logging library calls the logger of the newest FMU of the process, even after it was freed.
                 _LOGGERS.append(getattr(self.slave, "callbacks", None))
             except Exception:
                 why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
                 raise ExportError(f"{path} cannot be instantiated: {why}") from None
             self._stack = stack.pop_all()
         self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})
-        """The mechanism, and the options that it was exported with, if alfmu exported it; as the FMU says."""
+        """The mechanism and its options if alfmu exported the FMU, as stored in it."""
         self._logs = not (self.mechanism and (self._folder / "resources" / "slavemodule.txt").is_file())
-        """Whether warnings are to be handed on: those of alfmu's own Python code come from the same logger."""
+        """Whether to pass on warnings; alfmu's own Python code logs them itself."""
         self.begun = False
 
     def __repr__(self) -> str:
@@ -164,9 +164,9 @@ class Fmu:
         self._stack.close()
 
     def set(self, name: str, value: float | str) -> None:
-        """Set a variable by name, and one of an enumeration to the name or number of an item of it.
+        """Set a variable by name; one of an enumeration takes the name or number of an item.
 
-        The FMU itself refuses a bad value: a native one at once, one in Python at the next step or at initialisation.
+        The FMU itself rejects a bad value: a native one at once, one in Python at the next step or at initialisation.
         """
         variable = self._by_name.get(name)
         if variable is None or variable.causality not in ("parameter", "input"):
@@ -192,7 +192,7 @@ class Fmu:
 
     @property
     def rewinds(self) -> bool:
-        """Whether it says that it saves and restores its state (`save`, `restore`)."""
+        """Whether the FMU declares that it saves and restores its state (`save`, `restore`)."""
         can = self.description.coSimulation
         return bool(can.canGetAndSetFMUstate and can.canSerializeFMUstate)
 
@@ -202,11 +202,11 @@ class Fmu:
         return self._version == "2" and bool(self.description.coSimulation.canInterpolateInputs)
 
     def slope(self, name: str, rate: float) -> None:
-        """How an input that is a number changes in the next communication step, per second."""
+        """Set the rate of change per second of a numerical input in the next communication step."""
         self._call("setRealInputDerivatives", [self._by_name[name].valueReference], [1], [rate])
 
     def followed(self, output: str) -> frozenset[str]:
-        """The inputs that an output follows without delay; all of them where the description does not say."""
+        """Return the inputs on which an output depends directly; all of them if the description has no dependencies."""
         inputs = frozenset(v.name for v in self._of("input"))
         for unknown in self.description.outputs:
             if unknown.variable.name == output and unknown.dependencies is not None:
@@ -240,19 +240,19 @@ class Fmu:
         return y
 
     def _readings(self, variables: list[Variable]) -> dict[str, list[tuple[int, int]]]:
-        """By type, the places of variables among them and their value references."""
+        """Return, by type, the indices of variables and their value references."""
         found: dict[str, list[tuple[int, int]]] = {}
         for i, v in enumerate(variables):
             found.setdefault(self._by_name[v.name].type, []).append((i, self._by_name[v.name].valueReference))
         return found
 
     def reset(self) -> None:
-        """Back to the state after instantiation."""
+        """Return to the state after instantiation."""
         self._call("reset")
         self.begun = False
 
     def save(self) -> bytes:
-        """The complete state, serialised by the FMU."""
+        """Return the complete state, serialised by the FMU."""
         get, _, free, write, _ = _STATE[self._version]
         state = self._call(get)
         try:
@@ -269,23 +269,23 @@ class Fmu:
             self._call(free, state)
 
     def settable(self) -> list[Variable]:
-        """Parameters that are numbers."""
+        """Return the numerical parameters."""
         return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in _NUMBERS]
 
     def starts(self) -> dict[str, str]:
-        """Defaults of all parameters, as the description has them."""
+        """Return the defaults of all parameters as in the description."""
         return {v.name: v.start for v in self._of("parameter") if v.start is not None}
 
     def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
-        """What a result of it says of what was run, with these parameters."""
+        """Return the metadata of a result: the FMU, its mechanism and these parameters."""
         known = {**self.parameters, **parameters}
         return {"mechanism": self.mechanism or self.name, "options": self.options, "parameters": known}
 
     def declared(self) -> Mechanism | None:
-        """The mechanism that it says it is of, where one of that name is installed here; never a file."""
+        """Return the installed mechanism named by the FMU, None if there is none; files are never executed."""
         try:
             return registry.load(self.mechanism, **self.options) if self.mechanism in registry.known() else None
-        except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
+        except (AlfmuError, TypeError, ValueError):  # options come from the FMU
             return None
 
     def _of(self, causality: str) -> Iterator[ModelVariable]:
@@ -303,13 +303,13 @@ class Fmu:
         return result
 
     def _why(self, what: str) -> str:
-        """What failed, with the FMU's own words where it left any."""
+        """Return a message on a failure, with the FMU's own messages if there are any."""
         words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for _, line in _LOG]
         return words[-1] if words and words[-1] else what
 
 
 def checked_archive(path: str | Path, kind: str = "an FMU") -> None:
-    """ExportError where an archive is damaged, too large, or has files with places outside its folder."""
+    """Raise ExportError if an archive is damaged, too large, or has paths outside its folder."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -328,7 +328,7 @@ def checked_archive(path: str | Path, kind: str = "an FMU") -> None:
 
 
 def checked_folder(folder: Path, path: str | Path) -> None:
-    """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""
+    """Raise ExportError for a folder that crashes pythonfmu's library, which decodes only blanks in a URI."""
     resources = folder / "resources"
     if (resources / "slavemodule.txt").is_file() and "%" in resources.as_uri().replace("%20", ""):
         raise ExportError(
@@ -339,10 +339,10 @@ def checked_folder(folder: Path, path: str | Path) -> None:
 
 
 def description_of(path: str | Path, valid: bool = True) -> ModelDescription:
-    """The description in an FMU, which has to follow the schema where it shall be `valid`."""
+    """Return the description in an FMU; if `valid`, it must follow the schema."""
     try:
         found = read_model_description(str(path), validate=valid)
-    except Exception as error:  # fmpy raises whatever the XML parser raised
+    except Exception as error:  # fmpy passes on any exception of the XML parser
         raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     kinds = (found.coSimulation, found.modelExchange, getattr(found, "scheduledExecution", None))
     for name in (kind.modelIdentifier for kind in kinds if kind):
@@ -352,7 +352,7 @@ def description_of(path: str | Path, valid: bool = True) -> ModelDescription:
 
 
 def _facts(path: Path) -> tuple[str, dict[str, Any]] | None:
-    """The mechanism and its options in a file that alfmu wrote; None where it is none, or another tool's."""
+    """Return the mechanism and its options from a file that alfmu wrote; None for any other file."""
     try:
         known = json.loads(path.read_bytes())
         mechanism, options = known["mechanism"], known["options"]
@@ -369,13 +369,13 @@ def _truth(value: float | str) -> bool:
 
 
 def _item(v: ModelVariable, value: float | str) -> int:
-    """The number of an item of an enumeration, by its name or as it is."""
+    """Return the number of an item of an enumeration, given by name or number."""
     numbers = {item.name: int(item.value) for item in v.declaredType.items}
     return numbers[value] if value in numbers else _whole("Int64", value)
 
 
 def _whole(kind: str, value: float | str) -> int:
-    """A whole number that a type can hold; ctypes would cut off what is more."""
+    """Return an integer in the range of a type; ctypes would truncate a larger one."""
     number, bits = int(value), int("".join(filter(str.isdigit, kind)) or 32)
     lowest = 0 if kind.startswith("U") else -(2 ** (bits - 1))
     if (isinstance(value, float) and number != value) or not lowest <= number < lowest + 2**bits:

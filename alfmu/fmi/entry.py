@@ -1,4 +1,4 @@
-"""The class that pythonfmu's own command builds an FMU from: `pythonfmu build -f fmus/five_bar.py`."""
+"""The base class for FMUs built by pythonfmu's own command: `pythonfmu build -f fmus/five_bar.py`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["Entry"]
 
 
 class Entry(Slave):
-    """The mechanism of a recipe behind FMI 2.0: `class FiveBar(Entry, recipe=recipe)` beside the recipe in its file.
+    """The mechanism of a recipe as an FMI 2.0 slave: `class FiveBar(Entry, recipe=recipe)` in the file of the recipe.
 
     pythonfmu makes an instance when it builds, in the folder that becomes the FMU's resources. The scene is derived
-    then, and left there with the description, so that nothing is derived where the FMU runs. The FMU imports alfmu,
-    which has to be installed there; one by `alfmu export` needs Python alone. A recipe's `kind`, `platforms`, `fmi` and
-    `reference` are for `alfmu export`.
+    then and stored there with the description. The FMU imports alfmu, which must be installed where it runs; one by
+    `alfmu export` needs Python alone. A recipe's `kind`, `platforms`, `fmi` and `reference` apply to `alfmu export`
+    only.
     """
 
     recipe: Recipe
@@ -37,7 +37,7 @@ class Entry(Slave):
         return Scene(self._resources[SCENE])
 
     def to_xml(self, model_options: Any = None) -> Element:
-        """The description of the FMU; what the scene consists of is left in the resources."""
+        """Return the description of the FMU, and write the files of the scene into the resources."""
         for name, data in self._resources.items():
             Path(self.resources, name).write_bytes(data)
         return self._description

@@ -1,4 +1,4 @@
-"""Export: equations and the run side of alfmu packed as an FMU by pythonfmu, reproducible to the byte."""
+"""Export: equations and the run side of alfmu packed as an FMU, reproducible to the byte."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any, Protocol
 from xml.etree import ElementTree as ET
 
-from pythonfmu.builder import FmuBuilder
-
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
-from ..kernel.tables import identified, interface, known_choices, packed
+from ..kernel.form import Traced
+from ..kernel.tables import identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -32,7 +31,7 @@ from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..runtime.pipeline import chosen, derive
+from ..runtime.pipeline import chosen, derive, packed
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
@@ -42,7 +41,6 @@ from .description import (
     documentation,
     enumerated,
     model_description,
-    model_description3,
 )
 from .recipe import Recipe
 from .records import record_files
@@ -52,10 +50,10 @@ from .terminals import document, terminals
 __all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
 
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
-"""Modules of alfmu that travel inside an FMU for Python, beside the C library."""
+"""Modules of alfmu packed into an FMU for Python, beside the C library."""
 
 HOSTS = ("linux64", "win64")
-"""Platforms that pythonfmu has a library for."""
+"""Platforms supported by pythonfmu's library."""
 
 _ENTRY = '''"""FMU entry of {name}: the class that pythonfmu runs."""
 
@@ -67,11 +65,12 @@ class {title}(Slave):
 '''
 
 _PINNED = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every file in the archive: the earliest that zip can hold."""
+"""Time stamp of every file in the archive, the earliest of the zip format."""
 
 
 class Rest(Protocol):
-    """A position of rest, as `alfmu.Equilibrium` has it: coordinates, states, and what locks and motions keep."""
+    """An equilibrium with the interface of `alfmu.Equilibrium`: coordinates, states, stored values of locks and
+    motions."""
 
     @property
     def q(self) -> Any: ...
@@ -82,8 +81,8 @@ class Rest(Protocol):
 
 
 def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = None) -> Path:
-    """Write the FMU of a recipe, which starts in a position of rest where one is given, and return its path; see
-    `alfmu.export`."""
+    """Write the FMU of a recipe and return its path; `rest` is an equilibrium in which it starts;
+    see `alfmu.export`."""
     declared = recipe.declared()
     every, equations = _scene(recipe, declared, rest)
     path = Path(path or f"{equations.name}.fmu")
@@ -97,9 +96,15 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = record_files(equations) if recipe.reference else {}
-    if recipe.kind == "native":
-        archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
-        return path
+    files_of = _native if recipe.kind == "native" else _python
+    archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})
+    return path
+
+
+def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
+    """Return the files of an FMU of kind python."""
+    from pythonfmu.builder import FmuBuilder
+
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
     hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
     libraries = {native.file_name(each): data for each, data in native.libraries(name, hosts).items()}
@@ -128,18 +133,14 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
         made = top / f"{name}.fmu"
         with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
-        described = {
-            "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
-            _PICTURE[2]: picture,
-        }
+        description = model_description(equations, version, generator, guid, credits=_credits(declared))
         with zipfile.ZipFile(made) as built:
             files = {info.filename: built.read(info) for info in built.infolist() if not info.is_dir()}
-        archive(path, {**files, **described, **results})
-    return path
+        return {**files, "modelDescription.xml": description, _PICTURE[2]: picture}
 
 
 def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dict[str, bytes]]:
-    """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
+    """Return the description of an FMU of kind python and the files of its scene, for pythonfmu's own command."""
     recipe = recipe.changed(kind="python")
     declared = recipe.declared()
     _, equations = _scene(recipe, declared, rest)
@@ -150,13 +151,13 @@ def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dic
     return ET.fromstring(text), _resources(recipe, equations, scene, guid)
 
 
-def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Equations]:
+def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Traced]:
     r = recipe
     return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, rest)
 
 
-def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
-    """The files of a scene by name, with compiled functions where there are any."""
+def _resources(recipe: Recipe, equations: Traced, scene: bytes, guid: str) -> dict[str, bytes]:
+    """Return the files of a scene by name, with compiled functions if there are any."""
     files = {SCENE: identified(scene, guid), OPTIONS: _options(recipe, equations)}
     if equations.library:
         library = compiled_scene(equations, files[SCENE])
@@ -165,7 +166,7 @@ def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) ->
 
 
 def _generator() -> str:
-    """What makes FMUs of kind python."""
+    """Return the generator of FMUs of kind python."""
     return f"alfmu {importlib.metadata.version('alfmu')} with pythonfmu {importlib.metadata.version('pythonfmu')}"
 
 
@@ -176,7 +177,7 @@ def packed_scene(
     freeze: Sequence[str] | None,
     kernel: str | None,
     rest: Rest | None = None,
-) -> tuple[Equations, Equations]:
+) -> tuple[Equations, Traced]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
     position of rest that becomes the start values."""
     every = derive(declared)
@@ -184,20 +185,19 @@ def packed_scene(
     equations = chosen(every, parameters or {}, outputs, freeze)
     if rest is not None:
         begun = with_defaults(every, parameters or {})
-        every, equations = (starting_at(e, rest.q, rest.states, rest.kept) for e in (begun, equations))
+        every = starting_at(begun, rest.q, rest.states, rest.kept)
+        equations = starting_at(equations, rest.q, rest.states, rest.kept)
     native.checked(equations)
-    equations = prepared(equations, kernel or DEFAULT)
-    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
-    return every, equations
+    scene = prepared(equations, kernel or DEFAULT)
+    Instance(scene).initialize()  # an FMU that cannot start is not worth writing
+    return every, scene
 
 
-def _native(
-    recipe: Recipe, equations: Equations, declared: Mechanism, version: str, picture: bytes
-) -> dict[str, bytes]:
-    """The files of a native FMU."""
+def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
+    """Return the files of a native FMU."""
     e, fmi = equations, recipe.fmi
     chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi), packed(e)
+    files, scene = native.sources(recipe.fmi, native.left_out(e, recipe.derivatives)), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
@@ -206,11 +206,10 @@ def _native(
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
-        form = {}
-    else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
+    facts = _credits(declared), choices, fmi, recipe.derivatives
+    described = model_description(e, version, generator, guid, variables, compiled, *facts)
+    form = {}
+    if fmi == 3:
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
@@ -234,11 +233,11 @@ def _native(
 
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
-"""Where tools look for a picture."""
+"""Path of the picture by version of FMI."""
 
 
 def _credits(declared: Mechanism) -> dict[str, str]:
-    """Author and copyright; the date where SOURCE_DATE_EPOCH gives one, as the same arguments give the same bytes."""
+    """Return author and copyright, and the date if SOURCE_DATE_EPOCH is set, so that exports are reproducible."""
     rights = next((line for line in _license("alfmu").splitlines() if line.startswith("Copyright")), "")
     date = ""
     if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
@@ -250,7 +249,7 @@ def _credits(declared: Mechanism) -> dict[str, str]:
 
 
 def _options(recipe: Recipe, equations: Equations) -> bytes:
-    """What the FMU is of: the mechanism, by which it is drawn, and its options."""
+    """Return the file with the mechanism, from which it is drawn, and its options."""
     registered = isinstance(recipe.mechanism, str) and not is_file(recipe.mechanism)
     facts = {"mechanism": recipe.mechanism if registered else equations.name, "options": equations.options}
     return json.dumps(facts, indent=1).encode()
@@ -271,7 +270,7 @@ def _write(path: Path, text: str) -> Path:
 
 
 def _license(distribution: str) -> str:
-    """Licence text of an installed package, or its declared licence."""
+    """Return the licence text of an installed package, or its declared licence."""
     for file in importlib.metadata.files(distribution) or ():
         if re.search(r"LICEN[CS]E", file.name) and Path(str(file.locate())).is_file():
             return file.read_text()
@@ -282,7 +281,7 @@ def _license(distribution: str) -> str:
 
 @contextmanager
 def _imports_undone(*names: str) -> Iterator[None]:
-    """Leave no trace of modules and search paths that packing imports."""
+    """Remove modules and search paths that packing imports."""
     path = list(sys.path)
     try:
         yield
@@ -294,7 +293,7 @@ def _imports_undone(*names: str) -> Iterator[None]:
 
 @contextmanager
 def _temporary_in(folder: Path) -> Iterator[None]:
-    """Have a library make its temporary folders in this one, which is removed even after a kill."""
+    """Redirect a library's temporary folders to this folder, which is removed even after a kill."""
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
     try:
         yield
@@ -303,7 +302,7 @@ def _temporary_in(folder: Path) -> Iterator[None]:
 
 
 def archive(path: Path, files: Mapping[str, bytes]) -> None:
-    """A zip archive of these files, sorted, compressed, and free of time stamps and owners."""
+    """Write a zip archive of these files, sorted, compressed, without time stamps and owners."""
     with atomic(path) as file, zipfile.ZipFile(file, "w") as packed_files:
         for name in sorted(files):
             info = zipfile.ZipInfo(name, _PINNED)

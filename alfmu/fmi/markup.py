@@ -1,4 +1,4 @@
-"""XML files of FMUs and systems from elsewhere, as trees."""
+"""Parse XML files of FMUs and systems from untrusted sources."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["tree"]
 
 
 class _Plain(ET.TreeBuilder):
-    """A tree of what declares no document type, and so no entities."""
+    """Builds a tree and rejects document types, and so entities."""
 
     def doctype(self, name: str, public: str | None, system: str | None) -> None:
         raise InputError("it declares a document type")
 
 
 def tree(data: bytes, name: str) -> ET.Element:
-    """The root of a file; InputError, with the `name` of the file, where it is no XML or declares a document type."""
+    """Return the root of a file; raise InputError, with the `name` of the file, for invalid XML or a document type."""
     parser = ET.XMLParser(target=_Plain())
     try:
         parser.feed(data)

@@ -4,20 +4,76 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
+from ..kernel.form import Traced
+from ..kernel.tables import number_of, packed
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import PLATFORMS, file_name
 from ..runtime.shipped import library, there
 
-__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "libraries_in", "platforms", "sources"]
+__all__ = [
+    "FEATURES",
+    "PLATFORMS",
+    "checked",
+    "file_name",
+    "left_out",
+    "libraries",
+    "libraries_in",
+    "platforms",
+    "sources",
+]
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A part of the runtime that only some scenes need."""
+
+    what: str
+    files: tuple[str, ...]
+    """Its own files. Without it, headers that others include declare functions that do nothing."""
+    needed: Callable[[Traced], object]
+
+
+_KEPT = {"gradient.h", "interface_jacobian.h"}
+"""Headers of `derivatives` that say what there is without them."""
+
+FEATURES = {
+    "FRICTION": Feature(
+        "dry friction that follows from the load", ("friction.c", "friction_events.c"), lambda e: e.frictions
+    ),
+    "MOVING_INPUTS": Feature(
+        "inputs that move something", ("driving_inputs.c", "input_derivatives.c"), lambda e: e.followed
+    ),
+    "SWITCHES": Feature("Boolean inputs and impacts", ("topology.c",), lambda e: e.switches),
+    "BREAKS": Feature(
+        "forces, laws and rates that jump or bend", ("breaks.c",), lambda e: number_of(packed(e), "break_count")
+    ),
+    "LAWS": Feature("laws of motion that may jump", ("jumps.c",), lambda e: e.leaps),
+    "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),
+    "ERROR_CONTROL": Feature("integrators with error control", ("adaptive.c",), lambda e: "method" in e.kernel),
+    "INTERFACE_JACOBIAN": Feature("the interface Jacobian", ("interface_jacobian.c",), lambda e: e.jacobian),
+    "DERIVATIVES": Feature(
+        "directional derivatives",
+        ("record.c", "instant_derivatives.c", *sorted({path.name for path in build.sources(["derivatives"])} - _KEPT)),
+        lambda e: e.jacobian,
+    ),
+}
+"""Parts of the runtime that a native FMU leaves out where its scene does not need them, by their names in C."""
+
+
+def left_out(equations: Traced, derivatives: bool = True) -> list[str]:
+    """Names of the features that traced equations do not need, or that nobody asks for."""
+    asked = {"DERIVATIVES"} if derivatives else ()
+    return [name for name, feature in FEATURES.items() if name not in asked and not feature.needed(equations)]
 
 
 def checked(equations: Equations) -> None:
@@ -33,16 +89,21 @@ def checked(equations: Equations) -> None:
     raise ExportError(f"{e.name}: an FMU has no {what}")
 
 
-def sources(fmi: int) -> dict[str, str]:
-    """The C files by name, the same in every FMU of a version: one header, and one file per folder of the runtime.
+def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
+    """The C files by name: one header, and one file per folder of the runtime, without these features.
 
     They have no comments, and neither `binding` nor the functions of the other version of FMI.
     """
-    files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources(_FOLDERS)}
+    absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
+    paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
+    files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in paths}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
-    found = {"alfmu.h": _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())}
+    text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
+    text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
+    found = {"alfmu.h": _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], text)}
     for folder in _FOLDERS:
-        own = [path.name for path in build.sources([folder]) if path.suffix == ".c" and path.name not in _APART]
+        own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
+        own = [name for name in own if name not in _APART]
         system = {line for name in own for line in _SYSTEM.findall(files[name])}
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
         found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
@@ -60,6 +121,9 @@ _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 
 _APART = ("files.c", "fmi2.c", "fmi3.c")
 """Files that stay files of their own, as headers of the system and the two versions of FMI share names."""
+
+_FEATURE = re.compile(r"^#if HAS_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
+"""Declarations of a header where its feature is there, and where it is left out."""
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
@@ -83,8 +147,13 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/"
 """A comment with the space before it, or (as a group) what is none."""
 
 
+_MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
+
+
 def _without_comments(text: str) -> str:
-    return re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
+    """A text without comments and empty lines, indented by tabs, which makes an archive smaller."""
+    text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
+    return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Parameter sets of the standard SSP (`.ssv`): numbers, truths and texts by the names of variables."""
+"""Parameter sets of the SSP standard (`.ssv`): numbers, Booleans and texts by the names of variables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .markup import tree
 __all__ = ["SSV", "parameter_set", "read_parameter_set"]
 
 SSV = "application/x-ssp-parameter-set"
-"""Media type."""
+"""Media type of a parameter set."""
 
 _VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
@@ -24,11 +24,11 @@ _TYPES: dict[str, Callable[[str], float | int | bool | str]] = {
     "String": str,
     "Enumeration": str,
 }
-"""Elements of SSP 1.0 that hold a value, and what it is in Python."""
+"""Value elements of SSP 1.0 and their conversion to Python."""
 
 
 def parameter_set(name: str, values: Mapping[str, float | int | bool | str]) -> bytes:
-    """A parameter set (SSP 1.0) of these values, as UTF-8."""
+    """Return a parameter set (SSP 1.0) of these values, as UTF-8."""
     ET.register_namespace("ssv", _VALUES)
     root = ET.Element(f"{{{_VALUES}}}ParameterSet", version="1.0", name=name)
     listed = ET.SubElement(root, f"{{{_VALUES}}}Parameters")
@@ -41,8 +41,10 @@ def parameter_set(name: str, values: Mapping[str, float | int | bool | str]) -> 
 
 
 def read_parameter_set(data: bytes, name: str) -> dict[str, float | int | bool | str]:
-    """The values by name in a parameter set of SSP 1.0 or 2.0; InputError, with the `name` of the file, where it is
-    none, or has a value of another form."""
+    """Return the values by name from a parameter set of SSP 1.0 or 2.0.
+
+    Raises InputError, with the `name` of the file, if it is not one, or a value has another form.
+    """
     root = tree(data, name)
     if _plain(root) != "ParameterSet":
         raise InputError(f"{name} is a {_plain(root)}, and no ParameterSet")
@@ -60,5 +62,5 @@ def read_parameter_set(data: bytes, name: str) -> dict[str, float | int | bool |
 
 
 def _plain(element: ET.Element) -> str:
-    """The name of an element without its namespace."""
+    """Return the name of an element without its namespace."""
     return element.tag.rpartition("}")[2]

@@ -1,4 +1,4 @@
-"""Recipes: what an FMU is made of, declared in a Python file that `alfmu export` and `pythonfmu build` read."""
+"""Recipes: the contents of an FMU, declared in a Python file that `alfmu export` and `pythonfmu build` read."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
 
 KINDS = {
-    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
     "native": "a C library and nothing else: for every host, on the platforms that it carries",
+    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
 }
-"""Kinds of FMUs."""
+"""Kinds of FMUs, the default first."""
 
 _MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
-"""In a file that declares a recipe."""
+"""Matches text in every file that declares a recipe."""
 
 _OF_A_KIND = ("kernel", "platforms", "fmi")
-"""Fields that hold for one kind of FMU alone."""
+"""Fields that apply to one kind of FMU only."""
 
 
 def _dictionary(value: object) -> bool:
@@ -60,7 +60,7 @@ def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:
 
 
 _LISTS = ("lock", "release", "measure", "outputs", "freeze", "platforms")
-"""Fields that are lists of names; one name stands for a list of one."""
+"""Fields that are lists of names; a single name stands for a list of one."""
 
 _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     "mechanism": (lambda x: isinstance(x, (str, Path)) or hasattr(x, "experiment"), "a name, a path or a Mechanism"),
@@ -75,64 +75,67 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     **dict.fromkeys(("lock", "release", "measure", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
-    **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
+    **dict.fromkeys(("compliances", "derivatives", "reference"), _one_of(True, False)),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
     "start": _one_of("declared", "equilibrium"),
 }
-"""Fields of a recipe: whether a value can be one, and in words."""
+"""Fields of a recipe: a check of the value, and the expected form in words."""
 
 
 @dataclass(frozen=True, repr=False)
 class Recipe(Brief):
-    """One exported FMU: a mechanism, what of it the FMU has, and its form. Checked when it is made.
+    """The recipe of an exported FMU: a mechanism, the parts of it in the FMU, and its form. Checked when created.
 
     `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
-    `Mechanism`. `kind` is "python", an FMU that runs in Python, or "native", a C library for every host; `options` are
+    `Mechanism`. `kind` is "native", a C library for every host, or "python", an FMU that runs in Python; `options` are
     the mechanism's, `parameters`, `outputs` and `freeze` are those of `alfmu.simulate`, `lock` and `release` name
     joints that get Boolean inputs, `stop_time` and `communication_step` [s] are of the default experiment. Raises
-    InputError where a field is not of its form, ExportError where fields contradict each other; names of variables,
-    joints and options are checked when the FMU is exported.
+    InputError if a field has the wrong form, ExportError if fields contradict each other; names of variables, joints
+    and options are checked at export.
     """
 
     mechanism: str | Path | Mechanism
     _: KW_ONLY
     name: str = ""
-    """Name of the model; by default that of the recipe's file, or of the mechanism where there is no file."""
+    """Name of the model; by default that of the recipe's file, or of the mechanism if there is no file."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Of the mechanism, such as its coordinates."""
+    """Options of the mechanism, such as its coordinates."""
     lock: Sequence[str] = ()
-    """Joints that Boolean inputs can stop."""
+    """Joints with a Boolean input that locks them."""
     release: Sequence[str] = ()
-    """Joints that Boolean inputs can open."""
+    """Joints with a Boolean input that releases them."""
     measure: Sequence[str] = ()
-    """Joints and springs that get outputs of their motion and effort, `["all"]` for every one."""
+    """Joints and springs with outputs of their motion and effort, `["all"]` for every one."""
     compliances: bool = False
     """Whether each constraint has a compliance as a parameter."""
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     """Other defaults of parameters, start values, inputs and solver variables; the tolerance of the experiment is
     `solver.relative_tolerance`, the internal step `solver.step_size`."""
     start: str = "declared"
-    """Where it starts by default: at the start values ("declared"), or at rest where loads and springs balance
-    ("equilibrium"); the start values of that position become the defaults."""
+    """Default start: "declared" (at the start values) or "equilibrium" (where loads and springs balance); the start
+    values of that position become the defaults."""
     outputs: Sequence[str] | None = None
-    """The outputs that are computed, as names or patterns such as `link*.angle`; None for all. Those such as
-    `link1.angle/A.torque` are of the interface Jacobian, which no other pattern matches."""
+    """The outputs that are computed, as names or patterns such as `link*.angle`; None for all. Entries of the interface
+    Jacobian need a pattern such as `link1.angle/A.torque`."""
     freeze: Sequence[str] | None = None
     """Parameters of the mechanism that become constants, `["all"]` for every one."""
     stop_time: float | None = None
     """End of the default experiment [s]; None for the mechanism's own."""
     communication_step: float | None = None
-    """Of the default experiment [s]; None for the mechanism's own."""
-    kind: str = "python"
+    """Communication step of the default experiment [s]; None for the mechanism's own."""
+    kind: str = "native"
     """One of KINDS."""
     kernel: str | None = None
-    """What runs an FMU of kind python, of `alfmu.kernel.KERNELS`; with compiled functions it runs without them on other
-    platforms."""
+    """Kernel of an FMU of kind python, of `alfmu.kernel.KERNELS`; on platforms without its compiled functions it
+    interprets them."""
     platforms: Sequence[str] = ()
-    """Of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those that alfmu came with."""
+    """Platforms of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those in
+    this installation."""
     fmi: int = 2
     """Version of FMI; 3 for native FMUs."""
+    derivatives: bool = True
+    """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None
@@ -150,7 +153,7 @@ class Recipe(Brief):
             if not good(value):
                 raise InputError(f"recipe of {self}: {name} is {value!r}; it must be {what}")
             object.__setattr__(self, name, MappingProxyType({**value}) if isinstance(value, Mapping) else value)
-        # Options of the command line and fields of a recipe are called alike.
+        # Options of the command line have the names of fields of a recipe.
         if self.kind not in list(KINDS):
             raise ExportError(f"{self}: there is no kind {self.kind!r} of FMU; use one of {', '.join(KINDS)}")
         if self.kernel == "oracle":
@@ -158,7 +161,7 @@ class Recipe(Brief):
                 f"{self}: no FMU carries the oracle, which is for comparison in the library; leave --kernel out"
             )
         if self.kind == "native" and self.kernel is not None:
-            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out")
+            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out, or use --kind python")
         if self.kind == "python" and self.platforms:
             raise ExportError(f"{self}: an FMU that runs in Python is for no platform of its own; leave --platform out")
         if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind != "native"):
@@ -170,16 +173,16 @@ class Recipe(Brief):
         return self.name or getattr(self.mechanism, "name", str(self.mechanism))
 
     def said(self) -> str:
-        """What it says beyond the mechanism's name, for a reader."""
+        """Return the fields that differ from the defaults, as text."""
         plain = Recipe(self.mechanism)
         own = [f.name for f in fields(self) if f.name != "name" and getattr(self, f.name) != getattr(plain, f.name)]
         texts = {name: getattr(self, name) for name in own}
         return "; ".join(f"{name} {', '.join(x) if isinstance(x, tuple) else _text(x)}" for name, x in texts.items())
 
     def changed(self, **given: Any) -> Recipe:
-        """The same recipe with other fields, of which None changes nothing; options and parameters are added.
+        """Return the recipe with other fields, of which None changes nothing; options and parameters are merged.
 
-        Fields that hold for one kind alone are dropped where the kind changes.
+        Fields that apply to one kind only are dropped if the kind changes.
         """
         given = {name: value for name, value in given.items() if value is not None}
         for name in ("options", "parameters"):
@@ -189,7 +192,7 @@ class Recipe(Brief):
         return replace(self, **given)
 
     def in_file(self, path: Path) -> Recipe:
-        """The recipe that a file declares: called after it, paths relative to it."""
+        """Return the recipe that a file declares: named after it, with paths relative to it."""
         from ..model.sources import is_file
 
         where = self.mechanism
@@ -198,7 +201,8 @@ class Recipe(Brief):
         return replace(self, mechanism=where, name=self.name or path.stem)
 
     def declared(self) -> Mechanism:
-        """The mechanism with its options, locks, releases, measures and compliances, by the name of the model."""
+        """Return the mechanism with its options, locks, releases, measures and compliances, under the name of the
+        model."""
         from ..catalogue.registry import load
 
         mechanism = load(self.mechanism, **self.options)
@@ -222,24 +226,24 @@ class Recipe(Brief):
 
 
 def of(which: str | Path | Mechanism | Recipe) -> Recipe:
-    """What a name or a file stands for where something is run or shown: a mechanism as it is, or else a recipe."""
+    """Return the mechanism or else the recipe of a name or a file."""
     from ..catalogue.registry import mechanisms
 
     return Recipe(which) if isinstance(which, str) and which in mechanisms() else load(which)
 
 
 def recipes() -> dict[str, Recipe]:
-    """All registered recipes by name, in alphabetical order."""
+    """Return all registered recipes by name, in alphabetical order."""
     from ..catalogue.registry import registered
 
     return {name: load(name) for name in registered(GROUP)}
 
 
 def load(which: str | Path | Mechanism | Recipe) -> Recipe:
-    """The recipe of a registered name or a Python file; that of a mechanism as it is where there is no recipe.
+    """Return the recipe of a registered name or a Python file; a default one for a mechanism without a recipe.
 
-    A file declares one as a `Recipe` object. Raises InputError where there is no such file, its code fails, or it
-    declares several.
+    A file declares one as a `Recipe` object. Raises InputError if there is no such file, its code fails, or it declares
+    several.
     """
     if isinstance(which, Recipe):
         return which
@@ -248,7 +252,7 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
 
         path = Path(str(which))
         if path.is_file() and not _MAY_DECLARE.search(path.read_bytes()):
-            return Recipe(which)  # without running the file twice
+            return Recipe(which)  # avoids running the file twice
         return _declared(path, executed(path)) or Recipe(which)
     for entry in entry_points(group=GROUP):
         if entry.name == which:
@@ -260,7 +264,7 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
 
 
 def _declared(path: Path, names: Mapping[str, Any]) -> Recipe | None:
-    """The recipe among the names of a file."""
+    """Return the recipe among the names of a file, None if there is none."""
     found = {id(x): x for x in names.values() if isinstance(x, Recipe)}
     if len(found) > 1:
         raise InputError(f"{path} declares {len(found)} recipes; a file declares one, so give each a file")

@@ -1,7 +1,7 @@
-"""Records of runs inside an FMU, with all that it takes to repeat them elsewhere.
+"""Records of runs inside an FMU, complete enough to repeat them elsewhere.
 
-The layered standard FMI-LS-REF (1.0.0-beta.1) says where they stand and which role each file has; the Modelica
-Association's format of experiments (`.exp`) names parameters (SSV), stimuli and reference results (CSV) of each run.
+The layered standard FMI-LS-REF (1.0.0-beta.1) defines their paths and the role of each file; the Modelica Association's
+format of experiments (`.exp`) names parameters (SSV), stimuli and reference results (CSV) of each run.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
 from ..model.errors import AlfmuError, InputError, StepError
+from ..model.settings import internal_steps
 from ..runtime import Instance
 from ..simulation import communication_points, run
 from ..simulation.result import Result
@@ -35,7 +36,7 @@ from .parameters import SSV, parameter_set, read_parameter_set
 __all__ = ["AGREES", "EXPERIMENTS", "FOLDER", "MANIFEST", "Record", "listed", "record_files", "records_in"]
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-"""Of the files in an FMU."""
+"""Folder of the files in an FMU."""
 
 MANIFEST = "fmi-ls-manifest.xml"
 
@@ -43,38 +44,38 @@ EXPERIMENTS = "application/x-ma-hs-experiments"
 """Media type of experiments."""
 
 AGREES = 1e-6
-"""Largest difference of a run from reference results of alfmu, over 1 and the largest value of the variable: where a
-motion is sensitive, another platform's round-off grows."""
+"""Largest difference of a run from reference results of alfmu, over 1 plus the largest value of the variable; sensitive
+motions amplify the round-off of another platform."""
 
 _STEPS = 1000
-"""Most internal steps of a run; a tenth of them in a large scene."""
+"""Most internal steps of a run; large scenes take a tenth."""
 
 _VALUES = 1600
-"""Numbers that are kept of a run, or so many as there are in `_ROWS`."""
+"""Largest number of values stored for a run, unless `_ROWS` has more."""
 
 _ROWS = 3
 
 _UNREPEATABLE = {v.name for v in MONITORS} - {"monitor.energy"}
-"""Outputs that say how the steps were made: round-off, or counts."""
+"""Outputs that depend on round-off or on the steps taken."""
 
 _SEEN, _GENTLE = 0.01, 0.3
-"""Change that moving inputs shall make [1], of the output that changes most, over 1 and its largest value: enough to be
-seen, and not so much that the motion is another one."""
+"""Wanted change due to moving inputs [1] of the output that changes most, over 1 plus its largest value: large enough
+to be visible, small enough to leave the motion similar."""
 
 _TRIES = 12
-"""Sizes of moving inputs that are tried."""
+"""Number of amplitudes of moving inputs to try."""
 
 _HEAVIER = 1.1
-"""Factor [1] on masses in the run with moving inputs: always possible, and seen in the motion."""
+"""Factor on masses in the run with moving inputs [1]: always feasible, and visible in the motion."""
 
 _SPACE = "http://fmi-standard.org/fmi-ls-manifest"
 
 
 @dataclass(frozen=True)
 class Record:
-    """A run that somebody recorded, from `start_time` to `stop_time` [s] in communication steps of `step_size` [s].
+    """A recorded run from `start_time` to `stop_time` [s] in communication steps of `step_size` [s].
 
-    It has parameters by name, inputs over time and what came out.
+    It has parameters by name, inputs over time, and results.
     """
 
     name: str
@@ -89,10 +90,10 @@ class Record:
 
 
 def record_files(equations: Equations) -> dict[str, bytes]:
-    """The files of the records of a scene, by their places in the FMU.
+    """Return the files of the records of a scene, by path in the FMU.
 
-    One is a run from the defaults with inputs that stand still (the smoke test), one has moving inputs and heavier
-    bodies (the validation). A run that ends early is left out.
+    One is a run from the defaults with constant inputs (the smoke test), one has moving inputs and heavier bodies (the
+    validation). A run that ends early is left out.
     """
     e, instance = equations, Instance(equations)
     stop_time, step, every = _span(e, instance)
@@ -125,8 +126,8 @@ def record_files(equations: Equations) -> dict[str, bytes]:
 
 
 def _span(e: Equations, instance: Instance) -> tuple[float, float, int]:
-    """Stop time and communication step [s] of a short run, and of how many rows one is kept."""
-    internal = math.ceil(e.interval / instance.get("solver.step_size") * (1 - 1e-12))
+    """Return stop time and communication step [s] of a short run, and the interval of stored rows."""
+    internal = internal_steps(e.interval, instance.get("solver.step_size"))
     most = _STEPS / internal / (10 if e.n > DENSE else 1)
     count = max(1, math.floor(min(e.stop_time / e.interval * (1 + 1e-12), most)))
     columns = len(instance.outputs) - len(_UNREPEATABLE & {v.name for v in instance.outputs})
@@ -135,8 +136,10 @@ def _span(e: Equations, instance: Instance) -> tuple[float, float, int]:
 
 
 def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, float], Result, Result] | None:
-    """Parameters, inputs and results of a run with moving inputs; None where there is no input, or no size of them with
-    which the run reaches its end and differs from that of inputs that stand still."""
+    """Return parameters, inputs and results of a run with moving inputs.
+
+    None if there is no input, or no amplitude with which the run completes and differs from one with constant inputs.
+    """
     instance = Instance(e)
     real = [v for v in instance.input_variables if v.type == "Real"]
     if not real:
@@ -183,7 +186,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
 
 @contextmanager
 def _warned() -> Iterator[list[logging.LogRecord]]:
-    """What a run warns of, which nobody is told: it is one of several that are tried."""
+    """Collect the warnings of a run instead of logging them, since several runs are tried."""
     found: list[logging.LogRecord] = []
 
     def take(record: logging.LogRecord) -> bool:
@@ -199,7 +202,7 @@ def _warned() -> Iterator[list[logging.LogRecord]]:
 
 
 def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size: float) -> Result:
-    """Inputs of a size: waves of different periods; those that move something, with their derivatives."""
+    """Return inputs of an amplitude: waves of different periods; inputs that prescribe motion have derivatives."""
     inputs = [v for v in instance.input_variables if v.type == "Real"]
     span, columns = times[-1], {}
     companions = {f.input + 1 + k for f in e.followed for k in range(f.derivatives)}
@@ -210,7 +213,7 @@ def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size:
         start, amplitude = float(v.start), float(f"{size * (v.nominal or 1.0):.1e}")
         followed = next((f for f in e.followed if f.input == i), None)
         wave = np.sin(rate * times) ** 2
-        if not followed:  # Its table is three times as short.
+        if not followed:  # its table is three times as short
             wave = wave.round(2)
         columns[v.name] = start + amplitude * wave * (1 if i % 2 == 0 else -1)
         low, high = (-math.inf if v.minimum is None else v.minimum), (math.inf if v.maximum is None else v.maximum)
@@ -227,7 +230,7 @@ def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size:
 
 
 def _apart(got: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
-    """The largest difference, over 1 and the largest value wanted [1]."""
+    """Return max |got - wanted| / (1 + max |wanted|)."""
     return float(np.abs(got - wanted).max() / (1 + np.abs(wanted).max()))
 
 
@@ -237,7 +240,7 @@ def _apart(got: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
 def _files(
     name: str, role: str, record: Record, kept: list[str], every: int
 ) -> tuple[dict[str, bytes], list[dict[str, str]]]:
-    """The files of a record, and what the manifest says of each."""
+    """Return the files of a record, and their entries in the manifest."""
     files, related = {}, []
 
     def add(source: str, data: bytes, kind: str, role: str, text: str) -> None:
@@ -277,7 +280,7 @@ def _table(result: Result, names: tuple[str, ...] | list[str], every: int) -> by
 
 
 def _manifest(related: list[dict[str, str]], files: Mapping[str, bytes]) -> bytes:
-    """fmi-ls-manifest.xml, with the check sum of each file."""
+    """Return fmi-ls-manifest.xml, with the checksum of each file."""
     ET.register_namespace("fmi-ls", _SPACE)
     facts = {
         "name": "org.fmi-standard.fmi-ls-ref",
@@ -297,7 +300,7 @@ def _manifest(related: list[dict[str, str]], files: Mapping[str, bytes]) -> byte
 
 @dataclass(frozen=True)
 class Related:
-    """A file that the manifest names: its place, its role, and the check sum that it shall have."""
+    """A file named in the manifest: its path, role and expected checksum."""
 
     source: str
     role: str
@@ -307,7 +310,8 @@ class Related:
 
 
 def listed(folder: Path) -> list[Related]:
-    """What the manifest in an unpacked FMU names, nothing where there is none; InputError where it is damaged."""
+    """Return the files named in the manifest of an unpacked FMU, none without one; raise InputError if it
+    is damaged."""
     path = folder / FOLDER / MANIFEST
     if not path.is_file():
         return []
@@ -325,7 +329,7 @@ def listed(folder: Path) -> list[Related]:
 
 
 def records_in(folder: Path) -> Iterator[Record | InputError]:
-    """The runs that the experiments in an unpacked FMU describe, or what is wrong with one.
+    """Yield the runs that the experiments in an unpacked FMU describe, or the error in one.
 
     Files outside the FMU, and of other forms than SSV and CSV, are not read: such a record is an error.
     """
@@ -351,7 +355,7 @@ def records_in(folder: Path) -> Iterator[Record | InputError]:
 
 
 def _record(folder: Path, path: Path, element: ET.Element) -> Record:
-    """One experiment, in the present form or in that before it, which had the times in the element itself."""
+    """Return one experiment, in the current form or in the older one, with times in the element itself."""
     name = element.get("name", "")
     transient = element.find("TransientSimulation")
     other = [each.tag for each in element if each.tag not in _KNOWN]
@@ -370,7 +374,7 @@ def _record(folder: Path, path: Path, element: ET.Element) -> Record:
 
     start = number("startTime", -math.inf, 0.0)
     stop, step = number("stopTime", math.nextafter(start, math.inf)), number("stepSize", math.ulp(0.0))
-    communication_points(name, stop - start, step)  # or too many of them
+    communication_points(name, stop - start, step)  # or raises for too many of them
     given: dict[str, Any] = {}
     for tag, field_name, kind, read in (
         ("Parameters", "parameters", SSV, lambda p: read_parameter_set(p.read_bytes(), p.name)),
@@ -392,7 +396,7 @@ _KNOWN = {"TransientSimulation", "Parameters", "Stimuli", "References", "Annotat
 
 
 def _inside(folder: Path, base: Path, source: str) -> Path:
-    """The file that an address relative to a folder names; InputError where it is not inside the FMU."""
+    """Return the file at an address relative to a folder; raise InputError if it is outside the FMU."""
     address = urlsplit(source)
     path = (base / unquote(address.path)).resolve()
     if address.scheme or address.netloc or not path.is_relative_to(folder.resolve()):

@@ -1,4 +1,4 @@
-"""What the FMUs of a scene carry, in bytes: by what is in the file, and the C of a native one by what it is for."""
+"""Sizes of the FMUs of a scene in bytes: by file, and the C of a native one by purpose."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..equations import Equations
-from ..kernel.form import called
-from ..kernel.tables import alone, function_sizes, packed
+from ..kernel.form import Traced, called
+from ..kernel.tables import alone, function_sizes
 from ..model.errors import ExportError
 from ..model.files import scratch
 from ..model.mechanism import Mechanism
+from ..runtime.pipeline import packed
 from . import native
 from .export import export, packed_scene
 from .recipe import KINDS, Recipe
@@ -26,23 +26,22 @@ _CONTENTS = {
     "extra/": "reference results",
     "": "description of the model, icon",
 }
-"""What is in an FMU, by where it stands."""
+"""Contents of an FMU by path."""
 
 _PARTS = {
-    "an internal step": ("quick", "onward", "careful"),
+    "an internal step": ("quick", "careful"),
     "the same on the branch of the motion, near singular positions": ("branch",),
     "a step by solver.method": ("method", "beside", "regular", "stiff", "reach"),
     "outputs": ("instant", "instant_quick"),
     "limits of outputs at singular positions": ("limit",),
     "steps and outputs that iterate until they converge": (
-        *("move", "move_on_branch", "close"),
+        *("move", "close"),
         *("instant_patient", "limit_patient"),
     ),
     "impacts of locks": ("impact",),
     "sticking of dry friction": ("gripping",),
-    "directional derivatives": ("sensitivity", "limit_sensitivity"),
 }
-"""Programs of a scene by what they are for."""
+"""Programs of a scene by purpose."""
 
 
 def sizes(
@@ -51,7 +50,7 @@ def sizes(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
 ) -> list[str]:
-    """Sizes of the FMUs of a scene, of each kind, in lines for a reader; exports them to find out."""
+    """Return sizes of the FMUs of a scene, of each kind, as lines of text; exports them to measure."""
     given: dict[str, Any] = {"parameters": parameters, "outputs": outputs, "freeze": freeze}
     text = []
     for kind in KINDS:
@@ -74,7 +73,7 @@ def sizes(
 
 
 def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tuple[int, int]]:
-    """Bytes of what is in an FMU, packed and unpacked."""
+    """Return sizes of the contents of an FMU, packed and unpacked."""
     found = dict.fromkeys(_CONTENTS, (0, 0))
     with (
         scratch() as folder,
@@ -87,8 +86,8 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
     return {_CONTENTS[place]: size for place, size in found.items() if any(size)}
 
 
-def _parts(equations: Equations) -> dict[str, int]:
-    """Bytes of a scene file by what it is for."""
+def _parts(equations: Traced) -> dict[str, int]:
+    """Return sizes of the parts of a scene file by purpose."""
     left, found, kernel = function_sizes(equations), {}, alone(equations).kernel
     whole = len(packed(equations))
     for what, programs in _PARTS.items():

@@ -1,7 +1,7 @@
 """The slave that pythonfmu runs inside an FMU: FMI calls by value reference on one unit of the runtime.
 
-This module and `alfmu.runtime.library` travel inside the FMU under a package name of their own, beside the C library;
-they need Python alone.
+This module and `alfmu.runtime.library` are packed into the FMU under their own package name, beside the C library; they
+need Python alone.
 """
 
 from __future__ import annotations
@@ -28,44 +28,43 @@ __all__ = ["COMPILED", "OPTIONS", "SCENE", "Slave"]
 _LOGGER = logging.getLogger("alfmu")
 
 SCENE = "scene.bin"
-"""Name of the scene in the resources of an FMU."""
+"""File name of the scene in the resources of an FMU."""
 
 COMPILED = "compiled-"
-"""Beginning of the name of compiled functions, there too."""
+"""Prefix of the file names of compiled functions."""
 
 _STOP = -1
-"""In place of a value reference: the stop time."""
+"""Stands for the stop time in place of a value reference."""
 
 OPTIONS = "options.json"
-"""Name of the file with the options of the mechanism, there too."""
+"""File name of the options of the mechanism."""
 
 
 def _kept(*objects: object) -> None:
-    """Give objects a reference that nobody drops, against one that pythonfmu's library drops but does not own."""
+    """Add a permanent reference to objects whose reference pythonfmu's library drops without owning it."""
     for each in objects:
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(each))
 
 
 @cache
 def _ends_once(resources: Path) -> None:
-    """Have pythonfmu's library beside these resources give up its interpreter when Python ends.
+    """Make pythonfmu's library beside these resources release its interpreter when Python ends.
 
-    Left to the end of the process, it does so twice: it writes into memory that it has freed, and a host may abort
-    after its results are written (pythonfmu 0.7.0, its issue 229). Windows is left as it is, as it was not tried there.
+    Otherwise it does so twice at the end of the process: it writes into freed memory, and a host may abort after its
+    results are written (pythonfmu 0.7.0, its issue 229). Not done on Windows, where it is untested.
     """
     if not hasattr(os, "RTLD_NOLOAD"):
         return
     for path in resources.parent.glob("binaries/linux64/*.so"):
-        with suppress(OSError, AttributeError):  # a host that loaded another one, a pythonfmu that has no such function
+        with suppress(OSError, AttributeError):  # a host may use another library or version
             atexit.register(ctypes.CDLL(str(path), mode=os.RTLD_NOLOAD | os.RTLD_NOW).finalizePythonInterpreter)
 
 
 def _called_from_fmi(call: Callable[..., Any]) -> Callable[..., Any]:
-    """A call whose exceptions reach pythonfmu's library, and so the host as fmi2Fatal.
+    """Wrap a call so that its exceptions reach pythonfmu's library, and so the host as fmi2Fatal.
 
     The library drops its references to class, instance and log at the exception, and again when the instance is freed.
-    The reason goes to the Python logger, not to the FMI log: with anything logged,
-    the text of the exception is lost there.
+    The reason goes to the Python logger, not to the FMI log: logging there loses the text of the exception.
     """
 
     @wraps(call)
@@ -85,16 +84,17 @@ def _fatal(slave: Slave, error: Exception) -> None:
 
 
 class Slave(Fmi2Slave):
-    """One mechanism behind FMI 2.0; an FMU entry subclasses it under the name of its mechanism.
+    """One mechanism as an FMI 2.0 slave; an FMU entry subclasses it under the name of its mechanism.
 
-    A step that cannot be taken is discarded and the state before it kept. A value that is refused leaves the one before
-    it in force and, as pythonfmu has no status for it, discards the next step or ends the initialisation, unless a good
-    one follows. A mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI
-    log and, as hosts often have that switched off, to the Python logger `alfmu`.
+    A step that fails is discarded, and the previous state stays. A rejected value leaves the previous one in force and,
+    as pythonfmu has no status for it, discards the next step or fails the initialisation, unless a valid one follows.
+    If a mechanism cannot be assembled, the initialisation fails (fatal in FMI). The reason goes to the FMI log and, as
+    many hosts disable it, to the Python logger `alfmu`.
     """
 
     def __init_subclass__(cls) -> None:
-        # The library runs the entry module at each instantiation, and then drops the module's dictionary.
+        # The library runs the entry module at each instantiation, and then drops its reference to the module's
+        # dictionary.
         _kept(sys.modules[cls.__module__].__dict__)
         super().__init_subclass__()
 
@@ -104,20 +104,20 @@ class Slave(Fmi2Slave):
         _ends_once(folder)
         self.scene = self._scene(folder)
         for path in folder.glob(f"{COMPILED}*"):
-            with suppress(OSError):  # one for another platform
+            with suppress(OSError):  # compiled for another platform
                 self.scene.compiled_by(path)
         self.unit = Unit(self.scene)
         self.modelName = self.scene.name
         self._refused: dict[int, str] = {}
-        self._step, self._warns = self.unit.step, self.unit.warns  # close at hand, as every doStep needs them
+        self._step, self._warns = self.unit.step, self.unit.warns  # cached for every doStep
 
     def _scene(self, folder: Path) -> Scene:
-        """The scene among the resources, run by the library there."""
+        """Return the scene from the resources, run by the library there."""
         if not (folder / SCENE).is_file():
             raise ValueError(f"there is no {SCENE} in its resources; unpack the whole FMU")
         return Scene((folder / SCENE).read_bytes(), folder)
 
-    # Life --------------------------------------------------------------------------------------------------------
+    # Life cycle --------------------------------------------------------------------------------------------------
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
         self._refused.pop(_STOP, None)

@@ -1,4 +1,4 @@
-"""Terminals of an FMU: shafts with torque, angle and speed, slides with force, position and speed."""
+"""Terminals of an FMU: shafts with torque, angle and speed, sliders with force, position and speed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ _MEMBERS = {
     "N.m": {"torque": "", "angle": "angle", "angular_velocity": "angular_velocity"},
     "N": {"force": "", "position": "position", "velocity": "velocity"},
 }
-"""By the unit of a driving input, the members of its terminal and the outputs they are; the first is the input."""
+"""Members of a terminal, the first its driving input, with suffixes of their variables, by the unit of that input."""
 
 
 def terminals(mechanism: Mechanism, names: Collection[str]) -> dict[str, dict[str, str]]:
-    """Name of each terminal, and the variables (of those in `names`) that are its members.
+    """Return the variables (of those in `names`) that are members of each terminal, by its name.
 
-    An input that drives a joint belongs with the motion of that joint, or of the body that it turns against the ground.
+    An input that drives a joint forms a terminal with the motion of that joint, or of the body that it turns against
+    the ground.
     """
     found = {}
     for each in mechanism.inputs:
@@ -42,7 +43,7 @@ def terminals(mechanism: Mechanism, names: Collection[str]) -> dict[str, dict[st
 
 
 def document(found: dict[str, dict[str, str]]) -> bytes:
-    """terminalsAndIcons.xml (FMI 3.0), for an icon.png beside it."""
+    """Return terminalsAndIcons.xml (FMI 3.0), for an icon.png beside it."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     picture = ET.SubElement(root, "GraphicalRepresentation")
     square = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}

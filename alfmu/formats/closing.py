@@ -1,8 +1,8 @@
-"""Loops of a file closed before its mechanism is declared: by least squares over all coordinates, within limits.
+"""Close the loops of a file before its mechanism is declared, by least squares over all coordinates within limits.
 
-A file gives values that close its loops to some six digits, or none at all. The place nearest to them that closes the
-loops is looked for by all coordinates, some of which give way more readily than others. At that place, and not before,
-ranks tell which coordinates are independent. These keep what the file gives where the loops close with it.
+A file gives values that close its loops to some six digits, or none at all. The nearest position that closes the loops
+is searched over all coordinates with weights. Only at that position do ranks determine which coordinates are
+independent. These keep the values of the file if the loops close with them.
 """
 
 from __future__ import annotations
@@ -21,64 +21,64 @@ from .poses import Array, vector
 __all__ = ["Closed", "Loops"]
 
 _RANK = 1e-9
-"""Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
+"""Singular value of constraints over the largest below which it counts as zero: files have some ten digits."""
 
 _BESIDE = 1e-2
-"""Distance [m, rad] of a place beside the closed one: far from round-off, near on the scale of mechanisms."""
+"""Distance [m, rad] of a position near the closed one: far from round-off, near on the scale of mechanisms."""
 
 _CORRECTIONS = 12
-"""Corrections that close the loops there: each at least halves a gap near a singular position."""
+"""Most corrections that close the loops there: each at least halves a gap near a singular position."""
 
 _GOOD = 0.1
-"""Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
+"""Least share of a motion over the largest for which a driven joint is preferred as independent."""
 
 _HALF = 0.5 + 1e-6
-"""Share of a motion beyond which the first coordinate is taken; off one half, which ratios of gears give, so that
-round-off does not choose."""
+"""Share of a motion above which the first coordinate is chosen; it differs from one half, a frequent ratio of gears,
+where round-off would decide."""
 
 _CLOSED = 1e-12
-"""Gap [mechanism's size, rad] of loops that are closed: some hundred times round-off."""
+"""Gap [mechanism's size, rad] of closed loops: some hundred times round-off."""
 
 _NEARLY = 1e-9
-"""Gap that is accepted where corrections gain no more, as near singular positions and where digits are cut off."""
+"""Gap that is accepted if corrections gain no more, as near singular positions and with truncated digits."""
 
 _LONGEST = 0.3
-"""Longest correction [rad, mechanism's size]: loops are linear enough over it that the place found is a near one."""
+"""Longest correction [rad, mechanism's size]: short enough for a linear correction to lead to a near position."""
 
 _MOST = 200
-"""Corrections: a place takes some ten; near a singular position each gains a factor of two."""
+"""Most corrections: some ten suffice; near a singular position each gains a factor of two."""
 
 _TRIES = 48
-"""Places around the given one from which a nearer one is looked for, where the first is far or none."""
+"""Number of positions around the given one from which a nearer one is searched if the first is far or missing."""
 
 _FAR = 0.5
-"""Way [rad, mechanism's size] from which on a nearer place is looked for."""
+"""Distance [rad, mechanism's size] above which a nearer position is searched."""
 
 _GIVEN = 0.1
-"""How readily a coordinate gives way whose value the file gives, by one of which it says nothing."""
+"""Weight of a coordinate with a value in the file, relative to one without."""
 
 _DRIVEN = 0.3
-"""The same of a coordinate that is driven."""
+"""Weight of a driven coordinate, relative to one without a value."""
 
 
 @dataclass(frozen=True)
 class Closed:
-    """A place that closes the loops, the coordinates that tell it, and how far the given place is from it."""
+    """A position that closes the loops, its independent coordinates, and its distance from the given position."""
 
     values: dict[str, float]
     independent: set[str]
     gap: float
     """Largest gap at the given place [m, rad]."""
     left: float
-    """Largest gap at this one, above zero where the loops do not close."""
+    """Largest gap at this position, above zero if the loops do not close."""
     way: float
     """Largest change of a coordinate [rad, mechanism's size]."""
     beyond: tuple[str, ...]
-    """Coordinates that are outside of their limits, as the loops do not close within them."""
+    """Coordinates outside their limits, if the loops do not close within them."""
 
 
 class Loops:
-    """The loops of a mechanism as functions of its coordinates, in its own size."""
+    """The loops of a mechanism as functions of its coordinates, in units of its size."""
 
     def __init__(
         self,
@@ -109,10 +109,10 @@ class Loops:
         rows = np.array(lengths, dtype=bool)
         gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
         arm = matrix[np.ix_(rows, ~metres)].max(initial=0.0)
-        if arm <= _RANK * matrix.max(initial=0.0):  # nothing turns a loop: what slides and what is open
+        if arm <= _RANK * matrix.max(initial=0.0):  # no loop rotates: all are prismatic or open
             arm = max(gaps[rows].max(initial=0.0), np.abs(self.given[metres]).max(initial=0.0))
         self.size = 2.0 ** np.round(np.log2(arm or 1.0))
-        """Length [m] of the longest arm on which a loop turns, as a power of two: no digit is lost by it."""
+        """Length [m] of the longest arm of a loop, rounded to a power of two so that scaling is exact."""
         self.units = np.where(metres, self.size, 1.0)
         self._row_units = np.where(rows, self.size, 1.0)
         self._ready = np.array(
@@ -125,19 +125,20 @@ class Loops:
         self._low, self._high = np.minimum(bounds[:, 0], start), np.maximum(bounds[:, 1], start)
 
     def at(self, x: Array) -> tuple[Array, Array]:
-        """Gaps and their Jacobian at coordinates, all in the mechanism's own size."""
+        """Return gaps and their Jacobian at coordinates, in units of the mechanism's size."""
         gaps, matrix = (np.array(found) for found in self._both(x * self.units))
         return gaps.ravel() / self._row_units, matrix * self.units / self._row_units[:, None]
 
     def _followed(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """Corrections of least weighted length until loops are closed or nothing is gained; the gap that is left."""
+        """Apply corrections of least weighted length until loops are closed or nothing is gained; return the remaining
+        gap."""
         gaps, matrix = self.at(x)
         for _ in range(_MOST):
             size = float(np.linalg.norm(gaps))
             if np.abs(gaps).max(initial=0.0) <= _CLOSED:
                 break
             free = ready.copy()
-            for _ in range(len(x)):  # what a limit stops gives way no more
+            for _ in range(len(x)):  # a coordinate at its limit is fixed
                 step = free * np.linalg.lstsq(matrix * free, -gaps, rcond=1e-8)[0]
                 stopped = (free > 0) & (((x <= low) & (step < 0)) | ((x >= high) & (step > 0)))
                 if not stopped.any():
@@ -156,7 +157,7 @@ class Loops:
         return x, float(np.abs(gaps).max(initial=0.0))
 
     def _near(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """The nearest closed place, by weights, from a closed one near it: the given values drawn along the motions."""
+        """Return the nearest closed position by weights, from a closed one near it, moving towards the given values."""
         start, best, left = self.given / self.units, x, self._followed(x, ready, low, high)[1]
         for _ in range(_CORRECTIONS):
             along = _motions(self.at(best)[1])
@@ -173,7 +174,7 @@ class Loops:
         return float(np.linalg.norm((x - self.given / self.units) / ready))
 
     def _closest(self, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """The nearest closed place of those found from the given one and, where that is far, from around it."""
+        """Return the nearest closed position found from the given one and, if that is far, from around it."""
         start = self.given / self.units
         best, left = self._followed(start, ready, low, high)
         far = np.abs(best - start).max(initial=0.0) > _FAR
@@ -196,7 +197,8 @@ class Loops:
         return best, left
 
     def close(self) -> Closed:
-        """The nearest place that closes the loops, within limits if there is one, and what is independent there."""
+        """Return the nearest position that closes the loops, within limits if possible, and its independent
+        coordinates."""
         anywhere = np.full(len(self.names), np.inf)
         x, left = self._closest(self._ready, self._low, self._high)
         if left > _NEARLY and (np.isfinite(self._low) | np.isfinite(self._high)).any():
@@ -207,7 +209,7 @@ class Loops:
         chosen = self._independent(x)
         start = self.given / self.units
         gap = float(np.abs(np.array(self._plain(self.given))).max(initial=0.0))
-        # Independent ones keep what is given, to the last digit, where that leads to a place near this one.
+        # Independent coordinates keep the given values exactly, if these lead to a position near this one.
         held = np.array([name in chosen for name in self.names])
         from_there = np.where(held, start, x)
         kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), -anywhere, anywhere)
@@ -219,10 +221,10 @@ class Loops:
         return Closed(values, chosen, gap, left, float(np.abs(x - start).max(initial=0.0)), beyond)
 
     def _independent(self, x: Array) -> set[str]:
-        """Coordinates by whose values all others follow, driven ones before others."""
+        """Return coordinates whose values determine all others, driven ones preferred."""
         q = x * self.units
         motions = _motions(np.array(self._both(q)[1]))
-        # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
+        # At a singular position, a position near it determines how many coordinates are independent.
         beside = q + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
         for _ in range(_CORRECTIONS):
             left, matrix = (np.array(found) for found in self._both(beside))
@@ -242,6 +244,6 @@ class Loops:
 
 
 def _motions(matrix: Array) -> Array:
-    """The motions (n, freedoms) that constraints leave."""
+    """Return the motions (n, freedoms) that constraints allow."""
     _, sizes, turned = np.linalg.svd(matrix)
     return turned[np.sum(sizes > _RANK * sizes.max(initial=0.0)) :].T

@@ -1,7 +1,7 @@
-"""A linkage as a declaration: bodies in relative coordinates through joints, and joints that close its loops.
+"""A linkage as a declaration: bodies in relative coordinates, placed by joints, and joints that close loops.
 
-The frame of each body has its origin where the file has that of the link, and its axes stand parallel to the ground's
-where all coordinates are zero: so every joint has one axis, the same on both bodies, and its coordinate is the file's.
+The frame of each body has the origin of the link's frame in the file, and axes parallel to those of the ground at zero
+coordinates, so every joint has one axis, the same on both bodies, and its coordinate is that of the file.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from .script import Named, Script
 __all__ = ["declared", "plain_name"]
 
 _LONGEST = 60
-"""Characters of a name: with words behind it, a line of Python holds it."""
+"""Longest name in characters: with suffixes, it fits a line of Python."""
 
 _OPEN = 1e-6
-"""Gap of a loop at the start [m, rad] that is told: positions in files are rounded to some six digits."""
+"""Gap of a loop at the start [m, rad] that is reported: positions in files are rounded to some six digits."""
 
 _FAR = 0.05
-"""Change of a coordinate [rad, mechanism's size] by which loops close that is warned of; some 3 degrees."""
+"""Change of a coordinate due to closing loops [rad, mechanism's size] that causes a warning; some 3 degrees."""
 
 _NAMED = 3
-"""Coordinates that the note of open loops names."""
+"""Number of coordinates named in the note on open loops."""
 
 _PARALLEL = 1e-14
-"""Entry of a turn up to which frames are parallel: round-off of some turns one after the other."""
+"""Entry of a rotation matrix up to which frames are parallel: round-off of some successive rotations."""
 
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
@@ -55,38 +55,38 @@ _METHODS = {
     "screw": "spatial_screw",
     "weld": "spatial_weld",
 }
-"""Methods of `Mechanism` that are not called like the kind of joint."""
+"""Methods of `Mechanism` whose names differ from the kind of joint."""
 
 
 def plain_name(name: str) -> str:
-    """A name in letters, digits and underscores."""
+    """Return a name reduced to letters, digits and underscores."""
     plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:_LONGEST].strip("_") or "part"
     return plain if re.match(r"[A-Za-z]", plain) else f"n{plain}"
 
 
 def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str], list[str], str]:
-    """The declaration, new names by old ones where they differ, what there is to tell of the start, and to warn of."""
+    """Return the declaration, changed names by old ones, notes on the start, and a warning."""
     guessed = _Declaring(linkage, description)
-    mechanism, told, warned = guessed.script.mechanism, [], ""
+    mechanism, notes, warned = guessed.script.mechanism, [], ""
     chosen = {c.name for c in mechanism.coordinates}
     values = guessed.values
     if mechanism.closures:
         closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
         chosen, values = closed.independent, closed.values
         if not chosen:
-            told.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
+            notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
         if closed.gap > _OPEN:
-            told.append(_moved(mechanism, guessed.values, closed))
-            warned = told[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
+            notes.append(_moved(mechanism, guessed.values, closed))
+            warned = notes[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
     final = _Declaring(linkage, description, chosen, values)
-    return final.script, final.renamed, told, warned
+    return final.script, final.renamed, notes, warned
 
 
 def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> str:
-    """How far closing the loops moved coordinates."""
+    """Return how far closing the loops moved coordinates, as text."""
     said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
     if closed.left > _OPEN:
-        return f"{said}, and were not closed: what is nearest leaves {closed.left:.2g} m or rad"
+        return f"{said}, and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
     units = {c.name: c.unit for c in mechanism.coordinates}
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
@@ -99,7 +99,7 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
 
 
 class _Declaring:
-    """One pass: with all coordinates as guesses, or with those that are independent and where the loops are closed."""
+    """One pass: with guesses for all coordinates, or with independent coordinates at closed loops."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class _Declaring:
 
     @property
     def driven(self) -> list[str]:
-        """Names of coordinates with motors."""
+        """Return names of coordinates with motors."""
         return [str(c.value.name()) for joint in self.drivable for c in self.coordinates.get(joint, ())]
 
     @contextmanager
@@ -150,7 +150,7 @@ class _Declaring:
             raise InputError(f"{node.where}: {error}") from error
 
     def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
-        """A name that nothing has yet: as it is wanted, with a word behind it, or with a number."""
+        """Return an unused name: the wanted one, with `otherwise` appended, or with a number."""
         plain = plain_name(wanted)
         tries = [plain, f"{plain}_{otherwise}"]
         number = 2
@@ -166,11 +166,11 @@ class _Declaring:
         return name
 
     def _zero(self, link: Link | None) -> Pose:
-        """Where a link is when all coordinates are zero."""
+        """Return the pose of a link at zero coordinates."""
         return place(link, {}, self.zeros)
 
     def _point(self, link: Link | None, world: Array) -> list[float]:
-        """A point given in ground axes at zero, in the frame of a body."""
+        """Return a point given in ground axes at zero coordinates, in the frame of a body."""
         return cleaned(world - self.origins[link]).tolist()
 
     # Links and their joints -------------------------------------------------------------------------------------
@@ -239,7 +239,8 @@ class _Declaring:
         )
 
     def _started(self, name: str, value: float, rate: float, unit: str) -> Named | float:
-        """The start of a coordinate that a body makes: a quantity that the user gives where it is independent."""
+        """Return the start of a coordinate of a body: a quantity that the user gives if the coordinate
+        is independent."""
         self.values[name] = value = self.closed.get(name, value)
         self.given.add(name)
         if self.chosen is None or name not in self.chosen:
@@ -258,7 +259,7 @@ class _Declaring:
         return self.script.do("coordinate", name, unit, **given, keep=name)
 
     def _joint(self, joint: Joint, first: Link | None, second: Link, pose: Pose) -> None:
-        """A joint that places a body; `pose` is where the link is before it."""
+        """Declare a joint that places a body; `pose` is the pose of the link before it."""
         units = _UNITS[joint.kind]
         words = (
             [f"_e{i}" for i in range(4)]
@@ -301,7 +302,7 @@ class _Declaring:
         self.made[joint] = made
         if joint.kind == "spherical":
             for each in coordinates:
-                # The rates of Euler parameters of unit length have half the size of the angular velocity.
+                # Rates of unit Euler parameters have half the magnitude of the angular velocity.
                 if joint.damping[0]:
                     self.script.do("generalized_force", each, (-4 * joint.damping[0]) * self.script.rate(each))
                 if joint.armature:
@@ -319,13 +320,13 @@ class _Declaring:
             if numbers:
                 self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
 
-    # What closes loops ------------------------------------------------------------------------------------------
+    # Closures of loops ------------------------------------------------------------------------------------------
 
     def _closure(self, closure: Closure) -> None:
         (first, frame1), (second, frame2) = closure.first, closure.second
         axes = closure.axes
         if second is None:
-            # Free motions of the other body from this one are the same numbers about opposite axes.
+            # Free motions of this body relative to the other have the same values, about opposite axes.
             (first, frame1), (second, frame2) = (second, frame2), (first, frame1)
             axes = tuple(-axis for axis in reversed(axes))
         if first is second:
@@ -349,7 +350,7 @@ class _Declaring:
                 given["second_axis"] = tuple(two.tolist())
         if any(closure.stiffness) and differ and closure.kind == "revolute":
             closure.node.fail(
-                "its spring is told from where its two frames coincide, which its links do not do at zero; give both "
+                "its spring is measured from where its two frames coincide, which they do not at zero; give both "
                 "frames the same directions there"
             )
         if closure.kind == "screw":
@@ -360,7 +361,7 @@ class _Declaring:
         self._spring(closure, made)
 
     def _turned(self, name: str, marker: Named, e: Array) -> Named:
-        """A massless frame at a point of a body, turned in it as it is for good."""
+        """Return a massless frame at a point of a body, with a constant rotation."""
         self.taken.add(f"{name}_turn")
         frame = self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
         angle = 2 * float(np.arctan2(np.linalg.norm(e[1:]), e[0]))
@@ -404,6 +405,6 @@ class _Declaring:
 
 
 def _quaternion_rate(e: Array, spin: Array) -> Array:
-    """Rates of Euler parameters (4,) at an angular velocity (3,) in the axes that they lead to."""
+    """Return rates of Euler parameters (4,) at an angular velocity (3,) in body axes."""
     w, p = e[0], e[1:]
     return 0.5 * np.array([-p @ spin, *(w * spin + np.cross(spin, p))])

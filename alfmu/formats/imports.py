@@ -1,4 +1,4 @@
-"""Files of other programs as mechanisms: which format a file has, its options, what was left out."""
+"""Import mechanisms from files of other programs: formats, options, reports of ignored elements."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ from .markup import Node, parsed
 __all__ = ["Imported", "factory", "imported"]
 
 _WIDTH = 116
-"""Characters of a line of Python's text."""
+"""Width of text in the generated Python file, in characters."""
 
 _NAMED = 4
-"""Names that a line of what was left out shows."""
+"""Number of names in a line on ignored elements."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A mechanism from a file of another program, what was left out, and its declaration in Python."""
+    """A mechanism from a file of another program, its ignored elements, and its declaration in Python."""
 
     mechanism: Mechanism
     left_out: tuple[str, ...]
-    """What does nothing to the motion, a line for each kind."""
+    """Ignored elements without effect on the motion, a line for each kind."""
     warnings: tuple[str, ...]
-    """What is left out and may matter: limits of joints, programs of plugins."""
+    """Ignored elements that may affect the motion: limits of joints, programs of plugins."""
     notes: tuple[str, ...]
-    """What else is worth knowing, such as loops that the file leaves open."""
+    """Further remarks, such as loops that are open in the file."""
     moved: str
-    """What closing the loops moved, where that is far."""
+    """Coordinates that closing the loops moved, if far."""
     renamed: dict[str, str]
     """New names by kinds and old names."""
     _source: Callable[[str], str]
 
     def source(self, function: str | None = None) -> str:
-        """The declaration as a Python file with a function of that name, by default that of the mechanism."""
+        """Return the declaration as a Python file with a function of that name, by default that of the mechanism."""
         return self._source(function or self.mechanism.name)
 
 
 def imported(path: str | Path, **options: Any) -> Imported:
-    """Read an MJCF, SDF or URDF file: its mechanism, what was left out, and its declaration in Python.
+    """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
-    Options of all formats: `drives`, names of joints that get an input each, with commas between (`all` for every
-    hinge and slider). MJCF: `key`, the keyframe it starts in; `contacts="leave"`, to leave contacts out. SDF: `model`,
-    the one of several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError, with
-    file, line and element, where something does not map.
+    Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
+    and slider). MJCF: `key`, the keyframe at the start; `contacts="leave"` ignores contacts. SDF: `model`, one of
+    several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError with file, line and
+    element if something cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
 
 def factory(path: str | Path) -> Callable[..., Mechanism]:
-    """A function that makes the mechanism of a file; its keyword arguments are the options of the file's format.
+    """Return a function that makes the mechanism of a file; its keyword arguments are the options of the format.
 
-    It warns of what is left out and may matter.
+    It warns of ignored elements that may affect the motion.
     """
     root = parsed(path)
 
@@ -117,10 +117,10 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if not linkage.joints:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
-    script, renamed, told, moved = declared(linkage, title)
+    script, renamed, remarks, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
     warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
-    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *told)
+    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *remarks)
     script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
     doc = "\n".join(
         [f"{title}.", *([""] if (warned or left or notes) else [])]
@@ -141,7 +141,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
 
 
 def _line(what: str, nodes: list[Node]) -> str:
-    """What is left out, with the names of some."""
+    """Return a line on ignored elements, with some of their names."""
     names = [node.attributes["name"] for node in nodes if node.attributes.get("name")]
     lines = f"line {nodes[0].line}" if len(nodes) == 1 else f"{len(nodes)} from line {nodes[0].line}"
     shown_names = [" ".join(name.split())[:40] for name in names[:_NAMED]]
@@ -157,7 +157,7 @@ def _documentation(
     notes: tuple[str, ...],
     renamed: dict[str, str],
 ) -> str:
-    """What the FMU's documentation says."""
+    """Return the text for the FMU's documentation."""
     sizes = (
         counted(len(linkage.links), "body"),
         counted(len(linkage.joints), "joint"),

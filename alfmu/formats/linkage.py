@@ -1,7 +1,7 @@
-"""What the formats have in common: links in a tree, joints that place them, what closes loops, motors.
+"""Common representation of the formats: links in a tree, joints that place them, closures of loops, motors.
 
-A link stands at `pose` in its parent where each of its joints has its reference value. Its joints act one after the
-other on its frame, about points and axes of that frame: a link with several joints is a chain with massless ones.
+A link is at `pose` in its parent when each of its joints has its reference value. Its joints act successively on its
+frame, about points and axes of that frame: a link with several joints is a chain with massless links.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ Values = Mapping["Joint", Sequence[float]]
 class Joint:
     """A joint with coordinates.
 
-    `kind` is that of the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), or free: a link that
-    flies.
+    `kind` is the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), or free for a floating link.
     """
 
     name: str
@@ -36,11 +35,12 @@ class Joint:
     point: Array = field(default_factory=lambda: np.zeros(3))
     axes: tuple[Array, ...] = ()
     reference: float = 0.0
-    """Its value where the link stands at its pose."""
+    """Value at which the link is at its pose."""
     start: tuple[float, ...] = (0.0,)
-    """Of a free link, the place of its frame and the Euler parameters in ground axes."""
+    """Start values; of a free link, the position of its frame and the Euler parameters in ground axes."""
     rates: tuple[float, ...] = (0.0,)
-    """Of a ball joint the angular velocity in axes of the link; of a free link its velocity in ground axes before."""
+    """Start rates; a ball joint has the angular velocity in link axes, a free link its velocity in ground axes before
+    that."""
     damping: tuple[float, ...] = (0.0,)
     stiffness: tuple[float, ...] = (0.0,)
     rest: tuple[float, ...] = (0.0,)
@@ -49,10 +49,10 @@ class Joint:
     follows: tuple[Joint, float, float] | None = None
     """Another joint, a factor and an offset: its coordinate is factor * other + offset."""
     limits: tuple[tuple[float, float], ...] = ()
-    """The least and the largest value of its coordinates, where it has them: loops are closed within them."""
+    """Lower and upper limits of its coordinates, if any: loops are closed within them."""
 
     def moved(self, values: Sequence[float]) -> Pose:
-        """What it does to the link's frame at some values."""
+        """Return the transformation of the link's frame at given values."""
         value = values[0] - self.reference
         if self.kind in ("revolute", "prismatic", "screw"):
             axis = self.axes[0] / np.linalg.norm(self.axes[0])
@@ -66,7 +66,7 @@ class Joint:
 
     @property
     def zero(self) -> tuple[float, ...]:
-        """Values at which its coordinates are zero."""
+        """Return the values at which its coordinates are zero."""
         return {"spherical": (1.0, 0.0, 0.0, 0.0), "universal": (0.0, 0.0)}.get(self.kind, (0.0,))
 
 
@@ -82,7 +82,7 @@ class Link:
     joints: list[Joint] = field(default_factory=list)
 
     def before(self, j: int, values: Values, known: dict[Link, Pose]) -> Pose:
-        """Where its frame is in ground axes after its first j joints."""
+        """Return the pose of its frame in ground axes after its first j joints."""
         pose = place(self.parent, values, known) @ self.pose
         for joint in self.joints[:j]:
             if joint.kind == "free":
@@ -92,7 +92,7 @@ class Link:
 
 
 def place(link: Link | None, values: Values, known: dict[Link, Pose]) -> Pose:
-    """Where a link is in ground axes; `known` keeps what has been worked out for these values."""
+    """Return the pose of a link in ground axes; `known` caches poses for these values."""
     if link is None:
         return Pose()
     if link not in known:
@@ -121,7 +121,7 @@ class Closure:
 
 @dataclass(eq=False)
 class Coupling:
-    """One joint's coordinate, from its reference, as a polynomial in another's, or constant."""
+    """The coordinate of one joint, from its reference, as a constant or a polynomial in that of another."""
 
     name: str
     node: Node
@@ -132,7 +132,7 @@ class Coupling:
 
 @dataclass(eq=False)
 class Motor:
-    """An input that makes an effort along a joint: gear * limited(gain * u + bias), with lengths and rates by gear."""
+    """An input for an effort along a joint: gear * limited(gain * u + bias), with lengths and rates scaled by gear."""
 
     name: str
     node: Node
@@ -149,7 +149,7 @@ class Motor:
 
 @dataclass(eq=False)
 class Linkage:
-    """All that is read of a file. Links stand in the order of the tree, parents first."""
+    """The contents of a file. Links are in the order of the tree, parents first."""
 
     name: str
     format: str
@@ -160,25 +160,25 @@ class Linkage:
     motors: list[Motor] = field(default_factory=list)
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     left_out: dict[str, list[Node]] = field(default_factory=dict)
-    """What does nothing to the motion, by a word for it."""
+    """Ignored elements without effect on the motion, by kind."""
     warned: dict[str, list[Node]] = field(default_factory=dict)
-    """What acts only where something is reached, and is left out."""
+    """Ignored elements that act only if a limit is reached, by kind."""
 
     posed: bool = False
     """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
-    """What else is worth knowing."""
+    """Elements of further remarks, by remark."""
 
     def note(self, what: str, *nodes: Node) -> None:
-        """Note something else."""
+        """Add a further remark."""
         self.noted.setdefault(what, []).extend(nodes)
 
     def leave(self, what: str, *nodes: Node) -> None:
-        """Note what is left out and does nothing to the motion."""
+        """Record ignored elements without effect on the motion."""
         self.left_out.setdefault(what, []).extend(nodes)
 
     def warn(self, what: str, *nodes: Node) -> None:
-        """Note what is left out and may matter."""
+        """Record ignored elements that may affect the motion."""
         self.warned.setdefault(what, []).extend(nodes)
 
     @property
@@ -187,11 +187,11 @@ class Linkage:
 
     @property
     def references(self) -> Values:
-        """Coordinates where all links stand at their poses."""
+        """Return coordinates at which all links are at their poses."""
         return {j: (j.reference,) if len(j.zero) == 1 else j.zero for j in self.joints if j.kind != "free"}
 
     def drive(self, wanted: str) -> None:
-        """Give joints a motor each by their names, `all` for every joint with one coordinate."""
+        """Add a motor to joints by their names, `all` for every joint with one coordinate."""
         able = {j.name: j for j in self.joints if j.kind in ("revolute", "prismatic", "screw") and not j.follows}
         driven = {motor.joint for motor in self.motors}
         for name in able if wanted == "all" else [each.strip() for each in wanted.split(",") if each.strip()]:

@@ -1,7 +1,7 @@
-"""XML of others, read with care: no document types, no entities, bounded in size and depth, each number checked.
+"""Parse XML from untrusted files: no document types, no entities, limited size and depth, checked numbers.
 
-Every attribute and element of what is read is either taken, named as harmless, or refused with its line: a `Reading`
-notes what was taken, so that nothing is passed over in silence.
+Every attribute and element is either read, listed as harmless, or rejected with its line: a `Reading` records which
+attributes were read, so that none is ignored silently.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from ..model.words import shown, there_is
 __all__ = ["Node", "Reading", "parsed"]
 
 LARGEST = 20_000_000
-"""Size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
+"""Largest size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
 
 DEEPEST = 200
-"""Depth of elements: chains nest one element a link in MJCF."""
+"""Largest depth of elements: in MJCF each link of a chain adds one."""
 
 MOST = 200_000
-"""Elements of a file."""
+"""Largest number of elements of a file."""
 
 _UNKNOWN = "alfmu does not know what {} does to the motion; leave it out if it does nothing"
 
 _LONGEST = 100_000
-"""Numbers of one attribute."""
+"""Largest number of values in an attribute."""
 
 _FLAGS = {"true": True, "1": True, "false": False, "0": False}
 
 
 class Attributes(dict[str, str]):
-    """Attributes of an element, which know what was asked for."""
+    """Attributes of an element, which record the names that were read."""
 
     def __init__(self, given: Mapping[str, str]):
         super().__init__(given)
@@ -67,14 +67,14 @@ class Node:
     children: list[Node] = field(default_factory=list)
     text: str = ""
     taken: bool = False
-    """Whether it was asked for."""
+    """Whether it was read."""
 
     def __post_init__(self, given: Mapping[str, str]) -> None:
         self.attributes = Attributes(given)
 
     @property
     def path(self) -> str:
-        """Where it stands, from the root: names in brackets."""
+        """Its path from the root, with names in brackets."""
         name = self.attributes.get("name") or self.attributes.get("class", "")
         own = f"{self.tag}[{name[:60]}]" if name else self.tag
         return f"{self.parent.path}/{own}" if self.parent is not None else own
@@ -85,7 +85,7 @@ class Node:
         return f"{self.file}, line {self.line}: {self.path}"
 
     def fail(self, why: str) -> Never:
-        """Refuse it."""
+        """Reject it."""
         raise InputError(f"{self.where}: {why}")
 
     def all(self, *tags: str) -> list[Node]:
@@ -96,13 +96,13 @@ class Node:
         return found
 
     def each(self) -> Iterator[Node]:
-        """All children, for one who judges each by its tag."""
+        """Yield all children, marked as read; the caller judges each by its tag."""
         for child in self.children:
             child.taken = True
             yield child
 
     def finish(self, left: Container[Node]) -> None:
-        """Refuse what nobody asked for, here and below; what is left out is passed over."""
+        """Reject attributes and elements that were not read, recursively; `left` is ignored."""
         if self in left or self.tag == "plugin":
             return
         for name, value in self.attributes.items():
@@ -114,22 +114,22 @@ class Node:
             child.finish(left)
 
     def one(self, tag: str) -> Node | None:
-        """The child with a tag, None where there is none; InputError where there are several."""
+        """Return the only child with a tag, None if there is none; raise InputError if there are several."""
         found = self.all(tag)
         if len(found) > 1:
             found[1].fail(f"<{tag}> stands here a second time; give one")
         return found[0] if found else None
 
     def below(self) -> Iterator[Node]:
-        """It and all that is in it."""
+        """Yield it and all elements in it."""
         yield self
         for child in self.children:
             yield from child.below()
 
 
 class Reading:
-    """The attributes of an element, or `given` ones, of which it inherits some; what is taken is noted, `done` refuses
-    the rest."""
+    """The attributes of an element, or `given` ones, some of them inherited; `done` rejects those that were
+    not read."""
 
     def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
@@ -141,11 +141,11 @@ class Reading:
         return name in self._given
 
     def own(self, name: str) -> bool:
-        """Whether it is given by the element itself."""
+        """Whether an attribute is given by the element itself."""
         return name in self.node.attributes
 
     def text(self, name: str, default: str | None = None) -> str:
-        """An attribute as text; InputError where it is not there and has no default."""
+        """Return an attribute as text; raise InputError if it is missing and has no default."""
         self._taken.add(name)
         self.node.attributes.taken.add(name)
         if name in self._given:
@@ -155,39 +155,39 @@ class Reading:
         return default
 
     def choice(self, name: str, known: Sequence[str], default: str | None = None) -> str:
-        """One of several words."""
+        """Return one of several words."""
         found = self.text(name, default)
         if found not in known:
             self.fail(name, f"{name} is {shown(found)}; alfmu takes {' or '.join(known)}")
         return found
 
     def flag(self, name: str, default: bool) -> bool:
-        """true or false."""
+        """Return a Boolean, true or false."""
         return _FLAGS[self.choice(name, tuple(_FLAGS))] if self.has(name) else default
 
     def numbers(self, name: str, count: int | range, default: Sequence[float] | None = None) -> list[float]:
-        """So many finite numbers."""
+        """Return this number of finite values."""
         if not self.has(name) and default is not None:
             return list(default)
         return numbers(self._given.get(name, ("", self.node))[1], name, self.text(name), count)
 
     def number(self, name: str, default: float | None = None) -> float:
-        """One finite number."""
+        """Return one finite number."""
         return self.numbers(name, 1, None if default is None else (default,))[0]
 
     def positive(self, name: str, default: float | None = None) -> float:
-        """A number that is not negative."""
+        """Return a nonnegative number."""
         found = self.number(name, default)
         if found < 0:
             self.fail(name, f"{name} is {found:g}; it must not be negative")
         return found
 
     def fail(self, name: str, why: str) -> Never:
-        """Refuse an attribute, where it was given."""
+        """Reject an attribute, if it was given."""
         self._given.get(name, ("", self.node))[1].fail(why)
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Refuse attributes by name, each with what is possible instead; those that are zero or false are fine."""
+        """Reject attributes by name, each with the alternative; zero and false are allowed."""
         for name, instead in reasons.items():
             if self.has(name):
                 value = self.text(name)
@@ -196,7 +196,7 @@ class Reading:
                     self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
 
     def done(self, harmless: Sequence[str] = ()) -> None:
-        """Refuse what was not taken and is not harmless."""
+        """Reject attributes that were neither read nor harmless."""
         self.node.attributes.taken.update(self._given)
         for name, (value, node) in self._given.items():
             if name not in self._taken and name not in harmless:
@@ -204,7 +204,7 @@ class Reading:
 
 
 def numbers(node: Node, what: str, text: str, count: int | range) -> list[float]:
-    """So many finite numbers of a text; InputError with the line otherwise."""
+    """Return this number of finite values from a text; raise InputError with the line otherwise."""
     words = text.split()
     if len(words) > _LONGEST:
         node.fail(f"{what} has {len(words)} numbers; alfmu reads {_LONGEST}")
@@ -231,7 +231,8 @@ def _zero(word: str) -> bool:
 
 
 def parsed(path: str | Path) -> Node:
-    """The root element of a file; InputError where it is not there, no XML, too large, or has a document type."""
+    """Return the root element of a file; raise InputError if it is missing, not XML, too large, or has a
+    document type."""
     path = Path(path)
     try:
         if not path.is_file():
@@ -246,7 +247,7 @@ def parsed(path: str | Path) -> Node:
 
 
 class _Tree:
-    """Makes a tree of what expat reads."""
+    """Builds a tree from events of expat."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -267,7 +268,7 @@ class _Tree:
         except expat.ExpatError as error:
             said = expat.errors.messages.get(error.code, "not well-formed")
             raise InputError(f"{self.path}, line {error.lineno}: this is no XML ({said})") from None
-        except (ValueError, LookupError) as error:  # of encodings
+        except (ValueError, LookupError) as error:  # errors of encodings
             raise InputError(f"{self.path}: this is no XML that alfmu can read ({error})") from None
         assert self.root is not None
         return self.root
@@ -299,6 +300,6 @@ class _Tree:
 
 
 def known(node: Node, name: str, there: Mapping[str, object], what: str) -> None:
-    """Refuse a name that refers to nothing."""
+    """Reject a name without a definition."""
     if name not in there:
         node.fail(f"there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")

@@ -1,7 +1,7 @@
-"""MJCF, the format of MuJoCo: bodies in a tree, geoms that give them inertia, equality constraints that close loops.
+"""MJCF, the format of MuJoCo: bodies in a tree, geoms with their inertia, equality constraints that close loops.
 
-Angles are in degrees unless the compiler says otherwise. Constraints are rigid here; MuJoCo's `solref` and `solimp` are
-not taken.
+Angles are in degrees unless the compiler setting differs. Constraints are rigid; MuJoCo's `solref` and `solimp` are
+ignored.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .solids import Inertial
 __all__ = ["read"]
 
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
-"""Sections that do nothing to the motion."""
+"""Sections without effect on the motion."""
 
 _MEDIUM = "alfmu has no medium around bodies; leave it out"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
 _ACTUATORS = ("motor", "general", "position", "velocity")
 _SHARED = {"name", "class", "group", "user", "joint", "gear", "ctrllimited", "ctrlrange", "forcelimited", "forcerange"}
-"""Attributes that actuators of all kinds have; defaults of one kind count for all."""
+"""Attributes of actuators of all kinds; defaults of one kind apply to all."""
 
 _HARMLESS_GEOM = (
     "name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass",
@@ -41,13 +41,13 @@ _DYNAMICS = (
 )  # fmt: skip
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _PARTIAL = {"size", "stiffness", "damping", "polycoef", "biasprm"}
-"""Attributes with up to so many numbers: those that are not given are the default's."""
+"""Attributes with optional trailing numbers, which come from the default."""
 
 _ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
-"""How an attitude may be given, and the count of its numbers."""
+"""Attributes for an attitude, and the number of their values."""
 
 _POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
-"""Coefficients of an equality of joints, where they are not given."""
+"""Default coefficients of an equality of joints."""
 
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
@@ -56,15 +56,15 @@ _FLAGS = {
     "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
 }  # fmt: skip
 _DEEPEST = 8
-"""Files that include each other."""
+"""Largest depth of nested includes."""
 
 _FILES = 100
-"""Files that one includes, with those that these include."""
+"""Largest number of included files."""
 
 
 @dataclass
 class _Settings:
-    """What the compiler and the options say."""
+    """Settings of the compiler and the options."""
 
     degrees: bool = True
     euler: str = "xyz"
@@ -82,7 +82,7 @@ Inherited = dict[str, tuple[str, Node]]
 
 
 def read(root: Node, key: str = "", contacts: str = "refuse") -> Linkage:
-    """The linkage of an MJCF file; see `imported` for the options."""
+    """Return the linkage of an MJCF file; see `imported` for the options."""
     return _File(root, key, contacts).linkage
 
 
@@ -215,7 +215,7 @@ class _File:
             self._default(child, name)
 
     def _reading(self, node: Node, childclass: str | None, *tags: str) -> Reading:
-        """An element with the defaults of its class."""
+        """Return the attributes of an element with the defaults of its class."""
         name = node.attributes.get("class") or childclass or "main"
         known(node, name, self.defaults, "default class")
         inherited: Inherited = {}
@@ -227,7 +227,7 @@ class _File:
     # Bodies -----------------------------------------------------------------------------------------------------
 
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
-        """What is in a body, or in a frame of it at a pose; masses of its geoms."""
+        """Read a body, or a frame in a body at a pose; return the masses of its geoms."""
         parts = []
         for child in node.each():
             if child.tag == "body":
@@ -279,7 +279,7 @@ class _File:
         inertial = node.one("inertial")
         if inertial is not None:
             link.inertial = self._inertial(Reading(inertial))
-        if parts:  # geoms that count here, which is where there is no inertial or the compiler says so
+        if parts:  # geoms define the inertia without an inertial, or if the compiler setting demands it
             link.inertial = solids.together(parts)
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
@@ -323,7 +323,7 @@ class _File:
         return np.column_stack((one, two, np.cross(one, two)))
 
     def _along(self, node: Node, direction: Array) -> Array:
-        """The least turn that leads the z axis to a direction."""
+        """Return the smallest rotation of the z axis to a direction."""
         size = float(np.linalg.norm(direction))
         if not size > 0:
             node.fail("its two ends are one point")
@@ -402,7 +402,7 @@ class _File:
         link.joints.append(joint)
 
     def _linear(self, given: Reading, name: str, otherwise: str) -> float:
-        """A stiffness or damping; newer files may give a polynomial, whose higher coefficients must be zero."""
+        """Return a stiffness or damping; newer files may give a polynomial, whose higher coefficients must be zero."""
         first, *higher = given.numbers(name, range(1, 6), (0.0,))
         if any(higher):
             given.fail(name, f"{name} that depends on the displacement does not map: {otherwise}")
@@ -459,7 +459,7 @@ class _File:
         make = getattr(solids, kind)
         return make(*sizes), at
 
-    # What closes loops ------------------------------------------------------------------------------------------
+    # Closures of loops ------------------------------------------------------------------------------------------
 
     def _equalities(self, section: Node) -> None:
         if self.settings.off & {"equality", "constraint"}:
@@ -508,13 +508,13 @@ class _File:
         if kind == "spherical":
             anchor = vector(given.numbers("anchor", 3))
             return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
-        # The anchor is in the frame of the second body.
+        # The anchor is given in the frame of the second body.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
         if not given.number("torquescale", 1.0) > 0:
             given.fail("torquescale", "a weld that leaves turns free does not map; use connect")
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
         if any(posed[3:]):
-            # MuJoCo holds the anchor at the place of relpose itself.
+            # MuJoCo fixes the anchor at the position of relpose.
             here = Pose(vector(posed[:3]), of_quaternion(posed[3:]))
             return Closure(name, kind, node, (first, here), (second, Pose(anchor)))
         return Closure(name, kind, node, (first, apart @ Pose(anchor)), (second, Pose(anchor)))
@@ -579,7 +579,7 @@ class _File:
     # Contacts ---------------------------------------------------------------------------------------------------
 
     def _contacts(self) -> None:
-        """Refuse a file whose bodies could touch each other."""
+        """Reject a file whose bodies could touch each other."""
         excluded = set()
         for section in self.root.all("contact"):
             for pair in section.all("pair"):
@@ -592,7 +592,7 @@ class _File:
                 a, b = _moving(one), _moving(two)
                 if a is b or not (type1 & affinity2 or type2 & affinity1):
                     continue
-                # MuJoCo leaves out contacts of a body with its parent, unless that is the world.
+                # MuJoCo ignores contacts of a body with its parent, unless that is the world.
                 related = a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a)
                 if related and "filterparent" not in self.settings.off:
                     continue
@@ -640,7 +640,7 @@ class _File:
 
 
 def _over(inherited: Inherited, node: Node) -> Inherited:
-    """Attributes of an element over inherited ones: one attitude, and where it gives fewer numbers, the others stay."""
+    """Merge attributes of an element into inherited ones: one attitude, and missing trailing numbers are inherited."""
     replaced = _ATTITUDES.keys() if _ATTITUDES.keys() & node.attributes.keys() else set()
     found = {name: given for name, given in inherited.items() if name not in replaced}
     found |= {name: (value, node) for name, value in node.attributes.items()}
@@ -656,14 +656,14 @@ _CONTACTS = (
 
 
 def _moving(link: Link | None) -> Link | None:
-    """The link that carries one without joints, None for the world."""
+    """Return the link that carries one without joints, None for the world."""
     while link is not None and not link.joints:
         link = link.parent
     return link
 
 
 def _holder(node: Node) -> Node:
-    """The body of a geom, frames between left out."""
+    """Return the body of a geom, skipping frames."""
     found = node.parent
     while found is not None and found.tag == "frame":
         found = found.parent
@@ -672,7 +672,7 @@ def _holder(node: Node) -> Node:
 
 
 def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
-    """Put the elements of included files in the places of their <include>."""
+    """Replace <include> elements by the elements of the included files."""
     children = []
     for child in node.children:
         if child.tag != "include":

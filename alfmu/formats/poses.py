@@ -1,4 +1,4 @@
-"""Poses as numbers: a rotation matrix (3, 3) and a place (3,) [m]."""
+"""Poses as numbers: a rotation matrix (3, 3) and a position (3,) [m]."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["Array", "Pose", "about", "cleaned", "of_quaternion", "quaternion", "
 Array = NDArray[np.float64]
 
 _NOISE = 4e-16
-"""Round-off of an entry beside the largest of its vector: a turn by pi/2 as a float misses a right angle by 6e-17."""
+"""Round-off of an entry over the largest of its vector: cos(pi/2) is 6e-17 in floating point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a frame stands in another: `turn` leads from its axes to those of the other."""
+    """Pose of a frame in another: `turn` rotates from its axes to those of the other."""
 
     place: Array = field(default_factory=lambda: np.zeros(3))
     turn: Array = field(default_factory=lambda: np.eye(3))
@@ -28,7 +28,7 @@ class Pose:
         return Pose(self.at(other.place), self.turn @ other.turn)
 
     def at(self, point: Array) -> Array:
-        """A point of the frame in the other's axes."""
+        """Transform a point of the frame to the other's axes."""
         return self.place + self.turn @ point
 
     @property
@@ -41,18 +41,18 @@ def vector(numbers: Sequence[float]) -> Array:
 
 
 def about(axis: Array, angle: float) -> Array:
-    """The turn (3, 3) by an angle [rad] about a direction."""
+    """Return the rotation (3, 3) by an angle [rad] about a direction."""
     return _exact(Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix())
 
 
 def of_quaternion(wxyz: Sequence[float]) -> Array:
-    """The turn (3, 3) of a quaternion, its real part first."""
+    """Return the rotation (3, 3) of a quaternion, its real part first."""
     w, x, y, z = wxyz
     return _exact(Rotation.from_quat((x, y, z, w)).as_matrix())
 
 
 def turned(sequence: str, angles: Sequence[float]) -> Array:
-    """The turn of three angles [rad] about axes: of the frame as it turns (xyz), or fixed ones (XYZ)."""
+    """Return the rotation by three angles [rad] about moving axes (xyz) or fixed axes (XYZ)."""
     turn = np.eye(3)
     for letter, angle in zip(sequence, angles, strict=True):
         each = about(np.eye(3)["xyz".index(letter.lower())], angle)
@@ -61,19 +61,19 @@ def turned(sequence: str, angles: Sequence[float]) -> Array:
 
 
 def quaternion(turn: Array) -> Array:
-    """Euler parameters (4,) of a turn, the first not negative."""
+    """Return Euler parameters (4,) of a rotation, the first nonnegative."""
     x, y, z, w = Rotation.from_matrix(turn).as_quat()
     return vector((w, x, y, z)) * (1.0 if w >= 0 else -1.0)
 
 
 def cleaned(values: Array) -> Array:
-    """Numbers to 15 digits, without the round-off of turns by right angles: those that stand in a file again."""
+    """Round numbers to 15 digits, which removes round-off of rotations by right angles."""
     size = np.abs(values).max(initial=0.0)
     flat = [float(f"{x:.15g}") if abs(x) > 4 * _NOISE * size else 0.0 for x in values.ravel().tolist()]
     return np.array(flat).reshape(values.shape)
 
 
 def _exact(turn: Array) -> Array:
-    """A turn whose entries are 0 or 1 where they miss them by round-off."""
+    """Return a rotation with entries set to 0 or 1 that differ from them by round-off."""
     nearest = np.round(turn)
     return np.where(np.abs(turn - nearest) < _NOISE, nearest, turn)

@@ -1,4 +1,4 @@
-"""A declaration and its Python text, made by the same calls: what is loaded is what `alfmu import` writes."""
+"""A declaration and its Python text from the same calls: `alfmu import` writes the code of the loaded mechanism."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ..model.mechanism import Mechanism
 __all__ = ["Named", "Script"]
 
 _WIDTH = 116
-"""Characters of a line."""
+"""Longest line in characters."""
 
 _OWN = {"m", "ca", "Mechanism", "ground"}
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A value with the text that makes it."""
+    """A value with its Python expression."""
 
     value: Any
     text: str
     plain: bool = True
-    """Whether the text needs no brackets."""
+    """Whether the expression needs no brackets."""
 
     def at(self, point: Sequence[float]) -> Named:
-        """A point of a body."""
+        """Return a point of a body."""
         given = ", ".join(map(written, point)) if any(point) else ""
         return Named(self.value.at(*map(float, point)), f"{self.text}.at({given})")
 
     def freedom(self, which: str) -> Named:
-        """One of a joint's free motions."""
+        """Return one of a joint's free motions."""
         return Named(self.value.freedom(which), f'{self.text}.freedom("{which}")')
 
     def __add__(self, other: Named | float) -> Named:
@@ -54,13 +54,13 @@ class Named:
         return Named(self.value**power, f"{_bracketed(self)}**{power}", True)
 
     def limited(self, low: float, high: float) -> Named:
-        """Not below one number nor above another."""
+        """Return the value limited to an interval."""
         value = ca.fmin(ca.fmax(self.value, low), high)
         return Named(value, f"ca.fmin(ca.fmax({self.text}, {written(low)}), {written(high)})")
 
 
 def value_of(thing: Any) -> Any:
-    """What calls are given."""
+    """Return the value of a `Named`, or things themselves, recursively."""
     if isinstance(thing, Named):
         return thing.value
     if isinstance(thing, tuple | list):
@@ -69,7 +69,7 @@ def value_of(thing: Any) -> Any:
 
 
 def written(thing: Any) -> str:
-    """The Python text of a value; whole numbers without a point."""
+    """Return the Python expression of a value; integers have no decimal point."""
     if isinstance(thing, Named):
         return thing.text
     if isinstance(thing, str):
@@ -88,7 +88,7 @@ def _bracketed(thing: Any) -> str:
 
 
 def _folded(text: str) -> str:
-    """What stands in brackets, over several lines where it is long, broken at spaces outside texts."""
+    """Break a bracketed expression over several lines if it is long, at spaces outside strings."""
     lines = [""]
     for word in re.findall(r'(?:"(?:\\.|[^"\\])*"|[^\s"])+', text):
         if lines[-1] and len(lines[-1]) + len(word) > _WIDTH - 12:
@@ -98,7 +98,7 @@ def _folded(text: str) -> str:
 
 
 class Script:
-    """Makes a mechanism by calls and writes them down."""
+    """Declares a mechanism by calls and records them."""
 
     def __init__(self, name: str, description: str):
         self.mechanism = Mechanism(name, description)
@@ -106,7 +106,7 @@ class Script:
         self.ground = Named(self.mechanism.spatial_ground, "m.spatial_ground")
 
     def do(self, method: str, *arguments: Any, keep: str = "", **named: Any) -> Named:
-        """Call a method of the mechanism; `keep` is the name of what it returns, for later."""
+        """Call a method of the mechanism; `keep` names the variable for its result."""
         made = getattr(self.mechanism, method)(
             *map(value_of, arguments), **{name: value_of(x) for name, x in named.items()}
         )
@@ -120,15 +120,15 @@ class Script:
         return Named(made, variable)
 
     def rate(self, coordinate: Named) -> Named:
-        """The rate of a coordinate."""
+        """Return the rate of a coordinate."""
         return Named(self.mechanism.rate(coordinate.value), f"m.rate({coordinate.text})")
 
     def remark(self, text: str) -> None:
-        """An empty line and a comment."""
+        """Add an empty line and a comment."""
         self._lines += ["", f"# {text}"]
 
     def text(self, function: str, docstring: str) -> str:
-        """The whole as a Python file with one function."""
+        """Return a Python file with one function."""
         body = "\n".join(self._lines)
         head = [f'"""{docstring}"""', ""]
         if "ca.f" in body:

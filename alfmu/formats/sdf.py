@@ -1,7 +1,7 @@
 """SDF, the format of Gazebo: links with poses, and joints between any two of them, so that loops are joints too.
 
-A tree of joints from the world outwards places the links; each joint to a link that is placed already closes a loop.
-Versions from 1.5 on. Rotations are about fixed axes (roll, pitch, yaw).
+A tree of joints from the world outwards places the links; each joint to a link that is already placed closes a loop.
+Versions from 1.5 on are supported. Rotations are about fixed axes (roll, pitch, yaw).
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def read(root: Node, model: str = "", contacts: str = "refuse") -> Linkage:
     return _File(root, model, contacts).linkage
 
 
-def told(node: Node, tag: str, default: str | None = None) -> str:
-    """The text of a child."""
+def child_text(node: Node, tag: str, default: str | None = None) -> str:
+    """Return the text of a child."""
     child = node.one(tag)
     if child is None:
         if default is None:
@@ -70,14 +70,14 @@ def told(node: Node, tag: str, default: str | None = None) -> str:
 
 
 def number(node: Node, tag: str, default: float) -> float:
-    """The number in a child."""
+    """Return the number in a child."""
     child = node.one(tag)
     return default if child is None else numbers(child, f"<{tag}>", child.text, 1)[0]
 
 
 def flag(node: Node, tag: str, default: bool) -> bool:
-    """true or false in a child."""
-    said = told(node, tag, str(default)).lower()
+    """Return a Boolean, true or false, in a child."""
+    said = child_text(node, tag, str(default)).lower()
     if said not in ("true", "1", "false", "0"):
         node.fail(f"<{tag}> is {shown(said[:40])}; give true or false")
     return said in ("true", "1")
@@ -139,7 +139,7 @@ class _File:
             self.linkage.gravity = (x, y, z)
 
     def _contacts(self, models: list[Node]) -> None:
-        """Refuse where bodies could touch: links of one model do not unless they are told to."""
+        """Reject bodies that could touch; links of one model do not unless self-collision is enabled."""
         leave = "contacts do not map; leave them out with --option contacts=leave"
         for each in (x for x in self.model.below() if x.tag == "self_collide"):
             if each.text.strip().lower() in ("true", "1"):
@@ -184,7 +184,7 @@ class _File:
             self.linkage.closures.append(ball_constraint(each, self.links, len(self.linkage.closures)))
 
     def _given(self, node: Node) -> Pose:
-        """The numbers of a <pose>."""
+        """Return the pose given by the numbers of a <pose>."""
         given = Reading(node)
         form = given.choice("rotation_format", ("euler_rpy", "quat_xyzw"), "euler_rpy")
         degrees = given.flag("degrees", False)
@@ -200,7 +200,7 @@ class _File:
         return Pose(vector(x[:3]), turned("XYZ", [math.radians(a) if degrees else a for a in x[3:]]))
 
     def _pose(self, name: str, asked: Node) -> Pose:
-        """Where a link, a joint or a frame is in the model."""
+        """Return the pose of a link, a joint or a frame in the model."""
         if name in self.poses:
             return self.poses[name]
         known(asked, name, self.nodes, "link, joint or frame")
@@ -209,7 +209,7 @@ class _File:
             node.fail(f"frames are relative to each other in a circle ({' -> '.join([*self.pending, name])[:200]})")
         self.pending.append(name)
         posed = node.one("pose")
-        default = told(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
+        default = child_text(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
         base = (posed.attributes.get("relative_to", "") if posed is not None else "") or default or "__model__"
         found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ (self._given(posed) if posed is not None else Pose())
@@ -217,8 +217,8 @@ class _File:
         return self.poses[name]
 
     def _link_of(self, node: Node, tag: str) -> str:
-        """The link that a joint's parent or child is, frames followed; empty for the world."""
-        name, seen = told(node, tag), set()
+        """Return the link of a joint's parent or child, through frames; empty for the world."""
+        name, seen = child_text(node, tag), set()
         while name != "world":
             known(node, name, self.nodes, "link or frame")
             found = self.nodes[name]
@@ -235,7 +235,7 @@ class _File:
     # The tree ---------------------------------------------------------------------------------------------------
 
     def _tree(self, links: list[Node], joints: list[Node]) -> None:
-        """Links from the world outwards; where no joint leads to one, it flies."""
+        """Place links from the world outwards; links that no joint reaches float."""
         if flag(self.model, "static", False):
             self.model.fail("the model is static; nothing of it moves")
         ends = {each: (self._link_of(each, "parent"), self._link_of(each, "child")) for each in joints}
@@ -336,7 +336,7 @@ class _File:
     # Joints -----------------------------------------------------------------------------------------------------
 
     def _joint(self, node: Node) -> tuple[str, dict]:
-        """Its kind, its frame in the world, axes in that frame, and the numbers of its free motions."""
+        """Return its kind, its frame in the world, axes in that frame, and the properties of its free motions."""
         frame = self.base @ self._pose(node.attributes["name"], node)
 
         def axis_in(axis: Node) -> Array:
@@ -379,7 +379,7 @@ _MIMIC = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
 
 
 def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: float, offset: float) -> None:
-    """Let a joint follow another, which must be declared before it and follow none."""
+    """Make a joint follow another, which must be declared before it and follow none."""
     order = linkage.joints
     if other.follows is not None or order.index(other) >= order.index(joint):
         node.fail(
@@ -392,7 +392,7 @@ def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: flo
 
 
 def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[Node], Array]) -> tuple[str, dict]:
-    """The kind of a joint, and what it has: its frame, axes, damping, stiffness, rest, lead, what it mimics."""
+    """Return the kind and properties of a joint: frame, axes, damping, stiffness, rest, lead, mimicked joint."""
     kind = node.attributes.get("type", "")
     if kind not in _KINDS:
         node.fail(_LATER.format(shown(kind[:40])))
@@ -439,7 +439,7 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
 
 
 def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
-    """Springs, dampers, limits and followers of an axis."""
+    """Read springs, dampers, limits and followers of an axis."""
     for child in axis.each():
         if child.tag == "mimic":
             found["mimic"].append(child)
@@ -466,7 +466,7 @@ def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
 def joint_closure(
     node: Node, kind: str, details: dict, first: tuple[Link | None, Pose], second: tuple[Link | None, Pose]
 ) -> Closure:
-    """A joint of SDF that closes a loop, by its frame in both links."""
+    """Return an SDF joint that closes a loop, by its frame in both links."""
     if details["mimic"]:
         details["mimic"][0].fail("a joint that closes a loop cannot follow another; make another one close it")
     names = ("damping", "stiffness", "rest")
@@ -477,7 +477,7 @@ def joint_closure(
 
 
 def ball_constraint(node: Node, links: dict[str, Link], count: int) -> Closure:
-    """A ball joint that closes a loop, as Drake writes it."""
+    """Return a ball joint that closes a loop, in Drake's notation."""
     ends = []
     for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
         tags = [f"drake:ball_constraint_{each}" for each in (body, point)]

@@ -1,4 +1,4 @@
-"""Mass and inertia of bodies of one density, about their centre and along their axes, and of several together."""
+"""Mass and inertia of homogeneous bodies, about their centre and along their axes, and of composite bodies."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ class Inertial:
 
 
 def ellipsoid(a: float, b: float, c: float) -> Solid:
-    """Of three half axes [m]."""
+    """Return an ellipsoid of three half axes [m]."""
     volume = 4 / 3 * math.pi * a * b * c
     return Solid(volume, (volume / 5 * (b * b + c * c), volume / 5 * (a * a + c * c), volume / 5 * (a * a + b * b)))
 
 
 def sphere(radius: float) -> Solid:
-    """Of a radius [m]."""
+    """Return a sphere of a radius [m]."""
     return ellipsoid(radius, radius, radius)
 
 
 def box(a: float, b: float, c: float) -> Solid:
-    """Of three half edges [m]."""
+    """Return a box of three half edges [m]."""
     volume = 8 * a * b * c
     return Solid(volume, (volume / 3 * (b * b + c * c), volume / 3 * (a * a + c * c), volume / 3 * (a * a + b * b)))
 
 
 def cylinder(radius: float, half: float) -> Solid:
-    """Of a radius and half a length [m] along z."""
+    """Return a cylinder of a radius and half a length [m] along z."""
     volume = 2 * math.pi * radius**2 * half
     across = volume * (3 * radius**2 + 4 * half**2) / 12
     return Solid(volume, (across, across, volume * radius**2 / 2))
 
 
 def capsule(radius: float, half: float) -> Solid:
-    """A cylinder along z with half a ball on either end; `half` [m] is that of the cylinder."""
+    """Return a cylinder along z with half a ball on either end; `half` [m] is that of the cylinder."""
     tube, ball = cylinder(radius, half), sphere(radius)
     # Each half of the ball has its centre of mass at 3/8 of the radius from its flat face.
     across = tube.moments[0] + ball.moments[0] + ball.volume * (half**2 + 3 / 4 * half * radius)
@@ -63,13 +63,13 @@ def capsule(radius: float, half: float) -> Solid:
 
 
 def placed(solid: Solid, mass: float, pose: Pose) -> Inertial:
-    """A solid of some mass [kg] at a pose of its centre."""
+    """Return the inertia of a solid of a mass [kg] at a pose of its centre."""
     moments = np.diag(solid.moments) * (mass / solid.volume if solid.volume else 0.0)
     return Inertial(mass, pose.place, pose.turn @ moments @ pose.turn.T)
 
 
 def together(parts: Iterable[Inertial]) -> Inertial:
-    """Several as one rigid body."""
+    """Return the inertia of several parts as one rigid body."""
     parts = list(parts)
     mass = math.fsum(part.mass for part in parts)
     if not mass:

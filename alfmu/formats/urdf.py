@@ -34,7 +34,7 @@ _MOVING = {
     "dampingFactor": "give joints damping",
     "springStiffness": "declare the spring in the file that `alfmu import` writes",
 }
-"""Settings for Gazebo that change how something moves, with what is possible instead."""
+"""Settings for Gazebo that change the motion, with the alternative."""
 
 
 def read(root: Node, base: str = "fixed") -> Linkage:
@@ -172,7 +172,7 @@ class _File:
         return found
 
     def _posed(self, given: Reading) -> Pose:
-        """xyz and rpy of an element."""
+        """Return the pose from xyz and rpy of an element."""
         found = vector(given.numbers("xyz", 3, (0, 0, 0))), given.numbers("rpy", 3, (0, 0, 0))
         return Pose(found[0], turned("XYZ", found[1]))
 
@@ -188,7 +188,7 @@ class _File:
         return axis
 
     def _joint(self, node: Node, link: Link) -> list[tuple[Node, Joint]]:
-        """The joint that places a link; its mimic."""
+        """Return the joint that places a link, with its mimic element."""
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
         given.done()
@@ -272,7 +272,7 @@ class _File:
                 self.linkage.leave("settings for Gazebo", child)
 
     def _gazebo_joint(self, node: Node) -> Closure:
-        """A joint of SDF: its pose and its axes are in the frame of the child."""
+        """Return an SDF joint: its pose and its axes are in the frame of the child."""
         ends = {}
         for tag in ("parent", "child"):
             child = node.one(tag)

@@ -1,4 +1,5 @@
-"""Derivatives of runs by parameters, start values and inputs; functions of a run; parameters fitted to measurements."""
+"""Derivatives of runs by parameters, start values and inputs; functions of a run; fits of parameters
+to measurements."""
 
 from .fitting import Fit, fit
 from .functions import Columns, Final, Function, Integral, Maximum, TimeOfMaximum

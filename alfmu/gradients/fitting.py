@@ -1,4 +1,4 @@
-"""Parameters and start values fitted to measured columns: SciPy's least squares with the derivatives of the run."""
+"""Fit parameters and start values to measured columns, by SciPy's least squares with the derivatives of the run."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ __all__ = ["Fit", "fit"]
 _LOGGER = logging.getLogger("alfmu")
 
 _UNSEEN = 1e-7
-"""Singular value of the derivatives, over the largest one, below which the data tell nothing of a combination of
-numbers [1]: derivatives have a relative error of some 1e-9."""
+"""Singular value of the derivatives over the largest, below which the data do not determine a combination of numbers
+[1]; derivatives have a relative error of some 1e-9."""
 
 _STILL = 1e-9
-"""Range of a column over the largest value of its unit, below which it is at rest but for round-off [1]: it counts by
+"""Range of a column over the largest value of its unit, below which it is constant up to round-off [1] and weighted by
 that value."""
 
 _WORSE = 1e3
-"""Residuals of a run that cannot be made, over those of the first guess [1]: no such step is taken."""
+"""Residuals assigned to a run that fails, over those of the first guess [1], so that the step is rejected."""
 
 _TOLERANCE = 1e-12
 """Relative change of the sum of squares, and of the numbers, at which the fit ends [1]."""
@@ -47,26 +47,26 @@ _TOLERANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Numbers that bring a run nearest to measurements: `found["m2"]`."""
+    """Numbers with which a run is closest to measurements: `found["m2"]`."""
 
     values: Mapping[str, float]
     errors: Mapping[str, float]
-    """Standard deviation of each, from the residuals as they are; infinite where the data do not tell it, not a number
-    at a bound, or where there are as many measurements as numbers."""
+    """Standard deviation of each, from the residuals; infinite if the data do not determine it, NaN at a bound, or if
+    there are no more measurements than numbers."""
     units: Mapping[str, str]
     covariance: NDArray[np.float64]
-    """(numbers, numbers), in the order of `values`; with those at their bounds held there."""
+    """Covariance (numbers, numbers) in the order of `values`, with numbers at their bounds fixed."""
     bounds: Mapping[str, tuple[float, float]]
     noise: Mapping[str, float]
-    """Root of the mean square of what each measured column differs by."""
+    """Root mean square of the residuals of each measured column."""
     result: Result
     """The run with these numbers, at the times of the measurements."""
     data: Result
-    """What was measured."""
+    """The measurements."""
     runs: int
-    """Runs that it took, those with derivatives included."""
+    """Number of runs, including those with derivatives."""
     said: str
-    """Why it ended."""
+    """Reason for the end of the fit."""
 
     def __getitem__(self, name: str) -> float:
         if name not in self.values:
@@ -75,12 +75,12 @@ class Fit:
 
     @property
     def residuals(self) -> dict[str, NDArray[np.float64]]:
-        """What was measured less the run, by column; NaN where nothing was measured."""
+        """Measurements minus the run, by column; NaN without a measurement."""
         return {name: self.data[name] - self.result[name] for name in self.noise}
 
     @property
     def correlation(self) -> NDArray[np.float64]:
-        """(numbers, numbers): covariances over the standard deviations of both."""
+        """Correlation (numbers, numbers): covariances over the standard deviations of both."""
         sizes = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(sizes, sizes)
@@ -99,7 +99,7 @@ class Fit:
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        """Measured points, the run through them, and what is left, by column."""
+        """Plot measured points, the run through them, and residuals, by column."""
         from ..view.fitted import figure
 
         return figure(self.data, self.result, list(self.noise))
@@ -117,19 +117,18 @@ def fit(
     parameters: Mapping[str, float | str] | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Find parameters and start values with which a run is nearest to measurements, by least squares.
+    """Find parameters and start values with which a run is closest to measurements, by least squares.
 
-    `data` is a table (CSV or a `Result`) with a column `time` [s], which begins where the run does; columns with names
-    of outputs are measurements (NaN where there is none), those with names of inputs drive the run. `columns` are the
-    measurements that count, None for all there are but monitors. `vary` names parameters and start values, with a first
-    guess each where it is a mapping. `bounds` has the least and largest value of some; others keep to those of the
-    mechanism. Residuals of a column count by its standard deviation in `deviations`, by the range of the column where
-    that is not known, and by the largest value in its unit where it is at rest. `progress` is called with the number of
-    the run and the root of the mean square of its weighed residuals.
+    `data` is a table (CSV or a `Result`) with a column `time` [s], which begins at the start of the run; columns with
+    names of outputs are measurements (NaN for missing ones), those with names of inputs drive the run. `columns` are
+    the measurements to use, None for all but monitors. `vary` names parameters and start values, or maps them to first
+    guesses. `bounds` has bounds of some; others have those of the mechanism. Residuals of a column are divided by its
+    standard deviation in `deviations`, by default by the range of the column, or if it is constant by the largest value
+    in its unit. `progress` is called with the number of the run and the root mean square of its weighted residuals.
 
-    The covariance comes from the residuals that are left, so that it tells errors of measuring, not of the model. A
-    combination of numbers that the data do not tell is warned of. Raises InputError if a name or number is wrong, where
-    units of the data are not those of the mechanism, and where there are fewer measurements than numbers.
+    The covariance follows from the residuals, so it describes errors of measurement, not of the model. Combinations of
+    numbers that the data do not determine cause a warning. Raises InputError if a name or number is invalid, if units
+    of the data differ from those of the mechanism, and if there are fewer measurements than numbers.
     """
     by = names_in(mechanism, "numbers to vary", vary)
     wanted = None if columns is None else names_in(mechanism, "columns", columns)
@@ -145,7 +144,7 @@ def fit(
     sizes = _sizes(runs, measured, seen, known, by_name(mechanism, "deviations", deviations))
     if (count := int(known.sum())) < len(runs.by):
         has, wants = counted(count, "measurement"), counted(len(runs.by), "number")
-        raise InputError(f"{has} cannot tell {wants}; vary fewer, or measure more")
+        raise InputError(f"{has} cannot determine {wants}; vary fewer, or measure more")
     low, high = _bounds(runs, by_name(mechanism, "bounds", bounds))
     scale = [_scale(runs, name) for name in runs.by]
     first = np.array([runs.unit.get(name) for name in runs.by], float)
@@ -188,7 +187,7 @@ def _runs(
     inputs: Mapping[str, Signal] | None,
     parameters: Mapping[str, float | str],
 ) -> Runs:
-    """Runs at the times of a table, with the inputs that it has."""
+    """Return runs at the times of a table, with its inputs."""
     if not vary:
         raise InputError("there is nothing to vary; name parameters or start values")
     times = np.asarray(table.time)
@@ -208,7 +207,7 @@ def _runs(
 
 
 def _measured(runs: Runs, table: Result, columns: Sequence[str] | None) -> list[str]:
-    """Return columns that count."""
+    """Return the measured columns to use."""
     units = {v.name: v.unit for v in runs.unit.outputs}
     outputs = list(units)
     if (found := columns) is None:
@@ -254,7 +253,7 @@ def _sizes(
 
 
 def _scale(runs: Runs, name: str) -> float:
-    """Return a usual size of a number: its present one, or 1."""
+    """Return a typical magnitude of a number: its present one, or 1."""
     return abs(float(runs.unit.get(name))) or 1.0
 
 
@@ -282,7 +281,7 @@ def _bounds(runs: Runs, bounds: Mapping[str, tuple[float, float]]) -> tuple[NDAr
 
 
 class _Problem:
-    """Residuals and their derivatives, each run made once."""
+    """Residuals and their derivatives; repeated calls at one point share a run."""
 
     def __init__(
         self,
@@ -335,8 +334,11 @@ class _Problem:
 def _covariance(
     runs: Runs, problem: _Problem, x: NDArray[np.float64], scale: NDArray[np.float64], free: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """(J' J)^-1 times the variance of what is left, of the numbers that are free; infinite where the data do not tell
-    one, not a number for the others, and for all where nothing is left over to tell the variance."""
+    """Return (J' J)^-1 times the variance of the residuals, for free numbers.
+
+    Numbers that the data do not determine have infinite entries, fixed ones NaN; all are NaN without surplus
+    measurements.
+    """
     left, slopes = problem.residuals(x), (problem.derivatives(x) * scale)[:, free]
     _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
     seen = sizes > _UNSEEN * sizes.max(initial=0.0)
@@ -348,7 +350,7 @@ def _covariance(
     if hidden.any():
         names = ", ".join(np.array(runs.by)[free][hidden])
         _LOGGER.warning(
-            "%s: the data do not tell %s, or tell a combination of them alone; vary fewer, or measure more",
+            "%s: the data do not determine %s, or only a combination of them; vary fewer, or measure more",
             *(runs.unit.name, names),
         )
         among[hidden, :] = among[:, hidden] = np.nan

@@ -1,7 +1,7 @@
-"""Functions of a run: a number of what its columns hold, with its derivatives by each of them.
+"""Functions of a run: a number computed from its columns, with its derivatives by their entries.
 
-An expression is the name of an output or input, or a function of a mapping from names to symbols, such as
-`lambda o: o["A.torque"] * o["crank.angular_velocity"]`, whose functions are CasADi's. CasADi derives its derivatives.
+An expression is the name of an output or input, or a function of a mapping from names to symbols, such as `lambda o:
+o["A.torque"] * o["crank.angular_velocity"]`, in CasADi functions, which CasADi differentiates.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Expression = str | Callable[[Mapping[str, Any]], Any]
 """A column by its name, or a function of columns by name; `"time"` is the time [s]."""
 
 TIME = "time"
-"""The name of the time [s] in expressions."""
+"""Name of the time [s] in expressions."""
 
 
 class _Names(Mapping[str, Any]):
-    """Symbols by name, each made when it is first asked for."""
+    """Symbols by name, created on first access."""
 
     def __init__(self, make: Callable[[str], Any]):
         self._make = make
@@ -45,7 +45,7 @@ class _Names(Mapping[str, Any]):
 
 
 def _evaluated(expression: Expression, names: _Names) -> ca.SX:
-    """Return the expression of symbols; raise InputError if it is none."""
+    """Return the symbolic expression; raise InputError if it is not one."""
     if isinstance(expression, str):
         return names[expression]
     try:
@@ -62,7 +62,7 @@ class Function(ABC):
     """A number that depends on the columns of a run."""
 
     names: tuple[str, ...] = ()
-    """Columns that it takes, in their order; without the time."""
+    """Columns that it needs, in order, without the time."""
 
     @abstractmethod
     def weighed(self, times: NDArray[np.float64], columns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -70,7 +70,7 @@ class Function(ABC):
 
 
 class _OfExpression(Function):
-    """What is made of an expression at each communication point."""
+    """A function of the values of an expression at all communication points."""
 
     def __init__(self, expression: Expression):
         names = _Names(ca.SX.sym)
@@ -119,9 +119,9 @@ class Integral(_OfExpression):
 
 
 class Maximum(_OfExpression):
-    """The largest value of an expression, of the parabola through the largest one and those beside it.
+    """The maximum of an expression, from the parabola through the largest value and its neighbours.
 
-    Where two peaks are as high, its derivative is that of the first one.
+    If two peaks are equally high, its derivative is that of the first one.
     """
 
     _result = 0
@@ -144,7 +144,7 @@ class Maximum(_OfExpression):
         weights: NDArray[np.float64],
         k: int,
     ) -> tuple[float, NDArray[np.float64]]:
-        """Return the same where it is largest at the beginning or at the end of the run."""
+        """Return the maximum at the start or the end of the run."""
         weights[k] = slopes[k]
         return float(values[k]), weights
 
@@ -166,13 +166,12 @@ class TimeOfMaximum(Maximum):
 
 
 def _peak() -> ca.Function:
-    """Return the highest point of the parabola through three points, its time, and their derivatives by the three
-    values."""
+    """Return the vertex of the parabola through three points, its time, and their derivatives by the three values."""
     t, y = ca.SX.sym("t", 3), ca.SX.sym("y", 3)
     before, behind = (y[1] - y[0]) / (t[1] - t[0]), (y[2] - y[1]) / (t[2] - t[1])
     curvature = (behind - before) / (t[2] - t[0])
     slope = before + curvature * (t[1] - t[0])
-    flat = curvature >= 0  # three values that are the same
+    flat = curvature >= 0  # the three values are equal
     shift = ca.if_else(flat, 0.0, -slope / (2 * ca.if_else(flat, -1.0, curvature)))
     top, time = y[1] + shift * (slope + curvature * shift), t[1] + shift
     return ca.Function("peak", [t, y], [top, ca.jacobian(top, y), time, ca.jacobian(time, y)])
@@ -182,9 +181,9 @@ _PEAK = _peak()
 
 
 class Columns(Function):
-    """A number of whole columns, for example the error of a path.
+    """A function of whole columns, for example the error of a path.
 
-    `names` are the columns; `expression` takes a mapping from them to vectors (k,) of CasADi, and has `"time"`, too::
+    `names` are the columns; `expression` takes a mapping from them, and from `"time"`, to CasADi vectors (k,)::
 
         Columns(["P.x"], lambda o: ca.sumsqr(o["P.x"] - wanted))
     """

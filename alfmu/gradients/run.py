@@ -1,4 +1,4 @@
-"""Runs with derivatives: `derivatives` of each column forward, `gradient` of a function of a run back."""
+"""Runs with derivatives: `derivatives` of columns by tangents, `gradient` of a function of a run by adjoints."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ __all__ = ["Derivatives", "Gradient", "derivatives", "gradient"]
 @dataclass(frozen=True, eq=False)
 class Derivatives:
     """Columns of a run and their derivatives: `found["link1.angle"]` is an array (k, by), `found["link1.angle", "m2"]`
-    one of them (k,)."""
+    one of its columns (k,)."""
 
     result: Result
-    """The run itself."""
+    """The run."""
     by: tuple[str, ...]
     values: NDArray[np.float64]
-    """(k, columns of the result, by)"""
+    """Derivatives (k, columns of the result, by)."""
 
     def __getitem__(self, name: str | tuple[str, str]) -> NDArray[np.float64]:
         column, by = (name, None) if isinstance(name, str) else name
@@ -60,11 +60,11 @@ class Gradient:
 
     value: float
     by: Mapping[str, float]
-    """Derivatives by parameters and start values; of an input, by the same change of it all the time."""
+    """Derivatives by parameters and start values, and by a constant change of an input."""
     inputs: Mapping[str, NDArray[np.float64]]
-    """Derivatives by each input at each communication point (k,), from which on it is held for a step."""
+    """Derivatives by each input at each communication point (k,); an input is constant during a step."""
     result: Result
-    """The run itself, with the columns that the function takes."""
+    """The run, with the columns of the function."""
 
     def __getitem__(self, name: str) -> float:
         if name not in self.by:
@@ -73,7 +73,7 @@ class Gradient:
 
 
 class Runs:
-    """Runs of one mechanism with the same communication points and inputs, that differ in numbers."""
+    """Runs of one mechanism with common communication points and inputs, and different numbers."""
 
     unit: Instance
     facts: Mapping[str, Any]
@@ -117,7 +117,7 @@ class Runs:
         step = found.interval if communication_step is None else communication_step
         self.times = communication_points(self.unit.name, stop, step) if times is None else times
         self.table = table_of(self.inputs, values_of(self.unit, given), self.times)
-        # Begun once, as a run begins: warns of the start, and traces again where redundant constraints would brake.
+        # A first start issues warnings, and traces again if redundant constraints would brake the motion.
         self.unit.time = float(self.times[0])
         self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
         tell_of_jumps(self.unit.equations)
@@ -129,7 +129,7 @@ class Runs:
         known = {*self.names[: count + starts], *self.names[states : states + len(e.states)], *inputs}
         for k, name in enumerate(self.by):
             if name in self.by[:k]:
-                raise InputError(f"{e.name}: {name} is named twice among what it is differentiated by; leave one out")
+                raise InputError(f"{e.name}: {name} is named twice in by; leave one out")
             if name not in known:
                 raise InputError(
                     f"{e.name} has no parameter, start value or input {name!r} to differentiate by; "
@@ -145,7 +145,7 @@ class Runs:
         return list(names) if names is not None else known
 
     def set(self, values: Sequence[float] | NDArray[np.float64]) -> None:
-        """Other values of what it is differentiated by, for the next run."""
+        """Set the numbers of the next run."""
         self.unit._unit.run_on(False)
         for name, value in zip(self.by, values, strict=True):
             self.unit.set(name, float(value))
@@ -192,7 +192,7 @@ class Runs:
 
 
 def shown(progress: Progress, times: NDArray[np.float64]) -> Callable[[int], bool]:
-    """Return a function of the communication points that are done, which moves what `progress` shows."""
+    """Return a function that advances `progress` to a number of finished communication points."""
     points, passed = iter(progress(times[:-1])), 0
 
     def show(done: int) -> bool:
@@ -218,12 +218,12 @@ def derivatives(
 ) -> Derivatives:
     """Run a mechanism as `simulate` does, with the derivatives of outputs by numbers.
 
-    `by` names parameters, start values and inputs; the derivative by an input is that by the same change of it all the
-    time. `outputs` names the outputs and inputs that are wanted, None for all. The derivatives are those of the steps
-    that were made, projections and iterations included; which steps, tiers and ranks were taken is left as it is. The
-    time goes with the number of derivatives; for one number of a run by many use `gradient`.
+    `by` names parameters, start values and inputs; the derivative by an input is that by a constant change of it.
+    `outputs` names the outputs and inputs to differentiate, None for all. The derivatives are those of the steps made,
+    including projections and iterations, at fixed step sizes, tiers and ranks. The cost is proportional to the number
+    of derivatives; for one number of a run by many use `gradient`.
 
-    Raises InputError if a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces that
+    Raises InputError if a name is invalid, and if there are no derivatives, as with dry friction. Warns of forces that
     may jump.
     """
     runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
@@ -243,11 +243,12 @@ def gradient(
     parameters: Mapping[str, float | str] | None = None,
     progress: Progress = iter,
 ) -> Gradient:
-    """Return a function of a run and its derivatives by any number of numbers, in the time of a few runs.
+    """Return a function of a run and its derivatives by many numbers, in the time of a few runs.
 
     `of` is a function of `alfmu.gradients` (`Final`, `Integral`, `Maximum`, `TimeOfMaximum`, `Columns`); an expression
-    alone is its final value. `by` names parameters, start values and inputs; derivatives by each given input at each
-    communication point are there too. The run is swept back; where it is too long to be kept, it is run again in parts.
+    alone is its final value. `by` names parameters, start values and inputs; derivatives by each input at each
+    communication point are included. Adjoints run backwards; if the run is too long to be stored, parts of it are
+    repeated.
 
     Raises and warns as `derivatives` does.
     """

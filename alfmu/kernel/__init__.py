@@ -1,4 +1,4 @@
-"""The kernel: the method traced over a mechanism's equations into flat functions, and the ways to run them.
+"""The kernel: the method traced over a mechanism's equations into flat functions and programs.
 
 Other rooms import `alternatives`, `controlled`, `form`, `joined`, `kinks`, `memory`, `stream`, `symbolic`, `tables`,
 `thresholds`, `trace`.

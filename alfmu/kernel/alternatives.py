@@ -1,9 +1,9 @@
-"""The formulations beside `residual`, traced: what each makes of the same M, C, F, xi and factors of H.
+"""The formulations other than `residual`, traced from the same M, C, F, xi and factors of H.
 
-An evaluation of another formulation begins with that of `residual`, whose long functions it shares, and goes on with
+An evaluation of another formulation begins with that of `residual`, whose long functions it shares, and continues with
 short ones of its own: iterations of (8) as printed, the solutions of (5) and (6), or the system of (9), which a routine
-solves in the sense of least norm (`form.LeastNorm`). All but that system are in units of the largest penalty, as
-`symbolic.Scene` has them; (9) keeps the units of the equations, as its singular values are compared with each other.
+solves with least norm (`form.LeastNorm`). All but that system are in units of the largest penalty, as in
+`symbolic.Scene`; (9) keeps the units of the equations, as its singular values are compared with each other.
 """
 
 from __future__ import annotations
@@ -23,73 +23,73 @@ from .form import Call, LeastNorm
 from .symbolic import MATRICES, Scene, Watch
 from .trace import Calls, Tracer, spaced
 
-__all__ = ["OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
+__all__ = ["CHOSEN", "OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
 
 OWN = Settings.formulation
-"""The formulation of every program whose name says no other."""
+"""The formulation of every program but those that serve all of them."""
+
+CHOSEN = {name: f"by_{name}" for name in FORMULATIONS if name != OWN}
+"""Names of the numbers by which the runtime tells programs that another formulation is chosen."""
 
 SYSTEMS = ("baumgarte", "dae")
 """Formulations that solve the dense system (9) of all coordinates and constraints."""
 
 
 BEYOND_SLIPS = ("stiffness", *SYSTEMS)
-"""Formulations that mechanisms with constraints of velocities do not have: the first keeps positions alone, and a scene
-has none after one that it lacks."""
+"""Formulations without nonholonomic constraints: the first constrains positions alone. A scene omits those after one
+that it omits."""
 
 
 def formulations(equations: Equations) -> list[str]:
-    """The formulations that a scene carries, in the order of FORMULATIONS; without constraints all are the same."""
+    """Return the formulations of a scene, in the order of FORMULATIONS; without constraints all are equal."""
     left_out = () if equations.n <= DENSE or not equations.l else SYSTEMS
     return [name for name in FORMULATIONS if name not in (*left_out, *(BEYOND_SLIPS if equations.slips else ()))]
 
 
 def alternatives(equations: Equations) -> list[str]:
-    """The formulations that have programs of their own."""
-    return [name for name in formulations(equations) if name != OWN and equations.l]
+    """Return the formulations with their own programs."""
+    e = equations
+    return [name for name in formulations(e) if name != OWN and e.l and not e.frictions]
 
 
 class Alternatives(Tracer):
-    """Traces evaluations by the formulation that is chosen."""
+    """Traces evaluations of a selected formulation."""
 
-    formulation = OWN
+    chooses = False
+    """Whether evaluations serve all formulations, not `residual` alone."""
 
-    def by(self, formulation: str) -> Self:
-        """The same tracer, sharing its functions, for another formulation."""
+    def of_all(self, chooses: bool = True) -> Self:
+        """Return a tracer for another formulation that shares the functions of this one."""
         other = copy.copy(self)
-        other.formulation = formulation
+        other.chooses = chooses
         return other
 
-    def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
-        """Dry friction belongs to the multiplier iteration alone; the runtime refuses it with other formulations."""
-        if self.formulation == OWN:
-            super().rub(calls, i, names)
-
     def classic(self, calls: Calls, a: str, lam: str, watch: str) -> None:
-        """a, lam and watch after one more iteration (8) as printed."""
+        """Update a, lam and watch by one more iteration (8) as printed."""
         found = f"{a} {lam} {watch}"
         calls("classic_iterate", spaced("k", MATRICES, found), found, lambda *x: _classic(calls.scene, *x))
 
-    def once(self, calls: Calls, names: Mapping[str, str]) -> None:
-        """a, lam and watch by a formulation that does not iterate, after an evaluation by `residual`.
+    def once(self, calls: Calls, names: Mapping[str, str], formulation: str) -> None:
+        """Compute a, lam and watch by a formulation without iterations, after an evaluation by `residual`.
 
         `names` are those of q, v, a, lam and watch.
         """
         e, scene, watch = self.e, calls.scene, names["watch"]
-        # Phi and C v are those of a function that the start needs anyway.
+        # Phi and C v come from a function that the start needs anyway.
         residues = ("residue_mass", "residue_matrix", "Phi", "Cv")
         results = spaced([names[x] for x in ("a", "lam", "watch")])
         right = "xi"
-        if self.formulation != "dae":
+        if formulation != "dae":
             calls.made.append(Call("constraints", (names["q"], names["v"], "p"), residues))
-        if self.formulation in ("penalty", "baumgarte"):
+        if formulation in ("penalty", "baumgarte"):
             right = "stabilised"
             calls("by_stabilised", "xi Phi Cv stabilisation", right, _stabilised)
-        if self.formulation == "penalty":  # (6)
+        if formulation == "penalty":  # (6)
             calls("by_penalty", f"k C F D L {right} {watch}", results, lambda *x: _penalty(scene, *x))
-        elif self.formulation == "stiffness":  # (5)
+        elif formulation == "stiffness":  # (5)
             known = f"k M C F Phi stabilisation {watch}"
             calls("by_stiffness", known, results, lambda *x: _stiffness(scene, *x))
-        else:  # (9), with Baumgarte's stabilisation or without
+        else:  # (9), with or without Baumgarte's stabilisation
             system, solution = ("system", "system_right"), "system_solution"
             calls("by_system", f"k M C F {right}", spaced(system), lambda *x: _system(scene, *x))
             calls.made.append(LeastNorm(system, (solution,), e.n + e.l))
@@ -101,7 +101,7 @@ def _stabilised(xi: SX, Phi: SX, Cv: SX, stabilisation: SX) -> SX:
 
 
 def _classic(scene: Scene, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """Changes are judged as the oracle does."""
+    """Iterate (8); changes are judged as in the oracle."""
     sizes: list[SX] = []
 
     def done(change: SX, value: SX) -> bool:
@@ -115,21 +115,21 @@ def _classic(scene: Scene, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam
 
 
 def _penalty(scene: Scene, C: SX, F: SX, D: SX, L: SX, xi: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """xi is stabilised already."""
+    """Solve (6) with xi already stabilised."""
     a, lam = method.penalty(F, C, xi, scene.weights, scene.solver(D, L))
     return a, lam, _at_once(watch)
 
 
 def _stiffness(scene: Scene, M: SX, C: SX, F: SX, Phi: SX, stabilisation: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """The stiffness is omega^2 alpha; the pivots that are watched are those of M."""
+    """Solve (5) with the stiffness omega^2 alpha; the watched pivots are those of M."""
     D, L = scene.factors(M)
     a, lam = method.stiffness(F, C, Phi, stabilisation[1] ** 2 * scene.weights, scene.solver(D, L))
     return a, lam, _at_once(watch, ca.mmin(ca.densify(D)))
 
 
 def _system(scene: Scene, M: SX, C: SX, F: SX, xi: SX) -> tuple[SX, SX]:
-    """The matrix of (9), by columns, and the right-hand side."""
-    # A constraint that is not in force leaves a row and a column of zeros, and its multiplier is zero.
+    """Return the matrix of (9), by columns, and the right-hand side."""
+    # A constraint that is not in force has zero row and column, and so a zero multiplier.
     C, xi = ca.diag(scene.held) @ C, scene.held * xi
     found: list[SX] = []
 
@@ -145,13 +145,13 @@ def _system(scene: Scene, M: SX, C: SX, F: SX, xi: SX) -> tuple[SX, SX]:
 
 
 def _solved(scene: Scene, solution: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """There is no pivot that could be too small."""
+    """Split the solution of (9); no pivot can be too small."""
     n = scene.e.n
     return solution[:n], scene.scale * solution[n:], _at_once(watch, SX(1))
 
 
 def _at_once(watch: SX, pivot: SX | None = None) -> SX:
-    """What an evaluation says of itself that does not iterate, with another pivot."""
+    """Return the watch of an evaluation without iterations, with another pivot."""
     seen = Watch.of(watch)
     return seen._replace(change=SX(0), pivot=seen.pivot if pivot is None else pivot).vector()
 

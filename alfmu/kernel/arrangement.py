@@ -1,9 +1,9 @@
-"""The operations of a function in the form and the order that the interpreter runs fastest.
+"""Arrange the operations of a function in the form and order that the interpreter runs fastest.
 
-Sums, differences and products are sums of products, c + a b + a' b' and the like, and the sine and the cosine of an
-angle are one operation, so that there are few kinds, and few numbers that are stored and read again. Equal operations
-follow each other in runs, as few as can be. The numbers are those of the function to the last bit: a factor of one, two
-negated factors, a summand of minus zero and summands that change places change none.
+Sums, differences and products become sums of products, c + a b + a' b' and the like, and the sine and the cosine of an
+angle one operation, so that there are few kinds, and few numbers are stored and read again. Equal operations are
+grouped in as few runs as possible. Results are the same to the last bit: only factors of one, pairs of negations,
+summands of minus zero and the order of two summands change.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SUMS = {
     **{"sum1": 3, "sum2": 5, "sum4": 9},
     **{"product": 2, "products": 4, "plus": 2, "minus": 2, "negative": 1},
 }
-"""Kinds that sums of products are made of, and how many operands they have: c + a b with so many products, which are
-added in their order; a b, a b + c d, a + b, a - b, -a."""
+"""Kinds of sums of products, and their numbers of operands: c + a b with one or more products, added in order; a b, a b
++ c d, a + b, a - b, -a."""
 
 SINE_COSINE = "sine_cosine"
 """The sine and the cosine of an angle."""
@@ -37,23 +37,23 @@ _KIND_OF = {
     **{ca.OP_ADD: "plus", ca.OP_TWICE: "plus", ca.OP_ASSIGN: "plus", ca.OP_SUB: "minus", ca.OP_NEG: "negative"},
     **{ca.OP_MUL: "product", ca.OP_SQ: "product", ca.OP_INV: ca.OP_DIV},
 }
-"""Operations of CasADi that those of other kinds stand for, sums of products above all."""
+"""Operations of CasADi that are expressed by other kinds, mainly sums of products."""
 
 KINDS = (*SUMS, ca.OP_DIV, SINE_COSINE, *(x for x in (*BINARY, *UNARY) if x not in (*_KIND_OF, ca.OP_DIV)))
-"""Kinds of operations in a scene; their places here are their numbers."""
+"""Kinds of operations in a scene; their indices are their numbers in the file."""
 
 OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
-"""How many operands operations of a kind have."""
+"""Number of operands by kind."""
 
 _MOST = 15
-"""Operands of what is made of an instruction, at most."""
+"""Largest number of operands of the replacement of an instruction."""
 
 _NEUTRAL = (1.0, -1.0, -0.0)
-"""Numbers by which an operation is one of another kind."""
+"""Constants by which an operation reduces to another kind."""
 
 
 def _kinds() -> NDArray[np.int32]:
-    """The kind of each operation of CasADi, by its number; -1 of those that make nothing here."""
+    """Return the kind of each operation of CasADi, by its number; -1 for those without results here."""
     own = {x: i for i, x in enumerate(KINDS) if not isinstance(x, str)}
     own |= {x: KINDS.index(kind) for x, kind in _KIND_OF.items()}
     own |= dict.fromkeys((ca.OP_SIN, ca.OP_COS), KINDS.index(SINE_COSINE))
@@ -62,7 +62,7 @@ def _kinds() -> NDArray[np.int32]:
 
 @dataclass(frozen=True)
 class Operation:
-    """Values are numbered; operands are values, and so is what is made."""
+    """An operation on numbered values: its operands and its results."""
 
     kind: int
     operands: tuple[int, ...]
@@ -71,24 +71,24 @@ class Operation:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of equal operations, by arrays."""
+    """Runs of equal operations, as arrays."""
 
     heads: NDArray[np.int32]
-    """Rows: the kind of a run, and how many operations it has."""
+    """Rows: the kind of a run, and its number of operations."""
     operands: NDArray[np.int32]
-    """Those of all operations, one after the other."""
+    """Operands of all operations, in order."""
     made: NDArray[np.int32]
-    """Rows of two values that an operation makes, -1 for none."""
+    """Rows of the two results of an operation, -1 for none."""
 
     @classmethod
     def of(cls, count: int, heads: NDArray, operands: NDArray, made: NDArray) -> Runs:
-        """The first `count` runs of arrays with more room."""
+        """Return the first `count` runs of larger arrays."""
         heads = heads[:count].copy()
         return cls(heads, operands[: heads[:, 1] @ _COUNTS[heads[:, 0]]].copy(), made[: heads[:, 1].sum()].copy())
 
     @cached_property
     def each(self) -> list[NDArray[np.int32]]:
-        """The operands of each run, a row for each operation."""
+        """Return the operands of each run, a row for each operation."""
         ends = accumulate((int(count) * _COUNTS[kind] for kind, count in self.heads.tolist()), initial=0)
         return [
             self.operands[begin:end].reshape(-1, _COUNTS[kind])
@@ -96,7 +96,7 @@ class Runs:
         ]
 
     def operations(self) -> list[list[Operation]]:
-        """The same as objects."""
+        """Return the operations of each run as objects."""
         made = iter(self.made.tolist())
         return [
             [Operation(kind, tuple(operands), tuple(x for x in next(made) if x >= 0)) for operands in run.tolist()]
@@ -109,11 +109,11 @@ class Arrangement:
     """A function as runs of equal operations."""
 
     arguments: dict[int, tuple[int, int]]
-    """Value to which argument, and which entry of it."""
+    """Argument and entry of each value that is one."""
     constants: dict[int, float]
     arrays: Runs
     results: list[tuple[int, int, int]]
-    """Which result, which entry of it, and the value."""
+    """Result, entry and value."""
 
     @cached_property
     def runs(self) -> list[list[Operation]]:
@@ -121,9 +121,9 @@ class Arrangement:
 
 
 def arranged(instructions: Instructions) -> Arrangement:
-    """The operations of a function that calls no other."""
+    """Arrange the operations of a function that calls no other."""
     code, count = instructions.code, len(instructions)
-    # The sign of a number is its own: what stands for the same number is no operation.
+    # The sign of a number is the number's own, so copying it is no operation.
     same = (code == ca.OP_COPYSIGN) & (instructions.operands[0] == instructions.operands[1])
     origin = np.where(same, instructions.operands[0], np.arange(count))
     operands = np.where(instructions.operands < 0, -1, origin[instructions.operands]).astype(np.int32, "C")
@@ -157,7 +157,7 @@ def arranged(instructions: Instructions) -> Arrangement:
 
 
 def in_runs(operations: Sequence[Operation]) -> list[list[Operation]]:
-    """The same operations, each after those that make its operands, in few runs of equal ones."""
+    """Order operations after those of their operands, in few runs of equal ones."""
     count = len(operations)
     kinds = np.array([x.kind for x in operations], np.int32)
     operands = np.array([value for x in operations for value in x.operands], np.int32)
@@ -171,12 +171,12 @@ def in_runs(operations: Sequence[Operation]) -> list[list[Operation]]:
 
 
 def _places(instructions: Instructions, which: NDArray) -> list[list[int]]:
-    """Rows: some instructions, which argument or result each is an entry of, and which entry."""
+    """Return rows of instructions, each with its argument or result and entry."""
     return np.vstack([np.flatnonzero(which), instructions.place[:, which]]).T.tolist()
 
 
 def _library() -> Any:
-    """The C library, which arranges."""
+    """Return the C library, which does the arrangement."""
     return handed_in("library")()
 
 
@@ -185,7 +185,7 @@ def _address(array: NDArray) -> int:
 
 
 def _done(runs: int) -> int:
-    """The number of runs; MemoryError where there is no memory."""
+    """Return the number of runs; raise MemoryError if there is no memory."""
     if runs < 0:
         raise MemoryError
     return runs

@@ -1,8 +1,8 @@
-"""When forces, laws of motion and rates of states may jump or bend by themselves, whatever the motion is.
+"""Times at which forces, laws of motion and rates of states may jump or bend, independent of the motion.
 
-What depends on time and inputs alone is known before a step is made. Where it has a comparison, a maximum, a whole
-number and the like, something smooth changes its sign there, which the runtime looks for over each communication step
-(`step/breaks.c`). Steps end at these times, so that no pulse is stepped over, and no step tries to cross a jump.
+Terms in time and inputs alone are known before a step. Wherever such a term has a comparison, a maximum, a rounding and
+the like, a smooth function changes its sign, which the runtime searches over each communication step (`step/breaks.c`).
+Steps end at these times, so that no pulse is skipped, and no step crosses a jump.
 """
 
 from __future__ import annotations
@@ -24,19 +24,21 @@ _SIGNED = {ca.OP_FABS: 0, ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1, ca.OP_ATAN2: 0}
 _WHOLE = (ca.OP_FLOOR, ca.OP_CEIL)
 _DIVIDED = (ca.OP_FMOD, ca.OP_REMAINDER)
 _BELLS = (ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_COSH)
-"""Operations that make a smooth step or pulse where their operand is zero."""
+"""Operations that form a smooth step or pulse at a zero of their operand."""
 _FALLING = {ca.OP_EXP: 0, ca.OP_INV: 0, ca.OP_DIV: 1, ca.OP_SQRT: 0, ca.OP_POW: 0, ca.OP_CONSTPOW: 0}
-"""Operations that make a smooth pulse of a square, and which operand that is in."""
+"""Operations that form a smooth pulse from a square, and the operand that contains it."""
 _ALL = (*_COMPARED, *_SIGNED, *_WHOLE, *_DIVIDED, *_BELLS, ca.OP_SQ)
 
 _LETTERS = {"dynamics": "qvupt", "constraints": "qvp"}
-"""Arguments of functions that the equations are combined in; those of others are in `ARGUMENTS`."""
+"""Arguments of functions that combine equations; those of others are in `ARGUMENTS`."""
 
 
 def breaks(e: Equations) -> tuple[ca.Function, list[int]] | None:
-    """breaks(t, u, du, p): what changes its sign where something jumps or bends by itself, and its rates, for rates du
-    of the inputs; and the level of each, which is free of jumps between those of lower ones. None where there is
-    nothing."""
+    """Return breaks(t, u, du, p), and the level of each of its results; None if there are none.
+
+    The results change their sign at jumps and kinks; they come with their rates for rates du of the inputs. A result of
+    a level has no jumps between sign changes of lower levels.
+    """
     x, inputs = symbols(e), len(e.inputs)
     t, u, du, p = x["t"], SX.sym("u", inputs), SX.sym("du", inputs), x["p"]
     known = {letter: [None] * x[letter].numel() for letter in ("q", "v", "a", "lam", "u")}
@@ -61,14 +63,15 @@ def breaks(e: Equations) -> tuple[ca.Function, list[int]] | None:
 
 
 def _found(f: ca.Function, known: Sequence[Sequence[SX | None]]) -> Iterator[tuple[SX, int]]:
-    """Of a function that calls no other at arguments, None where they move: what changes its sign, and its level."""
+    """Yield functions that change their sign, with their levels, of a function that calls no other; None marks moving
+    arguments."""
     instructions = Instructions.of(f)
     if not np.isin(instructions.code, _ALL).any():
         return
     values: list[SX | None] = []
     levels: list[int] = []
     squares: list[dict[int, tuple[SX, int]]] = []
-    """What is squared in each, by the number of its operand."""
+    """Squared values in each argument, by the number of the operand."""
     for k, code in enumerate(instructions.code.tolist()):
         operands = [i for i in instructions.operands[:, k].tolist() if i >= 0]
         mine = [values[i] for i in operands]
@@ -103,7 +106,7 @@ def _found(f: ca.Function, known: Sequence[Sequence[SX | None]]) -> Iterator[tup
 
 
 def _changing(code: int, operands: Sequence[SX]) -> SX | None:
-    """What changes its sign where an operation jumps or bends; None for those that do neither."""
+    """Return the function that changes its sign where an operation jumps or bends; None for smooth operations."""
     if code in _COMPARED:
         return operands[0] - operands[1]
     if code in _SIGNED:

@@ -1,8 +1,8 @@
-"""Trace the method of a scene beside RK4: a program that proposes a step, makes it, and judges its error.
+"""Trace integrators other than RK4: a program that proposes a step, makes it, and judges its error.
 
-Implicit ones have loops of Newton's method: passes with the same tangents as long as they gain enough, then with new
-ones (`method.stepping.newton`). Tangents are those of the augmented equation (`method.implicit.stiffness`). A step
-that cannot be judged (a stage near a singular position, constraints that stay open) is troubled: the patient tier
+Implicit ones have loops of Newton's method: iterations with the same tangents while these gain enough, then with new
+ones (`method.stepping.newton`). Tangents are those of the augmented equation (`method.implicit.stiffness`). A step that
+cannot be judged (a stage near a singular position, unsatisfied constraints) is marked as trouble, and the patient tier
 makes it.
 """
 
@@ -16,7 +16,7 @@ from functools import reduce
 import casadi as ca
 from casadi import SX
 
-from ..equations.evaluation import DENSE
+from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import default_settings, integrator
 from ..method import formulations as method
 from ..method import implicit
@@ -36,34 +36,46 @@ from ..method.stepping import (
     newton,
     rule_beside,
 )
+from ..model.kept import once
 from ..model.settings import FIXED
 from . import rubbing
-from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
+from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, Traced, rewritten
 from .memory import PACE
-from .trace import CAREFUL, Calls, Tracer, spaced
+from .trace import CAREFUL, Calls, Tracer, spaced, traced, untraced
 
-__all__ = ["programs"]
+__all__ = ["programs", "whole"]
 
 PASSES = 8
-"""Most passes of Newton's method with the same tangents, after the first."""
+"""Most iterations of Newton's method with the same tangents, after the first."""
 
 RENEWALS = 4
-"""Most tangents in a step."""
+"""Most evaluations of tangents in a step."""
 
 NEWMARK_PASSES = 16
-"""Most passes of Newton's method in the index-3 form, each with new tangents."""
+"""Most iterations of Newton's method in the index-3 form, each with new tangents."""
 
 RETURNS = 4
-"""Projections of q and v after them."""
+"""Number of projections of q and v after them."""
+
+
+def whole(equations: Traced) -> Traced:
+    """Return traced equations with the steps of their programs; those of a scene from the cache are traced now."""
+    return equations if "seen" in equations.functions else _whole(equations)
+
+
+@once
+def _whole(equations: Traced) -> Traced:
+    e = replace(untraced(equations), survey=equations.survey)
+    return traced(with_tangents(e) if "tangents" in equations.signatures else e, programs)
 
 
 def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
-    """The programs of the method of a scene; none where RK4 makes its steps.
+    """Return the programs of the integrator of a scene; none if RK4 makes its steps.
 
-    `quick` is the plan of a quick step, which short steps of `auto` share.
+    `quick` is the plan of a quick step, shared by short steps of `auto`.
     """
     name = integrator(tracer.e)
-    # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
+    # If redundant constraints brake, the matrix that replaces penalties needs more than two iterations.
     careful = Plan(CAREFUL, 3) if tracer.e.survey.brakes else quick
     plan = replace(careful, corrections=2 * bool(tracer.e.l), weighted=True, margins=bool(tracer.e.l))
     tolerance = default_settings(tracer.e).relative_tolerance
@@ -86,7 +98,7 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     else:
         programs = {"method": _Newmark(tracer, plan, rule).program()}
     if tracer.e.l:
-        # Implicit methods have no limits at singular positions: an explicit one passes them.
+        # Implicit methods take no limits at singular positions: an explicit one passes them.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
         wanted = explicit_one or explicit_rule("explicit", tolerance)
         wanted = wanted if name in FIXED else rule_beside(wanted)
@@ -94,7 +106,7 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         step = _Explicit(tracer, on_branch, mark, "beside")
         programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
         if isinstance(rule, Collocation):
-            # Masses can make a position look singular that is regular by its constraints.
+            # A position that is regular by its constraints can seem singular because of masses.
             programs["regular"] = _Explicit(tracer, gaining, mark, "regular").program(wanted, "beside")
     if default_settings(tracer.e).method == "auto":
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT5_SHORT, "short")
@@ -105,7 +117,7 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
 
 
 def _softened(tracer: Tracer, program: Program) -> Program:
-    """The same with softer penalties."""
+    """Return the program with softer penalties."""
     calls = Calls(tracer, program.plan)
     calls("soften", "k", "soft", calls.scene.softened)
 
@@ -116,19 +128,19 @@ def _softened(tracer: Tracer, program: Program) -> Program:
 
 
 class _Step:
-    """What all methods have: the calls before and after a step."""
+    """Common parts of all methods: the calls before and after a step."""
 
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
         self.mark, self.name = mark, name or mark
-        """What the names of functions of stages begin with, and those of the end of the step."""
+        """Prefixes of names of functions of stages, and of the end of the step."""
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
         self.by_constraints = plan.gaining and not plan.branch and self.e.l > 0 and self.e.n <= DENSE
-        """Whether constraints alone tell what is near a singular position, not what masses make of it."""
+        """Whether constraints alone, without masses, determine the distance to a singular position."""
 
     def begin(self) -> None:
-        """The length of the step and the time at its end, from what step control remembers."""
+        """Set the length of the step and the time at its end, from the state of step control."""
 
         def found(z: SX, pace: SX) -> tuple[SX, SX]:
             known, t = _known(pace), z[self.layout.time]
@@ -139,7 +151,7 @@ class _Step:
         self.calls("pace", "z pace", "step arrival", found)
 
     def project(self) -> None:
-        """q and v brought back to the constraints."""
+        """Project q and v onto the constraints."""
         if self.plan.quick and self.plan.corrections == 1:
             self.tracer.correct(self.calls)
             return
@@ -150,14 +162,14 @@ class _Step:
 
     @property
     def kinked(self) -> bool:
-        """Whether rates of the scene have kinks: a step across one is judged by a bound, too."""
+        """Whether rates of the scene have kinks, so that a step across one is also judged by a bound."""
         return self.tracer.kinks.numel_out(0) > 0
 
     def judge_kinks(self, rule: Explicit | Collocation, places: list[str], rates: list[str], share: SX) -> None:
-        """The error of a step across a kink: a bound of what that did, if it is more.
+        """Raise the error of a step across a kink to the bound of the kink's effect.
 
-        `rates` are those of the velocities and states at the places, one after the other; `share` is the tolerance of
-        the step over that of an explicit one.
+        `rates` are those of the velocities and states at the places, in order; `share` is the tolerance of the step
+        over that of an explicit one.
         """
         n, scene, states = self.e.n, self.scene, self.tracer.states
         for i in places:
@@ -177,7 +189,7 @@ class _Step:
         self.calls(f"{self.name}_kinks", known, "error", found)
 
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
-        """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
+        """Compute the state after the step and that of step control; `kept` is the old and the new history."""
         names = ["z", "pace", "arrival", "q", "v", "work", *self.tracer.states, "p", "k", "error", *watches]
         if self.e.l:
             names += ["pivot", "left"]
@@ -197,7 +209,8 @@ class _Step:
         numbers = [known[name] for name in ("dt", "before", "refused")]
         *following, accepted = judged(order, numbers, step, error, ca.if_else)
         fixed = known["fixed"] != 0
-        # Steps of one length are not judged, but for Newton's method. On the branch no error is known where the motion
+        # Steps of fixed length are judged by the convergence of Newton's method alone. On the branch the error is
+        # unknown if the motion does not reach the positions of a limit, which shorter steps do not change.
         # does not reach the places of a limit, which shorter steps do not change.
         unknown = 1 - (error < math.inf)
         unjudged = unknown if self.plan.branch else near
@@ -222,7 +235,8 @@ class _Explicit(_Step):
     """A step of an explicit method with projection."""
 
     def program(self, rule: Explicit, allowed: str = "") -> Program:
-        """A step; `allowed` is the setting that has its tolerance over that of the method, if it is another."""
+        """Return the program of a step; `allowed` names the setting of its tolerance over that of the method, if
+        different."""
         n, layout, calls, scene = self.e.n, self.layout, self.calls, self.scene
         z, dt = map(scene.symbol, ("z", "step"))
         self.begin()
@@ -274,7 +288,7 @@ class _Explicit(_Step):
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
     def _rounded(self, i: str) -> None:
-        """What round-off leaves of the accelerations of a stage: what changes with the last digits of q and v."""
+        """Estimate the round-off of accelerations of a stage, by a change of the last digits of q and v."""
         calls, tracer = self.calls, self.tracer
         calls("nudged", f"t{i} q{i} v{i}", "tn qn vn", lambda t, q, v: (t, *calls.scene.nudged(q, v)))
         if self.plan.branch:
@@ -285,47 +299,48 @@ class _Explicit(_Step):
 
 
 class _Implicit(_Step):
-    """What methods with Newton's method have.
+    """Common parts of methods with Newton's method.
 
-    States count behind the velocities, as those of masses of 1, and their rates behind the accelerations: `side` of
-    them in all. What such masses have moved by is nowhere asked for.
+    States follow the velocities, as those of masses of 1, and their rates the accelerations: `side` numbers in all.
+    Displacements of these masses are never needed.
     """
 
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         super().__init__(tracer, plan, mark, name)
-        self.by_constraints = False  # an implicit step looks at margins, with as many iterations as it takes, too
+        self.by_constraints = False  # an implicit step uses margins, and iterates as long as necessary, too
         self.moved = SX(len(self.e.states), 1)
         self.side = self.e.n + len(self.e.states)
         alike = "guess dq dv change w after_w dx rates_of begun"
         tracer.lengths |= dict.fromkeys(alike.split(), self.side)
 
     def inputs(self, i: str) -> str:
-        """Name of the inputs at a place, with the states there."""
+        """Return the name of the inputs at a place, with the states there."""
         return self.tracer.inputs_name(i)
 
     def at(self, z: SX) -> tuple[SX, SX]:
-        """Positions and velocities of z, with the states."""
+        """Return positions and velocities of z, with the states."""
         n, layout = self.e.n, self.layout
         return ca.vertcat(z[:n], self.moved), ca.vertcat(z[n : 2 * n], z[layout.states : layout.time])
 
     def parted(self, q: SX, v: SX) -> tuple[SX, ...]:
-        """q and v, and the states where there are any."""
+        """Return q and v, and the states if there are any."""
         n = self.e.n
         return (q[:n], v[:n], v[n:]) if self.e.states else (q, v)
 
     def named(self, names: str, i: str) -> str:
-        """Names of values with i in them, and that of the states there."""
+        """Return names of values with i in them, with that of the states there."""
         return spaced([f"{x}{i}" for x in (*names.split(), *self.tracer.states)])
 
     def start(self) -> None:
-        """An evaluation where the step begins."""
+        """Evaluate at the start of the step."""
         time = self.layout.time
         results = self.named("t q v", "0")
         self.calls("unpack_method", "z", results, lambda z: (z[time], *self.parted(*self.at(z))))
         self.evaluate(self.calls, "0")
 
     def evaluate(self, calls: Calls, i: str) -> None:
-        """a, lam, power and watch of a place, with the inputs at its time; the rates of all behind a."""
+        """Compute a, lam, power and watch of a place, with the inputs at its time; a is extended by the rates of
+        states."""
         u = self.tracer.inputs(calls, i)
         self.tracer.evaluation(calls, i, {"u": u})
         if self.e.states:
@@ -333,7 +348,7 @@ class _Implicit(_Step):
             calls("rates_of", f"a{i} xdot{i}", f"rates_of{i}", ca.vertcat)
 
     def rates_of(self, i: str) -> str:
-        """The name of the accelerations of a place, and of the rates of states behind them."""
+        """Return the name of the accelerations of a place, extended by the rates of states."""
         return f"rates_of{i}" if self.e.states else f"a{i}"
 
     def factor(self, calls: Calls, weights: str, parts: Sequence[str], to: str, count: int) -> None:
@@ -353,7 +368,8 @@ class _Collocation(_Implicit):
         tracer.lengths |= dict.fromkeys(("history", "rates", "changes"), self.count)
 
     def program(self, allowed: str = "") -> Program:
-        """A step; `allowed` is the setting that has its tolerance over that of the method, if it is another."""
+        """Return the program of a step; `allowed` names the setting of its tolerance over that of the method, if
+        different."""
         side, rule, calls, s = self.side, self.rule, self.calls, len(self.nodes)
         self.allowed = getattr(self.scene.settings, allowed) if allowed else SX(1)
         self.begin()
@@ -379,7 +395,7 @@ class _Collocation(_Implicit):
         return Program(calls.steps, self.plan, rule.name, 1, s, self.count)
 
     def stiff(self, calls: Calls, i: str) -> None:
-        """H, Q, V of a place that was evaluated last, each by columns."""
+        """Compute H, Q, V, by columns, at the place evaluated last."""
 
         def found(*known: SX) -> list[SX]:
             return [ca.vec(ca.densify(x)) for x in self.scene.stiffness(*known)]
@@ -387,7 +403,7 @@ class _Collocation(_Implicit):
         calls("stiffness", f"t{i} q{i} v{i} a{i} lam{i} {self.inputs(i)} p k M C", f"H{i} Q{i} V{i}", found)
 
     def _place(self, calls: Calls, i: str) -> None:
-        """Time, q and v at a node, and the acceleration that they were found with; with states and their rates."""
+        """Compute time, q and v at a node, and their acceleration; with states and their rates."""
         number, rule = int(i) - 1, self.rule
 
         def found(z: SX, dt: SX, rates: SX) -> tuple[SX, ...]:
@@ -398,7 +414,7 @@ class _Collocation(_Implicit):
         calls(f"node{i}", "z step rates", spaced(self.named("t q v", i), f"guess{i}"), found)
 
     def _pass(self, calls: Calls, fresh: bool) -> None:
-        """A pass of Newton's method: accelerations at all nodes, and what they change."""
+        """Make an iteration of Newton's method: accelerations at all nodes, and their changes."""
         side = self.side
         for i in self.nodes:
             self._place(calls, i)
@@ -418,12 +434,13 @@ class _Collocation(_Implicit):
         calls("pass", "z step rates changes k before passes", "rates go renew before passes", self._passed)
 
     def _passed(self, z: SX, step: SX, rates: SX, changes: SX, before: SX, passes: SX) -> tuple[SX, ...]:
-        """Rates, whether to go on, whether tangents have to be renewed, the change, passes."""
+        """Return the rates, whether to continue, whether to renew tangents, the change, and the number
+        of iterations."""
         n, layout, parts = self.e.n, self.layout, ca.vertsplit(changes, self.side)
         allowed = self.scene.allowed(ca.fabs(z[: 2 * n]))
         if self.e.states:
             allowed = ca.vertcat(allowed, self.scene.allowed_states(ca.fabs(z[layout.states : layout.time])))
-        # What q changes by, and behind it what v and the states do.
+        # Change of q, followed by those of v and the states.
         sizes = [step * combined(row, parts)[:n] for row in self.rule.matrix], parts
         change = ca.mmax(ca.vertcat(*(ca.fabs(step * ca.vertcat(*x) / allowed) for x in zip(*sizes, strict=True))))
         change /= self.allowed
@@ -433,7 +450,7 @@ class _Collocation(_Implicit):
         return rates + changes, ca.logic_and(finite, worth), ca.logic_not(converged), change, passes + 1
 
     def _sum(self) -> None:
-        """q, v and work after the step."""
+        """Compute q, v and work after the step."""
         rule, powers = self.rule, []
         if self.e.works:
             for i in self.nodes:
@@ -456,7 +473,7 @@ class _Collocation(_Implicit):
         self.calls(f"{self.mark}_sum", spaced("z step rates", powers), spaced("q v work", self.tracer.states), found)
 
     def _judge(self) -> None:
-        """The error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
+        """Compute the error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
         n, side, rule, calls, scene = self.e.n, self.side, self.rule, self.calls, self.scene
 
         def first(z: SX, dt: SX, rates: SX, a0: SX) -> list[SX]:
@@ -484,7 +501,7 @@ class _Collocation(_Implicit):
         self.project()
         calls(f"{self.mark}_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
         if self.kinked:
-            # The tolerance of an explicit step is that of the scene's own method, or that beside it.
+            # The tolerance of an explicit step is that of the scene's own integrator, or that of an alternative to it.
             explicit = scene.settings.beside if self.mark == "method" else SX(1)
             self.judge_kinks(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], explicit)
 
@@ -492,7 +509,7 @@ class _Collocation(_Implicit):
 class _Newmark(_Implicit):
     """A step of the index-3 form: Newton's method on the positions, then projections in the metric of its tangent.
 
-    Between steps it keeps the accelerations `a`, those of the rule `w`, and the multipliers `force`.
+    Its history is the accelerations `a`, those of the rule `w`, and the multipliers `force`.
     """
 
     def __init__(self, tracer: Tracer, plan: Plan, rule: implicit.Newmark):
@@ -522,7 +539,7 @@ class _Newmark(_Implicit):
         return Program(calls.steps, self.plan, self.rule.name, 2, 0, self.count)
 
     def _moved(self, calls: Calls) -> None:
-        """Time, q, v and the accelerations of the rule after the step."""
+        """Compute time, q, v and the accelerations of the rule after the step."""
 
         def found(z: SX, dt: SX, w: SX, a: SX, change: SX) -> tuple[SX, ...]:
             q, v, after = implicit.moved(self.rule, dt, *self.at(z), w, a, change)
@@ -531,7 +548,7 @@ class _Newmark(_Implicit):
         calls("moved", "z step w begun change", spaced(self.named("t q v", "1"), "after_w"), found)
 
     def _pass(self, calls: Calls) -> None:
-        """A pass of Newton's method, with new tangents."""
+        """Make an iteration of Newton's method, with new tangents."""
         rule, scene = self.rule, self.scene
         self._moved(calls)
         u = self.tracer.inputs(calls, "1")
@@ -547,11 +564,12 @@ class _Newmark(_Implicit):
         calls("pass", "z step rows Phi dq change force k passes", "change force go size passes", self._passed)
 
     def _passed(self, z: SX, dt: SX, C: SX, Phi: SX, dq: SX, change: SX, lam: SX, passes: SX) -> tuple[SX, ...]:
-        """The change of accelerations, multipliers, whether to go on, how much that changed, passes."""
+        """Return the change of accelerations, multipliers, whether to continue, the size of the change,
+        and iterations."""
         n, l, layout = self.e.n, self.e.l, self.layout
         _, by_a = implicit.changes(self.rule, dt)
         size = ca.mmax(ca.fabs(dq[:n]) / ca.fmax(ca.fabs(z[:n]), 1))
-        if self.e.states:  # What their masses moved by is that over the step.
+        if self.e.states:  # displacements of the states' masses over the step
             nominal = ca.DM([v.nominal for v in self.e.states])
             x = ca.fmax(ca.fabs(z[layout.states : layout.time]), nominal)
             size = ca.fmax(size, ca.mmax(ca.fabs(dq[n:]) / (dt * x)))
@@ -562,7 +580,7 @@ class _Newmark(_Implicit):
         return change + by_a * dq, lam, go, size, passes + 1
 
     def _returned(self, what: str, name: str, known: str, residue: Callable[..., SX]) -> None:
-        """q or v after a correction (10) with the factors of the last pass."""
+        """Apply a correction (10) to q or v with the factors of the last iteration."""
         n, l, weights = self.e.n, self.e.l, self.scene.weights
 
         def right(*known: SX) -> SX:
@@ -575,7 +593,7 @@ class _Newmark(_Implicit):
         self.calls("corrected", f"{what} dx", what, lambda x, dx: x + dx[:n])
 
     def _settled(self) -> None:
-        """q, v, the accelerations that the next step begins with, work, and what tells whether all that was enough."""
+        """Compute q, v, the accelerations at the start of the next step, work, and whether all converged."""
         l, scene, calls, plan = self.e.l, self.scene, self.calls, self.plan
         u = self.tracer.inputs(calls, "1")
 
@@ -589,13 +607,13 @@ class _Newmark(_Implicit):
 
         def summed(z: SX, dt: SX, power0: SX, power1: SX, size: SX) -> tuple[SX, SX, SX]:
             work = z[self.layout.work] + dt / 2 * (power0 + power1)
-            # Steps of one length have no error to be judged by, but must have converged.
+            # Steps of fixed length have no error estimate, but must have converged.
             return work, ca.if_else(size <= implicit.CONVERGED, 0, math.inf), SX(0)
 
         self.tracer._supply(calls, "0", {"u": self.inputs("0")})
         self.tracer._supplied(calls, "0")
         calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
-        # Of all accelerations that keep the constraints, the nearest in the metric of M.
+        # Of all accelerations that satisfy the constraints, the nearest in the metric of M.
         rates = ""
         if self.e.states:
             rates = "xdot1"
@@ -610,7 +628,7 @@ class _Newmark(_Implicit):
 
 
 def _known(pace: SX) -> dict[str, SX]:
-    """What step control remembers, by name."""
+    """Return the state of step control, by name."""
     return dict(zip(PACE, ca.vertsplit(pace), strict=True))
 
 

@@ -1,7 +1,7 @@
 """The functions of a scene as C: straight-line code, long ones in blocks of bounded length with loops for repetition.
 
 Each function becomes `name(x, y, w)`: arrays of its arguments and of the nonzeros of its results, and a workspace for
-values that pass from one block to the next. The code has no global state and allocates nothing.
+values passed between blocks. The code has no global state and allocates nothing.
 """
 
 from __future__ import annotations
@@ -12,21 +12,20 @@ from collections.abc import Iterable, Iterator, Mapping
 import casadi as ca
 import numpy as np
 
-from ..equations import Equations
-from .form import Call, every
+from .form import Call, Traced, every
 from .loops import blocks, c_function
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
 __all__ = ["HEAD", "compiled_code"]
 
 BLOCK = 400
-"""Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
+"""Number of operations in one C function of a long one; compile time grows faster than linearly with it."""
 
 WHOLE = 2500
-"""Operations up to which a function is not cut into blocks."""
+"""Number of operations up to which a function is not divided into blocks."""
 
 UNIT = 2_000_000
-"""Characters of source in one file, roughly; several are compiled at a time."""
+"""Approximate number of characters in a source file; several are compiled at a time."""
 
 HEAD = """\
 #include <math.h>
@@ -63,19 +62,19 @@ const char alfmu_scene[] = {identity};
 """
 
 _WITHIN = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG)
-"""Operations that may stand within others: what they give is a double."""
+"""Operations that may be nested in others: their results are doubles."""
 
 _TWICE = (ca.OP_SQ, ca.OP_SIGN)
-"""Operations that write their operand twice."""
+"""Operations whose C contains the operand twice."""
 
 _SHORT = 80
-"""Characters of a value that stands within another one."""
+"""Largest length of a nested expression in characters."""
 
 
-def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], identity: str) -> list[str]:
-    """C files with all functions, and a table of them for the scene of this identity.
+def compiled_code(equations: Traced, kept: Mapping[str, dict[int, int]], identity: str) -> list[str]:
+    """Return C files with all functions, and a table of them for the scene of this identity.
 
-    `kept` are further arguments of functions that results may be written over, and their lengths.
+    `kept` are further arguments of functions that results may overwrite, and their lengths.
     """
     e, files, spare, overwritten = equations, [""], 0, _overwritten(equations)
     for name in e.signatures:
@@ -93,7 +92,7 @@ def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], iden
 
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
-    """C of a function in one or several pieces, each with the length of the workspace that the function needs."""
+    """Yield the C of a function in one or several pieces, each with the workspace length of the function."""
     instructions = Instructions.of(f).once()
     instructions.check(scene, f.name())
     if len(instructions) > WHOLE:
@@ -103,9 +102,9 @@ def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> It
 
 
 def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str]:
-    """Lines of C, in which what is used once stands where it is used, as long as that is short.
+    """Yield lines of C, in which short values used once are nested in the expression that uses them.
 
-    Arguments in `kept` are read first, since results may be written over them.
+    Arguments in `kept` are read first, since results may overwrite them.
     """
     made = 0
     names: list[str] = []
@@ -139,8 +138,8 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
         made += 1
 
 
-def _overwritten(e: Equations) -> dict[str, dict[int, int]]:
-    """Arguments of functions, and their lengths, that some call writes a result over."""
+def _overwritten(e: Traced) -> dict[str, dict[int, int]]:
+    """Return arguments of functions, and their lengths, that a call overwrites with a result."""
     found: dict[str, dict[int, int]] = {name: {} for name in e.signatures}
     for program in e.kernel.values():
         for call in every(program.steps):

@@ -1,15 +1,17 @@
-"""What a program of a scene is made of: calls of functions, choices, loops, three routines of linear algebra.
+"""Elements of programs: calls of functions, choices, loops, three routines of linear algebra.
 
-All work on values with names, which stand in one memory: fields of the instance (`alfmu.kernel.memory`), and what one
-step of a program hands to later ones.
+All operate on named values in one memory: fields of the instance (`alfmu.kernel.memory`), and values that one step of a
+program passes to later ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 
+from ..equations.types import Configuration
 from ..method import singular
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "Solve",
     "Step",
     "Steps",
+    "Traced",
     "called",
     "every",
     "renamed",
@@ -35,7 +38,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Call:
-    """A function of the scene called on values, giving others."""
+    """A call of a function of the scene on values, with named results."""
 
     function: str
     arguments: tuple[str, ...]
@@ -44,7 +47,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Lanes:
-    """Calls of one function, none of which takes what another one gives: made at once."""
+    """Independent calls of one function, evaluated at the same time."""
 
     calls: tuple[Call, ...]
 
@@ -59,7 +62,7 @@ class Lanes:
 
 @dataclass(frozen=True)
 class Choice:
-    """Steps that are made where a number is not zero, and others where it is."""
+    """Steps that run if a number is not zero, and others if it is."""
 
     number: str
     nonzero: Steps = ()
@@ -68,7 +71,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Loop:
-    """Steps that are made while a number is not zero: at most so many times, or as often as a value says."""
+    """Steps that run while a number is not zero, up to a fixed number of times, or up to a value."""
 
     number: str
     most: int | str
@@ -77,7 +80,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Routine:
-    """Linear algebra that all scenes share, and no function of a scene does, on vectors of `side` numbers."""
+    """Linear algebra common to all scenes, outside their functions, on vectors of `side` numbers."""
 
     arguments: tuple[str, ...]
     results: tuple[str, ...]
@@ -86,7 +89,7 @@ class Routine:
 
 
 class Factor(Routine):
-    """Factorise the matrix of count x count blocks (side, side), sums of the parts of their row by weights.
+    """Factorise a matrix of count x count blocks (side, side), each a weighted sum of the parts of its row.
 
     `arguments` are the weights, by row and column, and the parts; `results` the factors and the order of their rows.
     """
@@ -107,52 +110,66 @@ Steps = tuple[Step, ...]
 
 @dataclass(frozen=True)
 class Plan:
-    """How often the loops of the method are unrolled in a step, and how it is judged whether that was enough."""
+    """Numbers of unrolled iterations of the method in a step, and criteria for their convergence."""
 
     iterations: int
-    """Of multipliers in each evaluation."""
+    """Multiplier iterations in each evaluation."""
     corrections: int
-    """Of q, and of v, after the step."""
+    """Corrections of q, and of v, after the step."""
     quick: bool = False
-    """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
+    """Whether convergence of few iterations is judged by their rate; otherwise the last change must be within the
+    tolerance."""
     weighted: bool = False
-    """Whether each constraint may have a penalty of its own."""
+    """Whether each constraint may have its own penalty."""
     spacing: float = singular.SPACING
-    """Of the places from which limits are taken on the branch, over the step."""
+    """Spacing over the step of the positions from which limits are taken on the branch."""
     side: int = singular.PLACES
-    """How many of these places there are on either side."""
+    """Number of these positions on either side."""
     branch: bool = False
-    """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
+    """Whether each stage is brought to the branch of the motion, and its limit taken near a singular position."""
     margins: bool = False
-    """Whether the margin itself tells what is near a singular position, not only that it may be; where weighted."""
+    """Whether the margin itself is computed, not only whether it may be small; for weighted plans."""
 
     gaining: bool = False
-    """Whether evaluations go on, after these iterations, while each gains."""
+    """Whether evaluations continue after these iterations while each gains."""
 
     @property
     def own(self) -> str:
-        """What the names of functions end in that depend on how far apart places are, and how many there are."""
+        """Suffix of names of functions that depend on the spacing and number of positions."""
         return "" if (self.spacing, self.side) == (Plan.spacing, Plan.side) else "_for_method"
 
 
 @dataclass(frozen=True)
 class Program:
-    """A step of the motion, or what is read at an instant."""
+    """A program: a step of the motion, or the evaluation of outputs."""
 
     steps: Steps
-    plan: Plan | None = None
-    """What it was traced by, where the loops of the method are in it."""
+    plan: Plan = Plan(0, 0)
+    """Plan (iteration counts) used for tracing, None if it has no iterations of the method."""
     rule: str = ""
-    """Name of the coefficients of a method of integration beside RK4."""
+    """Name of the coefficients of an integrator other than RK4."""
     evaluations: int = 0
-    """Of accelerations in a step of such a method, but for those at the nodes of a pass of Newton's method."""
+    """Number of evaluations of accelerations in a step, without those at the nodes in an iteration of
+    Newton's method."""
     nodes: int = 0
     history: int = 0
-    """Numbers that such a method keeps from step to step."""
+    """Size of the history of an integrator."""
+
+
+@dataclass(frozen=True, repr=False)
+class Traced(Configuration):
+    """A configuration with its programs, whose functions are among its own."""
+
+    kernel: dict[str, Program] = field(default_factory=dict)
+    """The programs by name; of a scene from the cache without steps, which `controlled.whole` traces."""
+    breaks: list[int] = field(default_factory=list)
+    """Levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
+    library: Path | None = None
+    """The functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
 
 
 def every(steps: Iterable[Step]) -> Iterator[Step]:
-    """Each step in order, those inside choices, loops and lanes after their own."""
+    """Yield each step in order, followed by those inside choices, loops and lanes."""
     for step in steps:
         yield step
         yield from every(chain(*_inside(step)))
@@ -167,13 +184,12 @@ def _inside(step: Step) -> tuple[Steps, ...]:
 
 
 def called(program: Program) -> Iterator[str]:
-    """Names of the functions that a program may call, in order and with repetition."""
+    """Yield names of the functions that a program may call, in order and with repetition."""
     return (step.function for step in every(program.steps) if isinstance(step, Call))
 
 
 def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable[Step]]) -> Steps:
-    """The same steps, with what stands for each call and each routine in its place, inside choices, loops and
-    lanes too."""
+    """Return the steps with each call and routine replaced, also inside choices, loops and lanes."""
 
     def each(step: Step) -> Iterable[Step]:
         if isinstance(step, Choice):
@@ -188,7 +204,7 @@ def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable
 
 
 def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
-    """The same steps on values of other names."""
+    """Return the steps with values renamed."""
 
     def new(name: str) -> str:
         return names.get(name, name)
@@ -207,7 +223,7 @@ def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
 
 
 def taken(steps: Iterable[Step], wanted: Iterable[str] = ()) -> list[str]:
-    """What has to be known before steps so that what is wanted is known after them."""
+    """Return the values that must be known before steps for `wanted` to be known after them."""
     names = dict.fromkeys(wanted)
     for step in reversed(list(steps)):
         if isinstance(step, Choice):

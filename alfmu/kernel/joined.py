@@ -1,4 +1,4 @@
-"""Calls of a program joined into long functions: what they would compute twice is computed once."""
+"""Join calls of a program into long functions with common subexpressions."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from itertools import chain, groupby
 
 import casadi as ca
 
-from ..equations import Equations
 from ..equations.evaluation import with_functions
-from .form import Call, Choice, Loop, Program, Step, Steps, taken
+from .form import Call, Choice, Loop, Program, Step, Steps, Traced, taken
 from .memory import Layout
 from .stream import Instructions
 
 __all__ = ["LONGEST", "joined"]
 
 LONGEST = 40000
-"""Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
+"""Largest number of instructions of joined calls; programs of a larger scene call small functions."""
 
 
-def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] = ()) -> Equations:
-    """The same equations, the calls of these programs joined as far as choices, loops and routines let them be.
+def joined(equations: Traced, programs: Iterable[str], handed: Iterable[str] = ()) -> Traced:
+    """Return the equations with calls of these programs joined as far as choices, loops and routines allow.
 
-    `handed` are values that they give to other programs, beside the fields of the memory.
+    `handed` are values that they pass to other programs, beside the fields of the memory.
     """
     e = equations
     joining, fields = _Joining(e), {*Layout(e).fields, *handed}
@@ -35,13 +34,13 @@ def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] 
 
 
 class _Joining:
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Traced):
         self._e = equations
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}
 
     def steps(self, program: str, steps: Steps, after: set[str]) -> Steps:
-        """The same in fewer steps; `after` is what is wanted after them."""
+        """Return fewer equivalent steps; `after` are the values needed after them."""
         made: list[Step] = []
         at = 0
         for alone, group in groupby(steps, lambda step: not isinstance(step, Call)):

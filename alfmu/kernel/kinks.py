@@ -1,7 +1,7 @@
-"""Where a function has kinks: what changes its sign there.
+"""Kinks of a function: functions that change their sign there.
 
-A comparison, a maximum, a minimum, an absolute value or a sign is smooth on either side of where its operands are
-equal. Methods of high order see little of a kink in the middle of a step by the error that they estimate.
+A comparison, a maximum, a minimum, an absolute value or a sign is smooth on either side of equal operands. Error
+estimates of high order detect little of a kink inside a step.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from .stream import BINARY, Instructions
 __all__ = ["JUMPS", "jumps", "kinks", "kinks_of_rates"]
 
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
-"""Operations with a kink, or a jump, where both operands are equal."""
+"""Operations with a kink or a jump at equal operands."""
 
 _SIGNED = {ca.OP_FABS: 0, ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1}
-"""Operations with one where an operand is zero, and which of them it is."""
+"""Operations with one at a zero of an operand, and the number of the operand."""
 
 
 def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
-    """Of a function that calls no other at symbols as its arguments, what changes its sign where it has a kink; what
-    does not depend on the symbols `along` is left out."""
+    """Return functions that change their sign at kinks of a function that calls no other, evaluated at symbols; those
+    independent of `along` are left out."""
     instructions = Instructions.of(f)
     if not np.isin(instructions.code, (*_COMPARED, *_SIGNED)).any():
         return SX(0, 1)
@@ -55,8 +55,8 @@ def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
 
 
 def kinks_of_rates(equations: Equations, x: Mapping[str, SX]) -> SX:
-    """What changes its sign where accelerations, or rates of states, have a kink, by the symbols x; those that come by
-    themselves in time are left out, as steps end there (`kernel.breaks`)."""
+    """Return functions of symbols x that change their sign at kinks of accelerations or rates of states; those in time
+    alone are left out, as steps end there (`kernel.breaks`)."""
     known = [x[name] for name in "qvupt"]
     along = ca.vertcat(*(x[name][: equations.dependent] for name in "qv"), x["u"])
     names = ["dynamics", *["state_rates"] * bool(equations.states)]
@@ -75,9 +75,9 @@ JUMPS = {
     ca.OP_FMOD: "remainders",
     ca.OP_REMAINDER: "remainders",
 }
-"""Operations that may jump, in words: maxima, minima and absolute values have kinks alone."""
+"""Operations that may jump, in words; maxima, minima and absolute values only have kinks."""
 
 
 def jumps(f: ca.Function) -> list[str]:
-    """What a function that calls no other has that may jump, in words."""
+    """Return, in words, the operations of a function without calls that may jump."""
     return sorted({JUMPS[code] for code in Instructions.of(f).code.tolist() if code in JUMPS})

@@ -1,7 +1,7 @@
-"""Calls that a program repeats on other values, side by side: the places from which a limit is read, above all.
+"""Evaluate repeated calls of a program side by side, mainly those at the positions of a limit.
 
-The runtime evaluates a function for several sets of values at once (`form.Lanes`), each number as it would be by
-itself. Values that each repetition keeps for itself get names of their own; what comes after it knows none of them.
+The runtime evaluates a function for several sets of values at once (`form.Lanes`), with the results of single calls.
+Temporary values of each repetition get distinct names.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, rename
 __all__ = ["laned"]
 
 FEW = 4
-"""Repetitions that go on one after the other: the time of so many single calls is that of a call in all lanes."""
+"""Repetitions up to which calls stay sequential: this many single calls take the time of one call in all lanes."""
 
 
 def laned(program: Program, handed: Collection[str]) -> Program:
-    """The same program, with calls that repeat on values of their own side by side; `handed` is known after it."""
+    """Return the program with independent repeated calls side by side; `handed` are the values needed after it."""
     return replace(program, steps=_side_by_side(program.steps, handed))
 
 
@@ -53,7 +53,7 @@ def _inside(step: Step, after: Collection[str]) -> Step:
 
 
 def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
-    """How many steps are repeated from the first one on, and how often: the shortest that is more often than a few."""
+    """Return the length and count of the shortest repetition from the first step that occurs more than `FEW` times."""
     for period in range(1, len(steps) // (FEW + 1) + 1):
         count = 1
         while shapes[count * period : (count + 1) * period] == shapes[:period]:
@@ -64,7 +64,7 @@ def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
 
 
 def _shape(step: Step) -> tuple:
-    """What a step is but for the names of its values."""
+    """Return a step without the names of its values."""
     return tuple((type(x), x.function if isinstance(x, Call) else None) for x in every([step]))
 
 
@@ -73,7 +73,7 @@ def _given(steps: Iterable[Step]) -> set[str]:
 
 
 def _alone(parts: Sequence[Steps]) -> bool:
-    """Whether none of these takes what another one gives."""
+    """Return whether none of these uses results of another."""
     given = [_given(part) for part in parts]
     return all(
         not set(taken(part)) & set().union(*(x for k, x in enumerate(given) if k != i)) for i, part in enumerate(parts)
@@ -81,7 +81,8 @@ def _alone(parts: Sequence[Steps]) -> bool:
 
 
 def _apart(parts: Sequence[Steps], after: Collection[str]) -> list[Steps] | None:
-    """The same with names of their own for what each keeps for itself; None where two give the same to what follows."""
+    """Return the parts with distinct names for temporary values; None if two parts give the same result to
+    later steps."""
     given = [_given(part) for part in parts]
     if len([name for x in given for name in x if name in after]) > len({name for x in given for name in x} & {*after}):
         return None

@@ -1,8 +1,9 @@
-"""A long function in C: a chain of blocks of bounded length, in which what repeats is a loop.
+"""Write a long function in C: a chain of blocks of bounded length, with repeated parts as loops.
 
-The operations and their order are those of the function, so the numbers are the same to the last bit. A value is a
-local variable of the piece of code, or of the pass of a loop, that makes it; `alfmu.kernel.places` says where others
-find it. Indices that go from pass to pass by a step are computed; others, and constants that differ, are in tables.
+The operations and their order are those of the function, so the results are the same to the last bit. A value is a
+local variable of the code, or of the iteration of a loop, that computes it; `alfmu.kernel.places` assigns storage for
+uses elsewhere. Indices with a constant step between iterations are computed; others, and varying constants, are in
+tables.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ __all__ = ["blocks", "c_function"]
 
 
 def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -> Iterator[tuple[str, int]]:
-    """C functions of at most `most` operations or one loop each, and one that calls them; with their workspace.
+    """Yield C functions of at most `most` operations or one loop each, and one that calls them; with their workspace.
 
-    `kept` are the lengths of arguments that are copied first, since results may be written over them.
+    `kept` are the lengths of arguments that are copied first, since results may overwrite them.
     """
     parts = list(pieces(len(operations), repeats(operations), most))
     code = _Code(operations, parts, kept)
@@ -41,7 +42,7 @@ def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -
 
 
 def c_function(name: str, lines: Iterable[str]) -> str:
-    """A function of arguments, results and workspace."""
+    """Return a C function of arguments, results and workspace."""
     body = "".join(f"    {line}\n" for line in lines)
     head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
     return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
@@ -59,7 +60,7 @@ class _Code:
         self._letter, self._which, self._entry = self._found()
 
     def _found(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Of each operand: where it is found, c a constant, v a local variable, w, x or y; which x or y; its entry."""
+        """Return location, array and entry of each operand: c a constant, v a local variable, w, x or y."""
         o, places = self._operations, self._places
         offset = np.zeros(max([*self._copy, o.argument.max(initial=0)]) + 1, int)
         offset[list(self._copy)] = list(self._copy.values())
@@ -74,11 +75,11 @@ class _Code:
         )
 
     def copies(self) -> list[str]:
-        """Of arguments, at the beginning of the workspace."""
+        """Return copies of arguments to the start of the workspace."""
         return [f"memcpy(w + {self._copy[i]}, x[{i}], {n} * sizeof(double));" for i, n in self._kept.items()]
 
     def piece(self, i: int) -> list[str]:
-        """Straight code, or a loop."""
+        """Return the code of a straight piece, or a loop."""
         o, piece = self._operations, self._pieces[i]
         body = _Body(piece.count)
         first = slice(piece.start, piece.start + piece.period)
@@ -102,7 +103,7 @@ class _Code:
         return body.text()
 
     def _operand(self, body: _Body, letter: str, which: int, entries: Sequence[int]) -> str:
-        """An expression that may stand anywhere in a pass from here on."""
+        """Return an expression that is valid in the rest of an iteration."""
         if letter == "v":
             return f"v{entries[0]}"
         if letter == "c":
@@ -111,7 +112,7 @@ class _Code:
 
 
 class _Body:
-    """A piece of C while it is written: what stands before the loop, and in it."""
+    """A piece of C under construction: code before the loop, and in it."""
 
     def __init__(self, count: int):
         self.lines: list[str] = []
@@ -121,13 +122,13 @@ class _Body:
         self._known: dict[str, str] = {}
 
     def constant(self, values: NDArray) -> str:
-        """A constant, or one of a table."""
+        """Return a constant, or an element of a table of constants."""
         if (values.view(np.int64) == values[:1].view(np.int64)).all():
             return number(float(values[0]))
         return self._local(self._table("double", map(number, values.tolist())))
 
     def loaded(self, array: str, entries: Sequence[int]) -> str:
-        """A local variable with an entry of an array: each entry is loaded once in a pass, or once before the loop."""
+        """Return a local variable with an array entry, loaded once per iteration, or once before the loop."""
         text = self._element(array, entries)
         if self._count == 1 or "k" in text:
             return self._local(text)
@@ -152,7 +153,7 @@ class _Body:
         return self._known[text]
 
     def _element(self, array: str, entries: Sequence[int]) -> str:
-        """An element of w, or of an x or y; pointers to these are kept, lest they be loaded again after each store."""
+        """Return an element of w, x or y; cached pointers avoid reloads after each store."""
         if array != "w":
             constant = "const " * array.startswith("x")
             self._before[f"{constant}double *const {array}"] = f"{array[0]}[{array[1:]}]"

@@ -1,8 +1,8 @@
-"""A function of a scene as words for the interpreter: straight code, and loops over what repeats in a long function.
+"""Encode a function of a scene for the interpreter: straight code, and loops over repeated parts of a long function.
 
-Each value has a place of its own. Those of a loop follow each other pass by pass, so that operands go by a step from
-pass to pass; others are found by tables. Operations keep their order from piece to piece of a function; within a piece
-they are arranged in runs (`alfmu.kernel.arrangement`), and the numbers are the same to the last bit.
+Each value has its own address. Those of a loop are stored iteration by iteration, so that operands advance by a step;
+others are found by tables. Pieces of a function keep their order; within a piece operations are arranged in runs
+(`alfmu.kernel.arrangement`), and the results are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
@@ -26,31 +24,31 @@ from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
 __all__ = ["BEHIND", "EACH_KIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
 
 LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
-"""Numbers of what else there is in a function: a loop; an operation in all passes of a loop; copies of values."""
+"""Numbers of other elements of a function: a loop; an operation in all iterations of a loop; copies of values."""
 
 BEHIND = 2**40
-"""Places of a function below zero by it are those of its constants, above it what stands behind the constants of the
-scene: where those are is known when all functions are."""
+"""Offset of provisional addresses: below -BEHIND are constants of a function, from BEHIND on values behind the scene's
+constants, whose number is known once all functions are."""
 
 NARROW = 2**16
-"""Places that operands of 16 bits reach, and operations in a run of them."""
+"""Range of operands of 16 bits, and of operations in a run of them."""
 
 LONG = NARROW
-"""Operations above which a function is searched for what repeats: straight code of fewer has operands of 16 bits, takes
-half to five sixths of the time of loops, and no search."""
+"""Number of operations above which a function is searched for repetition. Shorter straight code has operands of 16
+bits, takes half to five sixths of the time of loops, and needs no search."""
 
 WORTH = 1.0
-"""Operations that a word of a function with loops stands for at least; one without them has two words an operation."""
+"""Least number of operations per word of a function with loops; one without them has two words per operation."""
 
 SHORT = 10
-"""Places in line that are listed one by one: their words are about as many as those of a line."""
+"""Number of addresses with a constant step up to which they are listed: this takes about as many words."""
 
 LINE, TABLE, BEFORE = range(3)
-"""Where values come from that are not made in a pass: places that go by a step, a table, a pass before."""
+"""Sources of values from outside an iteration: addresses with a constant step, a table, an earlier iteration."""
 
 
 class Constants:
-    """The constants of a function, or of all functions of a scene, by their bits."""
+    """Constants of a function, or of all functions of a scene, identified by their bits."""
 
     def __init__(self) -> None:
         self.numbers: list[bytes] = []
@@ -58,11 +56,12 @@ class Constants:
         self._blocks: dict[tuple[bytes, ...], int] = {}
 
     def place(self, value: float) -> int:
-        """The place of a number, which is added where it is missing."""
+        """Return the index of a number, added if missing."""
         return self._place(struct.pack("<d", value))
 
     def places(self, code: Code) -> NDArray:
-        """Where the constants of a function are: each once, or all in order where steps go from one to another."""
+        """Return the indices of a function's constants: each once, or all in order if steps lead from one
+        to another."""
         if not code.stepped:
             return np.array([self._place(number) for number in code.constants], np.int64)
         first = self._blocks.setdefault(code.constants, len(self.numbers))
@@ -79,30 +78,29 @@ class Constants:
 
 @dataclass(frozen=True)
 class Code:
-    """A function of a scene. Places of its constants count from -BEHIND, others from its first argument at BEHIND."""
+    """An encoded function. Addresses of its constants count from -BEHIND, others from its first argument at BEHIND."""
 
     inputs: list[int]
     """Length of each argument."""
     outputs: list[int]
     """Number of entries of each result."""
     words: NDArray
-    """Runs: number of the operation, how many, and the places of their operands."""
+    """Runs: number of the operation, count, and addresses of the operands."""
     results: NDArray
-    """Rows that say where entries of the results are found, the later ones what is not in others: how many, the first
-    entry and the step to the next, the place of the first and the step."""
+    """Rows of addresses of results, later ones overriding: count, first entry and step, first address and step."""
     values: int
-    """How many numbers the operations give."""
+    """Number of values that the operations compute."""
     constants: tuple[bytes, ...]
     looped: bool
-    """Whether there are loops, which have 32 bits."""
+    """Whether there are loops, which use 32 bits."""
 
     @property
     def stepped(self) -> bool:
-        """Whether steps may go from one constant to another."""
+        """Whether steps may lead from one constant to another."""
         return self.looped or bool(((self.results[:, 3] < 0) & (self.results[:, 4] != 0)).any())
 
     def placed(self, places: NDArray, constants: NDArray, count: int) -> NDArray:
-        """Places in a scene with so many constants, where those of the function have these."""
+        """Return final addresses in a scene with this number of constants, given those of the function's."""
         found = np.where(places >= BEHIND // 2, places - BEHIND + count, places)
         own = places < -BEHIND // 2
         found[own] = constants[places[own] + BEHIND]
@@ -110,7 +108,7 @@ class Code:
 
 
 def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -> Code:
-    """The words of a function with arguments and results of these lengths."""
+    """Encode a function with arguments and results of these lengths."""
     operations = Operations.of(instructions)
     if len(operations) > LONG:
         made = _Writing(operations, inputs, outputs).done(repeats(operations))
@@ -120,33 +118,33 @@ def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -
 
 
 class _Writing:
-    """A function while it is written, piece by piece."""
+    """A function under construction, piece by piece."""
 
     def __init__(self, operations: Operations, inputs: list[int], outputs: list[int]):
         o = self._operations = operations
         self._inputs, self._outputs, self._constants = inputs, outputs, Constants()
         self._words: list[int] = []
         self._end = BEHIND + sum(inputs)
-        """Place of the next value."""
+        """Address of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self._lines = [(sum(outputs), 0, 1, self._constant(0.0), 0)]  # what no operation gives is zero
+        self._lines = [(sum(outputs), 0, 1, self._constant(0.0), 0)]  # results without an operation are zero
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
         self._number[used] = [self._constant(value) for value in o.constant[used].tolist()]
         self._place = np.full(len(o), -1)
-        """Of values that are known outside the pass that makes them."""
+        """Addresses of values visible outside their iteration."""
         self._local = self._kept = np.zeros(0, bool)
 
     def done(self, found: list[Repeat]) -> Code:
-        """The function with loops for what was found to repeat, as far as they can be."""
+        """Return the function, with loops for repetitions as far as possible."""
         o = self._operations
         carried = {each: one for each in found if (one := _carried(o, each)) is not None}
         parts = list(pieces(len(o), list(carried), max(len(o), 1)))
         scope = np.concatenate([np.repeat(x.start + x.period * np.arange(x.count), x.period) for x in parts] or [[]])
         self._local = (o.kind == VALUE) & (scope[o.made] == scope)
-        """Operands that are made in the same pass of the same piece."""
+        """Operands computed in the same iteration of the same piece."""
         self._kept = np.zeros(len(o), bool)
-        """Values that are needed elsewhere."""
+        """Values that are used elsewhere."""
         self._kept[o.made[(o.kind == VALUE) & ~self._local]] = True
         self._kept[o.made[0, (o.kind[0] == VALUE) & (o.result[0] >= 0)]] = True
         for piece in parts:
@@ -159,7 +157,7 @@ class _Writing:
         return self._constants.place(value) - BEHIND
 
     def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
-        """A loop, or straight code, which has one pass."""
+        """Encode a loop, or straight code as one iteration."""
         part = slice(piece.start, piece.end)
         found = self._found(part)
         if piece.count == 1:
@@ -196,9 +194,9 @@ class _Writing:
         self._place[piece.start + columns] = at[values]
 
     def _looped(self, count: int, body: _Body, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
-        """Operations by which nothing passes on to later passes each in all passes, and loops of the others."""
+        """Encode operations independent of earlier iterations over all iterations at once, and the others as loops."""
         value_of = {column: value for _, column, value in made.results}
-        before: dict[int, list[tuple[int, int]]] = {}  # values, and those that are them so many passes before
+        before: dict[int, list[tuple[int, int]]] = {}  # values and their aliases in later iterations
         for value, (_, slot) in made.arguments.items():
             kind, first, second = body.sources[slot]
             if kind == LINE:
@@ -228,7 +226,7 @@ class _Writing:
             self._end += count * len(values)
 
     def _copies(self, places: Sequence[int]) -> int:
-        """Values brought together; returns the place of the first."""
+        """Copy values to consecutive addresses; return the first."""
         listed: list[int] = []
 
         def gather() -> None:
@@ -247,7 +245,7 @@ class _Writing:
         return self._end - len(places)
 
     def _found(self, part: slice | NDArray) -> NDArray:
-        """Places of operands, two rows; -1 of those that are not known yet."""
+        """Return addresses of operands in two rows; -1 for those not known yet."""
         o = self._operations
         kind, operand, argument = o.kind[:, part], o.operand[:, part], o.argument[:, part]
         cases = [kind == VALUE, kind == INPUT, kind == CONSTANT]
@@ -258,10 +256,10 @@ class _Writing:
 def _straight(
     operations: Operations, part: slice, local: NDArray, kept: NDArray, found: NDArray
 ) -> tuple[Instructions, NDArray]:
-    """Operations that have one pass as a function of its own, and the places of its arguments.
+    """Return operations of one iteration as a function of its own, and the addresses of its arguments.
 
-    `local` (2, many) are operands that are made among them, `found` the places of others, `kept` what is needed
-    elsewhere. What is taken from elsewhere is an instruction of its own before the first one that takes it.
+    `local` (2, many) are operands computed among them, `found` the addresses of others, `kept` values used elsewhere. A
+    value from elsewhere becomes an instruction before the first one that uses it.
     """
     code, kind = operations.code[part], operations.kind[:, part]
     makes = code != ca.OP_OUTPUT
@@ -269,7 +267,7 @@ def _straight(
     users, _ = np.divmod(np.flatnonzero(taken), 2)
     _, first, leaf = np.unique(found.T.ravel()[taken], return_index=True, return_inverse=True)
     order = np.argsort(first)
-    first = first[order]  # of each leaf, the operand that takes it first
+    first = first[order]  # of each leaf, the operand that uses it first
     before = np.cumsum(makes) - makes  # operations before each
     leaves = before[users[first]] + np.arange(len(first))  # numbers of instructions
     own = before + np.searchsorted(users[first], np.arange(len(code)), "right")
@@ -293,7 +291,7 @@ def _straight(
 
 
 class _Body:
-    """One pass of a piece as a function of its own, whose arguments are what it takes from elsewhere."""
+    """One iteration of a piece as a function of its own, whose arguments are values from elsewhere."""
 
     def __init__(
         self,
@@ -311,12 +309,12 @@ class _Body:
         self._carried = carried
         self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.count, -1).any(axis=0)).tolist()
         self.sources: list[tuple[int, int, int]] = []
-        """Of each argument: LINE, the first place and the step; TABLE and its number; BEFORE, the operation that makes
-        it, and how many passes before."""
+        """Sources of arguments: LINE, first address and step; TABLE and its number; BEFORE, operation, and number of
+        iterations before."""
         self.tables: list[list[int]] = []
-        """Places in all passes."""
+        """Addresses in all iterations."""
         self.cells: dict[tuple[int, int], int] = {}
-        """Of what first passes take from elsewhere: the operation that makes it in others, the pass, and its place."""
+        """Initial values of values from earlier iterations: by operation and iteration, the address."""
         self._slots: dict[tuple[int, int, int] | bytes, int] = {}
         self._numbers: dict[int, int] = {}
 
@@ -346,7 +344,7 @@ class _Body:
         return Instructions(found[0], found[1:3], np.array([np.zeros_like(found[3]), found[3]]), constants)
 
     def _leaf(self, j: int, column: int, kind: int) -> tuple[int, int]:
-        """A constant, or where else an operand comes from in each pass."""
+        """Return a constant, or the source of an operand in each iteration."""
         piece = self._piece
         places = self._found[j, column :: piece.period]
         if kind == CONSTANT and (places == places[0]).all():
@@ -363,20 +361,20 @@ class _Body:
         return ca.OP_INPUT, self._slot((TABLE, len(self.tables) - 1, 0), key)
 
     def _slot(self, source: tuple[int, int, int], key: tuple[int, int, int] | bytes | None = None) -> int:
-        """The number of a source, the same for the same key."""
+        """Return the number of a source, equal for equal keys."""
         slot = self._slots.setdefault(key or source, len(self.sources))
         if slot == len(self.sources):
             self.sources.append(source)
         return slot
 
     def _number(self, place: int, operand: int) -> int:
-        """One number of those of a constant."""
+        """Return one of the numbers of a constant."""
         return self._numbers.setdefault(int(place), int(operand))
 
 
 def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tuple[int, int]] | None:
-    """Operands that another pass of a loop has made: which of two, and the operation, to the operation that makes them
-    and how many passes before. None where that is not the same in all passes."""
+    """Map operands computed in another iteration of a loop (index of the operand, operation) to the operation that
+    computes them and the number of iterations before; None if it varies."""
     o, part, shape = operations, slice(piece.start, piece.end), (piece.count, piece.period)
     begin = piece.passes(0)[:, None]
     found: dict[tuple[int, int], tuple[int, int]] = {}
@@ -399,11 +397,14 @@ def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tup
 
 
 def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tuple[list[Operation], bool]]:
-    """Operations that can be done in all passes at once, each alone, and others in groups, in order.
+    """Yield operations that can run over all iterations at once, each alone, and others in groups, in order.
 
-    `earlier` are operands that are what a value was some passes before. What depends on its own earlier values has to
-    be done pass by pass.
+    `earlier` are operands that are earlier values of an operation. Operations that depend on their own earlier values
+    must run iteration by iteration.
     """
+    from scipy.sparse import csr_array  # slow to import, and needed for tracing only
+    from scipy.sparse.csgraph import connected_components
+
     maker = {value: i for i, operation in enumerate(operations) for value in operation.made}
     edges = {
         (maker[source], i)
@@ -449,7 +450,7 @@ def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tu
 
 
 def in_line(*values: NDArray) -> list[tuple[int, ...]]:
-    """How many go by a step, then of each of these sequences the first and the step, for all of them."""
+    """Return, for common runs of all sequences, the length, and first value and step of each."""
     rows: list[tuple[int, ...]] = []
     count = len(values[0])
     steps = np.array([np.diff(x) for x in values])
@@ -468,7 +469,7 @@ def in_line(*values: NDArray) -> list[tuple[int, ...]]:
 
 
 def _runs(runs: list[list[Operation]], at: dict[int, tuple[int, ...]]) -> list[int]:
-    """The words of runs of operations on values at these places."""
+    """Return the words of runs of operations on values at these addresses."""
     words: list[int] = []
     for run in runs:
         for start in range(0, len(run), NARROW - 1):

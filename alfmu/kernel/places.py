@@ -1,7 +1,7 @@
-"""Where the values of a long function stand: as local variables, results, or in the workspace.
+"""Assign storage to the values of a long function: local variables, results, or the workspace.
 
-The values of a loop that others need stand in the workspace pass by pass, so that other loops find them by a step.
-Values of straight code that continue them (as the first and the last of a chain do) stand before and behind.
+Values of a loop used elsewhere are stored in the workspace by iteration, so that other loops address them with a step.
+Values of straight code that continue them (as the first and the last of a chain) are stored before and after.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .stream import VALUE, Operations
 __all__ = ["Places", "line"]
 
 _BESIDE = 8
-"""Passes before the first and behind the last of a loop for which there may be place."""
+"""Number of iterations before the first and after the last of a loop for which space may be reserved."""
 
 
 class Places:
-    """Where each value stands that is used in another piece of code, or in another pass of a loop, than it is made in.
+    """Storage of each value used in another piece of code, or another iteration of a loop, than it is computed in.
 
-    `pieces` follow each other: loops, and straight code as loops of one pass. The first `reserved` places of the
-    workspace are left alone.
+    `pieces` are in order: loops, and straight code as loops of one iteration. The first `reserved` entries of the
+    workspace stay free.
     """
 
     def __init__(self, operations: Operations, pieces: list[Repeat], reserved: int):
@@ -36,21 +36,21 @@ class Places:
         starts, periods, counts = (np.array([each[i] for each in pieces], int) for i in range(3))
         self._straight = counts[self._piece] == 1
         self._row, self.column = np.divmod(np.arange(count) - starts[self._piece], periods[self._piece])
-        """Number of the pass, and of the operation in it."""
+        """Number of the iteration, and of the operation in it."""
         scope = np.arange(count) - self.column
         self.elsewhere = (operations.kind == VALUE) & (scope[self._made] != scope)
-        """Operands that are not made in the same pass of the same piece."""
+        """Operands not computed in the same iteration of the same piece."""
         self.stored = np.zeros(count, bool)
-        """Values that stand in the workspace."""
+        """Values stored in the workspace."""
         self.fetched = np.zeros((2, count), bool)
         """Operands from elsewhere that are read from the workspace; others are read from results."""
         self._choose()
         self.address = np.full(count, -1)
-        """In the workspace."""
+        """Addresses in the workspace."""
         self.size = self._place(_Heap(reserved))
 
     def _sequences(self) -> Iterator[tuple[int, NDArray, NDArray]]:
-        """Operands of loops from elsewhere: which of two, the operation in all passes, the values."""
+        """Yield operands of loops from elsewhere: index of the operand, operation in all iterations, values."""
         for piece in self._pieces:
             if piece.count > 1:
                 for column, j in np.argwhere(self.elsewhere[:, piece.start : piece.start + piece.period].T).tolist():
@@ -58,7 +58,7 @@ class Places:
                     yield j, users, self._made[j, users]
 
     def _choose(self) -> None:
-        """Results are read where they are in line, but not to become results; the rest has to be stored."""
+        """Choose storage: results are read if addressed with a step, but not to become results; the rest is stored."""
         writing = self._operations.result[0] >= 0
         self.fetched = self.elsewhere & self._straight & ((self._result[0, self._made] < 0) | writing)
         for j, users, values in self._sequences():
@@ -72,7 +72,7 @@ class Places:
                 passes[:] = passes.any(axis=0)
 
     def _place(self, heap: _Heap) -> int:
-        """Give places, which serve again after the piece that needs a value last; returns the size of the workspace."""
+        """Assign addresses, reused after the last use of a value; return the size of the workspace."""
         begin: list[list[_Table]] = [[] for _ in self._pieces]
         end: list[list[tuple[int, int]]] = [[] for _ in self._pieces]
         for table in self._tables():
@@ -87,7 +87,7 @@ class Places:
         return heap.size
 
     def _tables(self) -> Iterator[_Table]:
-        """What is stored: values of a loop together if they are needed equally long, those of straight code alone."""
+        """Yield groups of stored values: those of a loop with equal lifetimes, those of straight code alone."""
         last = np.full(len(self._operations), -1)
         for made, users in zip(self._made, map(np.flatnonzero, self.fetched), strict=True):
             np.maximum.at(last, made[users], self._piece[users])
@@ -111,7 +111,7 @@ class Places:
                 yield _Table(int(self._piece[alike].min()), end, length, alike, rows * len(columns) + places)
 
     def _continuations(self) -> dict[int, tuple[int, int, int]]:
-        """Values of straight code that are read as if a loop had made them: its piece, the column, the row."""
+        """Return values of straight code read as if they belonged to a loop: its piece, the column, the row."""
         found: dict[int, tuple[int, int, int]] = {}
         taken = set()
         for j, users, values in self._sequences():
@@ -135,7 +135,7 @@ class Places:
 
 
 class _Table(NamedTuple):
-    """Values that stand together, from the first piece that makes one to the last that needs one."""
+    """Values stored together, from the first piece that computes one to the last that uses one."""
 
     first: int
     last: int
@@ -145,11 +145,11 @@ class _Table(NamedTuple):
 
 
 class _Heap:
-    """Ranges of numbers, taken where there is room first, and given back."""
+    """Ranges of addresses, allocated first-fit, and freed."""
 
     def __init__(self, size: int):
         self.size = size
-        self._free: list[tuple[int, int]] = []  # beginnings and ends, in order, with something between
+        self._free: list[tuple[int, int]] = []  # starts and ends of free ranges, in order
 
     def take(self, length: int) -> int:
         for i, (begin, end) in enumerate(self._free):
@@ -170,7 +170,7 @@ class _Heap:
 
 
 def line(entries: Sequence[int]) -> tuple[int, int] | None:
-    """Beginning and step of numbers that are in line; None where they are not."""
+    """Return start and step of equally spaced numbers; None if they are not."""
     if len(entries) == 1:
         return int(entries[0]), 0
     steps = np.diff(entries)

@@ -1,8 +1,7 @@
-"""Find where a sequence of operations repeats with a period: what can be one loop in C.
+"""Find periodic repetitions in a sequence of operations, which can become loops.
 
-A mechanism of many like parts has the same operations for each of them. In the order in which CasADi computes results,
-depth first, these follow each other part by part, so that repetition is a matter of comparing the sequence with itself,
-shifted. Nothing is reordered.
+A mechanism of many equal parts has the same operations for each. In CasADi's depth-first order these follow each other
+part by part, so that repetition is found by comparing the sequence with itself, shifted. Nothing is reordered.
 """
 
 from __future__ import annotations
@@ -19,38 +18,38 @@ from .stream import INPUT, VALUE, Operations
 __all__ = ["Repeat", "pieces", "repeats"]
 
 FEWEST = 4
-"""Repetitions that are worth a loop."""
+"""Least number of repetitions for a loop."""
 
 SAVED = 40
-"""Operations that a loop must save."""
+"""Least number of operations that a loop must save."""
 
 LONGEST = 2500
-"""Operations in the body of a loop; compilers take more than linear time for longer ones."""
+"""Largest number of operations in the body of a loop; compile time grows faster than linearly with it."""
 
 _WINDOWS = (4, 16, 64, 256, 1024)
-"""Lengths of what is looked up to find candidates: longer than what repeats within a period, for some of them."""
+"""Lengths of windows that are compared to find candidates, so that some exceed repetition within a period."""
 
 _NEAR = 24
-"""Distance between operations up to which it is part of what is looked up."""
+"""Largest distance between operations that is part of a window's key."""
 
 _MULTIPLES = range(1, 13)
-"""Of a period, that may bring indices in line."""
+"""Multiples of a period that may give indices a constant step."""
 
 _TRIMMED = 2
-"""Passes at either end that may be left to straight code to bring the indices of the others in line."""
+"""Number of iterations at either end left to straight code to give the others' indices a constant step."""
 
 _NONE = np.iinfo(np.int64).max
-"""No step."""
+"""Marks a missing step."""
 
 _LINE = 8
-"""Entries in tables that are as long as the C of an operation."""
+"""Number of table entries as long as the C of an operation."""
 
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
-"""Odd, and without pattern: for hashes."""
+"""An odd constant without pattern, for hashes."""
 
 
 class Repeat(NamedTuple):
-    """`count` times the same operations, `period` of them, from `start` on."""
+    """`count` repetitions of the same `period` operations from `start` on."""
 
     start: int
     period: int
@@ -61,17 +60,17 @@ class Repeat(NamedTuple):
         return self.start + self.period * self.count
 
     def passes(self, column: int) -> NDArray:
-        """The same operation each time."""
+        """Return the numbers of one operation in all repetitions."""
         return self.start + column + self.period * np.arange(self.count)
 
     def columns(self, numbers: NDArray) -> Sequence[Sequence[int]]:
-        """Numbers of all operations, by operation of the period; plain lists where there is but one of each."""
+        """Return numbers of all operations, by operation of the period; plain lists for a single repetition."""
         columns = numbers[self.start : self.end].reshape(self.count, self.period).T
         return columns.tolist() if self.count == 1 else columns
 
 
 def pieces(count: int, found: list[Repeat], most: int) -> Iterator[Repeat]:
-    """Loops, and between them straight code, which is what does not repeat."""
+    """Yield loops, and the straight code between them."""
     ends = [0, *(each.end for each in found)]
     for end, loop in zip(ends, [*found, None], strict=True):
         stop = loop.start if loop else count
@@ -88,7 +87,7 @@ class _Candidate(NamedTuple):
 
 
 def repeats(operations: Operations) -> list[Repeat]:
-    """What repeats, in order and without overlap; the greatest gain is taken first."""
+    """Return repetitions in order and without overlap, chosen greedily by gain."""
     sequence = _Sequence(operations)
     taken = np.zeros(len(operations), bool)
     found = []
@@ -107,20 +106,20 @@ def repeats(operations: Operations) -> list[Repeat]:
 
 
 class _Sequence:
-    """Operations as numbers that are the same where operations may be."""
+    """Operations as numbers, equal for operations that may be equal."""
 
     def __init__(self, operations: Operations):
         o = operations
         self.values = o.kind == VALUE
         self.distance = np.where(self.values, np.arange(len(o)) - o.operand, 0)
-        """From an operation back to that which makes its operand."""
+        """Distance from an operation back to that of its operand."""
         self.token = np.zeros(len(o), np.uint64)
         for part in (o.code, *o.kind, *o.argument, o.result[0]):
             distinct, number = np.unique(part, return_inverse=True)
             self.token = self.token * np.uint64(len(distinct)) + number.astype(np.uint64)
 
     def candidates(self) -> Iterator[_Candidate]:
-        """Stretches that are the same as what stands one period before, for all lengths of windows."""
+        """Yield ranges equal to those one period before, for all window lengths."""
         count = len(self.token)
         hashed = self.token
         for near in np.minimum(self.distance, _NEAR):
@@ -138,10 +137,10 @@ class _Sequence:
                             yield each
 
     def _exact(self, period: int, begin: int, end: int) -> Iterator[_Candidate]:
-        """Where the operations from `begin` to `end` do repeat with a period."""
+        """Yield the parts of the range from `begin` to `end` that repeat with a period."""
         same = self.token[begin : end - period] == self.token[begin + period : end]
         one, other = self.distance[:, begin : end - period], self.distance[:, begin + period : end]
-        # What is from before the period is from elsewhere.
+        # Operands from before the period come from elsewhere.
         same &= ((one == other) | (np.minimum(one, other) >= period)).all(axis=0)
         for start, stop in _true(same):
             length = stop - start
@@ -149,17 +148,17 @@ class _Sequence:
                 yield _Candidate(length, period, begin + start, begin + stop + period)
 
     def begun_best(self, repeat: Repeat, end: int) -> Repeat:
-        """The same repetition, begun where fewest values pass from one period to the next, if that costs none."""
+        """Return the repetition with the start at which fewest values pass between periods, if that loses none."""
         start, period, count = repeat
         spare = end - repeat.end + 1
         middle = start + count // 2 * period
-        reach = np.zeros(period, int)  # how far ahead a value is used, up to a period
+        reach = np.zeros(period, int)  # distance to the last use of a value, up to a period
         users = np.arange(middle, min(middle + 2 * period, end))
         for distance in self.distance[:, users]:
             made = users - distance - middle
             used = (distance > 0) & (distance < period) & (made >= 0) & (made < period)
             np.maximum.at(reach, made[used], distance[used])
-        crossing = np.zeros(2 * period + 1, int)  # the boundary before an operation
+        crossing = np.zeros(2 * period + 1, int)  # number of values across the boundary before an operation
         np.add.at(crossing, np.arange(period) + 1, reach > 0)
         np.add.at(crossing, np.arange(period) + 1 + reach, -(reach > 0).astype(int))
         live = np.cumsum(crossing)
@@ -168,15 +167,15 @@ class _Sequence:
 
 
 class _Lines:
-    """Which indices go by a step from one pass of a loop to the next, and which need tables."""
+    """Finds which indices have a constant step between iterations, and which need tables."""
 
     def __init__(self, operations: Operations):
         self._operations = operations
         self._period = np.zeros(len(operations), int)
-        """Of the loop that an operation is in, 0 where it is in none."""
+        """Period of the loop that contains an operation, 0 for none."""
 
     def improved(self, found: list[Repeat]) -> list[Repeat]:
-        """The same repetitions, with longer periods or fewer passes where tables cost more than that."""
+        """Return the repetitions with longer periods or fewer iterations if tables cost more."""
         result = []
         for each in found:
             best = each
@@ -193,7 +192,7 @@ class _Lines:
         return result
 
     def _best(self, ways: list[Repeat], given: Repeat, ends: bool) -> Repeat:
-        """The way of the shortest C: entries in tables, operations in the loop, and those left to straight code."""
+        """Return the variant with the shortest C: table entries, operations in the loop and in straight code."""
 
         def cost(way: Repeat) -> int:
             left = given.period * given.count - way.period * way.count
@@ -203,25 +202,25 @@ class _Lines:
         return min(fit, key=cost, default=given)
 
     def _alike(self, way: Repeat) -> bool:
-        """Whether the same operands are made in the same pass, in all passes: a longer period may take in values that
-        one pass alone finds there."""
+        """Return whether the same operands are computed in the same iteration, in all iterations: a longer period may
+        include values that only one iteration finds there."""
         o, part, begin = self._operations, slice(way.start, way.end), way.passes(0)[:, None]
         made = np.where(o.kind[:, part] == VALUE, o.made[:, part], -1).reshape(2, way.count, way.period)
         here = np.where(made >= begin, made - begin, -1)
         return bool((here == here[:, :1]).all())
 
     def _tables(self, repeat: Repeat, ends: bool) -> int:
-        """Tables that a loop needs; entries of the first and the last pass may differ unless `ends` says otherwise."""
+        """Return the number of tables of a loop; entries of the first and last iteration may differ unless `ends`."""
         o, part, shape = self._operations, slice(repeat.start, repeat.end), (repeat.count, repeat.period)
         self._period[part] = repeat.period
         made = o.made[:, part]
         which, entry = o.written[:, made].reshape(2, 2, *shape)
         numbers = np.array([o.result[1, part], *o.operand[:, part]]).reshape(3, *shape)
         numbers = np.concatenate([numbers, made.reshape(2, *shape), which, entry])
-        steps = numbers[:, 1:] - numbers[:, :-1]  # from pass to pass
+        steps = numbers[:, 1:] - numbers[:, :-1]  # between iterations
 
         def even(steps: NDArray, ends: bool) -> NDArray:
-            """The steps; _NONE where they are not always the same."""
+            """Return the steps; _NONE if they vary."""
             steps = steps if ends or repeat.count < FEWEST else steps[:, 1:-1]
             first = steps[:, 0]
             return np.where((steps == first[:, None]).all(axis=1), first, _NONE)
@@ -246,7 +245,7 @@ def _power(exponent: int) -> np.uint64:
 
 
 def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
-    """(period, start, end) of what is found again, over and over, one period after it was met last."""
+    """Yield (period, start, end) of ranges whose hashes recur, each a period after its last occurrence."""
     order = np.argsort(hashed, kind="stable")
     again = np.flatnonzero(hashed[order[1:]] == hashed[order[:-1]])
     back = np.zeros(len(hashed), int)
@@ -259,7 +258,7 @@ def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
 
 
 def _true(flags: NDArray) -> Iterator[tuple[int, int]]:
-    """Beginnings and ends of what is true."""
+    """Yield starts and ends of ranges of true values."""
     edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
     edges = [0, *edges.tolist(), len(flags)] if len(flags) and flags[0] else [*edges.tolist(), len(flags)]
     yield from zip(edges[::2], edges[1::2], strict=False)

@@ -1,8 +1,9 @@
-"""Friction that follows from the load, in the multiplier iteration: the calls of an evaluation that solve for it.
+"""Load-dependent friction in the multiplier iteration: the calls of an evaluation that solve for it.
 
-An evaluation gives a and lambda without friction. `respond` gives their changes by a unit of each friction, from the
-same factors of H. Each pass of `rub` is one of Newton's method (`alfmu.method.friction`) and one of the multiplier
-iteration, so that both are at round-off at the end; where no friction is found, `rubbed` leaves no acceleration either.
+An evaluation computes a and lambda without friction. `respond` computes their changes per unit of each friction, from
+the same factors of H. Each pass of `rub` is an iteration of Newton's method (`alfmu.method.friction`) and of the
+multiplier iteration, so that both converge to round-off. If no friction satisfies the laws, `rubbed` returns NaN
+accelerations.
 """
 
 from __future__ import annotations
@@ -19,24 +20,24 @@ from ..method.singular import NOISE_FLOOR
 from .form import Loop, Step
 from .symbolic import MATRICES, Scene, Watch
 
-__all__ = ["power", "rub", "supply", "told"]
+__all__ = ["grip", "power", "rub", "supply"]
 
 
 class Calls(Protocol):
-    """The steps of a program while it is traced (`alfmu.kernel.trace.Calls`)."""
+    """Interface of the steps of a program while it is traced (`alfmu.kernel.trace.Calls`)."""
 
     scene: Scene
     made: list[Step]
 
     def inside(self) -> Calls:
-        """Calls of the same plan, apart."""
+        """Return empty calls of the same plan."""
 
     def __call__(self, name: str, arguments: str, results: str, function: Callable[..., SX | Sequence[SX]]) -> None:
         """Call the function of this name."""
 
 
 def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> None:
-    """a, lam, power and watch of an evaluation with friction; `known` are its time, q, v and inputs."""
+    """Compute a, lam, power and watch of an evaluation with friction; `known` are its time, q, v and inputs."""
     scene, kind, again = calls.scene, calls.scene.kind, calls.inside()
     _, q, v, _ = known.split()
     matrices = " ".join(MATRICES)
@@ -51,7 +52,7 @@ def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> N
 
 
 def _respond(scene: Scene, *known: SX) -> tuple[SX, SX]:
-    """Changes of a and lam, by columns, by a unit of each friction; none of a joint that sticks."""
+    """Return changes of a and lam, by columns, per unit of each friction; zero for a joint that sticks."""
     *at, M, C, D, L = known
     e, solve, moved, pressed = scene.e, scene.solver(D, L), [], []
     a, lam = SX.sym("a", e.n), SX.sym("lam", e.l)
@@ -67,12 +68,12 @@ def _respond(scene: Scene, *known: SX) -> tuple[SX, SX]:
 
 
 def _carried(scene: Scene) -> bool:
-    """Whether frictions follow from loads that joints share."""
+    """Return whether frictions follow from loads that joints share."""
     return not scene.e.compliances and any(x.output in (scene.e.survey.shared or ()) for x in scene.e.frictions)
 
 
 def _shared(scene: Scene, at: Sequence[SX], M: SX, C: SX, a: SX, lam: SX) -> SX:
-    """Multipliers as outputs tell them, with which friction agrees; `at` are time, q, v and inputs."""
+    """Return multipliers as in the outputs, from which friction follows; `at` are time, q, v and inputs."""
     if scene.e.compliances:
         return scene.distributed(M, C, lam)
     return scene.carried(*at, C, a, lam) if _carried(scene) else lam
@@ -82,8 +83,8 @@ def _rub(
     scene: Scene,
     *known: SX,
 ) -> tuple[SX, ...]:
-    """a, lam and watch after one more pass, whether it takes another one, and how well the laws hold: what is left of
-    them over the friction (squared), the least pivot."""
+    """Return a, lam and watch after one more pass, whether to continue, and the convergence of the laws: their residual
+    over the friction (squared), the least pivot."""
     t, q, v, u, M, C, F, xi, D, L, a, lam, watch, moved, pressed = known
     e, frictions = scene.e, scene.e.frictions
     count, rows = len(frictions), [x.row for x in frictions]
@@ -101,12 +102,12 @@ def _rub(
         lam += (pressed[j] + units[j]) * change[j]
     after, lam, _ = scene.iterated((M, C, F, xi), (D, L), after, lam, 1)
     lam = _shared(scene, (t, q, v, u), M, C, after, lam)
-    # Forces that balance each other leave their round-off, beside which accelerations may be nothing.
+    # Balanced forces leave round-off, which may exceed accelerations near zero.
     tolerance = scene.settings.tolerance
     left = tolerance**2 * (ca.sumsqr(F) + ca.sumsqr(C.T @ lam)) / (ca.sumsqr(ca.diag(M)) + _TINY)
     moves = ca.fmax(ca.sumsqr(after - a) - left, 0)
     seen = Watch.of(watch)
-    # What one more iteration would change, as in `Scene.judged`.
+    # Expected change by one more iteration, as in `Scene.judged`.
     following = moves * ca.fmin(scene.settings.nothing / NOISE_FLOOR / seen.margin, 1) ** 2
     watch = seen._replace(change=following, size=ca.sumsqr(after)).vector()
     size = sum((lam[row] ** 2 for row in rows), SX(_TINY))
@@ -118,11 +119,11 @@ def _rub(
 
 
 _TINY = 1e-300
-"""Lets a mechanism at rest pass."""
+"""Avoids division by zero for a mechanism at rest."""
 
 
 def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, rubbed: SX) -> tuple[SX, SX, SX]:
-    """a and watch, which are not finite where no friction was found, and the power with that of friction."""
+    """Return a and watch, NaN if no friction was found, and the power including that of friction."""
     frictions = scene.e.frictions
     found = ca.logic_and(rubbed[0] <= method.JAM_SETTLED**2, rubbed[1] > 0)
     rates = scene.e.sliding(q, v, scene.p)
@@ -137,15 +138,17 @@ def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, ru
 
 
 def supply(scene: Scene, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> SX:
-    """Power of what moves by itself and of friction, where time is a coordinate."""
+    """Return power of prescribed motion and of friction, if time is a coordinate."""
     rates = scene.e.sliding(q, v, scene.p)
     lost = sum((rates[i] * lam[each.row] for i, each in enumerate(scene.e.frictions)), SX(0))
     return scene.supply(t, q, v, a, lam, u) - lost / scene.scale
 
 
 def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_power") -> None:
-    """Power with that of friction from accelerations, where multipliers are not handed on: v' (M a - F), as constraints
-    have none; `known` are time, q, v and inputs, behind `a` there may be rates of states."""
+    """Compute power including friction from accelerations, without multipliers: v' (M a - F), as constraints have none.
+
+    `known` are time, q, v and inputs; rates of states may follow `a`.
+    """
     scene = calls.scene
 
     def found(t: SX, q: SX, v: SX, u: SX, a: SX) -> SX:
@@ -155,9 +158,9 @@ def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_po
     calls(name, f"{known} {a} p k", result, found)
 
 
-def told(calls: Calls, known: str, a: str, lam: str) -> None:
-    """What decides of sticking and sliding: multipliers of the constraints of joints, their limits, second rates; how
-    well the laws hold."""
+def grip(calls: Calls, known: str, a: str, lam: str) -> None:
+    """Compute the quantities that decide on sticking and sliding: multipliers of the constraints of joints, their
+    limits, second rates, and the convergence of the laws."""
     scene, e = calls.scene, calls.scene.e
 
     def found(t: SX, q: SX, v: SX, u: SX, a: SX, lam: SX, rubbed: SX) -> SX:

@@ -1,9 +1,9 @@
-"""A scene as one file that the C runtime loads: functions as runs of equal operations, programs as calls, tables.
+"""Write a scene as a file for the C runtime: functions as runs of equal operations, programs as calls, tables.
 
-The file is little-endian and the same bytes for the same equations. A function works on one array of numbers: the
-constants of the scene, then its arguments, then what each of its operations gives, in order. Of an operation the places
-of its operands are stored alone, and equal operations follow each other, so that the runtime chooses what to do once a
-run (`core/interpret.c` of the runtime). What repeats in a long function is a loop over places that go by a step.
+The file is little-endian and reproducible. A function works on one array of numbers: the constants of the scene, its
+arguments, and the results of its operations, in order. Only the indices of operands are stored, and equal operations
+follow each other, so that the runtime dispatches once per run (`core/interpret.c` of the runtime). Repeated parts of a
+long function are loops over indices with a constant step.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from .stream import BINARY, UNARY, Instructions, number
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
-"""What a program is made of, in the order of their numbers."""
+"""Elements of a program, in the order of their numbers."""
 
 
 def operations_header() -> str:
-    """operations.h: what operations compute from a, b and c, in C."""
+    """Return operations.h: the results of operations on a, b and c, in C."""
     lines = [
         "/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */",
         "",
@@ -69,14 +69,14 @@ def operations_header() -> str:
 
 
 def _partials(operation: int) -> list[str]:
-    """Derivatives of an operation by its operands a and b, in C; CasADi derives them."""
+    """Return derivatives of an operation by its operands a and b, in C, as derived by CasADi."""
     operands = [SX.sym(name) for name in ("a", "b")[: OPERANDS[operation]]]
     value = SX.binary(operation, *operands) if len(operands) == 2 else SX.unary(operation, *operands)
     return [_in_c(ca.jacobian(value, each)) for each in operands]
 
 
 def _in_c(x: SX) -> str:
-    """A number that depends on symbols, in C."""
+    """Return a symbolic number in C."""
     if x.is_constant():
         return number(float(x))
     if x.is_symbolic():
@@ -86,19 +86,19 @@ def _in_c(x: SX) -> str:
 
 
 _TRUTHS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
-"""Operations that give 0 or 1, which are whole numbers in C."""
+"""Operations that give 0 or 1, which are integers in C."""
 
 
 def _macro(name: str) -> str:
-    """A name in C."""
+    """Return a name in C."""
     return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
 class _Written:
-    """Functions as words, the latest that were asked for."""
+    """A cache of the most recently used encoded functions."""
 
     MOST = 2**23
-    """Words that are kept at most: 64 MB."""
+    """Largest number of cached words: 64 MB."""
 
     def __init__(self) -> None:
         self._known: OrderedDict[bytes, Code] = OrderedDict()
@@ -106,7 +106,7 @@ class _Written:
         self._lock = Lock()
 
     def get(self, key: bytes, write: Callable[[], Code]) -> Code:
-        """What is known by a key, or is written now."""
+        """Return the code of a key, written now if missing."""
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)
@@ -125,9 +125,9 @@ _WRITTEN = _Written()
 
 
 def code(f: ca.Function, scene: str) -> Code:
-    """The operations of a function that calls no other.
+    """Encode a function that calls no other.
 
-    Scenes of one mechanism have most functions in common, each of which is written once.
+    Scenes of one mechanism share most functions, each of which is encoded once.
     """
     making(f.name())
     instructions = Instructions.of(f).once()
@@ -159,13 +159,13 @@ class Writer:
         self.parts.append(data)
 
     def integers(self, values: Iterable[int] | NDArray) -> None:
-        """How many there are, and each."""
+        """Write a count and integers."""
         data = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.int64).astype("<i4")
         self.integer(data.size)
         self.parts.append(data.tobytes())
 
     def narrow(self, values: NDArray) -> None:
-        """How many integers of 16 bits there are, and each: low bytes before high ones, which are alike."""
+        """Write a count and integers of 16 bits: all low bytes, then all high bytes, which are similar."""
         self.integer(values.size)
         self.parts.append(values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes())
 
@@ -175,7 +175,7 @@ class Writer:
         self.parts.append(data.tobytes())
 
     def code(self, made: Code, constants: NDArray, count: int) -> None:
-        """A function whose constants have these places among so many of the scene."""
+        """Write a function whose constants have these indices among `count` of the scene."""
         words, results = (made.placed(places, constants, count) for places in (made.words, made.results))
         self.integers(made.inputs)
         self.integers(made.outputs)
@@ -193,11 +193,12 @@ class Writer:
 
 
 def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Kinds and numbers of operations of each run, their operands, and the results: an archive is a quarter smaller.
+    """Return kinds and counts of each run, its operands, and the results, as differences: an archive is a quarter
+    smaller.
 
-    Places from `first` on, where the first operation has its result, are counted back from the end of the run, those of
-    results from the end of all. The first operands of a run stand before the second ones, and of each stands by how
-    much it differs from the one before.
+    Addresses from `first`, the first result of an operation, are counted back from the end of the run, those of results
+    from the end of all. The first operands of a run precede the second ones, and each is stored as its difference from
+    the one before.
     """
 
     def stored(places: NDArray) -> NDArray:

@@ -15,13 +15,13 @@ from ..model.errors import ExportError
 __all__ = ["BINARY", "CONSTANT", "INPUT", "NOTHING", "UNARY", "VALUE", "Instructions", "Operations", "number"]
 
 NOTHING, VALUE, INPUT, CONSTANT = range(4)
-"""What an operand is."""
+"""Kinds of operands."""
 
 _FUNCTIONS = (
     *("fabs", "floor", "ceil", "sqrt", "exp", "log", "expm1", "log1p", "erf", "sin", "cos", "tan", "asin", "acos"),
     *("atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
 )
-"""Operations that have the name of a C function."""
+"""Operations that are C functions of a given name."""
 
 BINARY = {
     ca.OP_ADD: "{} + {}",
@@ -58,7 +58,7 @@ UNARY = {
 
 
 def number(value: float) -> str:
-    """A double in C."""
+    """Return a double in C."""
     if value != value:
         return "NAN"
     if value in (float("inf"), float("-inf")):
@@ -68,19 +68,19 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Instructions:
-    """The instructions of a function, each with the instructions that made its operands (-1 for none)."""
+    """The instructions of a function, each with the instructions of its operands (-1 for none)."""
 
     code: NDArray
-    """Operations as CasADi numbers them."""
+    """Operation codes of CasADi."""
     operands: NDArray
-    """Two rows."""
+    """Instructions of the operands, in two rows."""
     place: NDArray
-    """Two rows: which argument or result, and which entry of it."""
+    """Argument or result, and entry of it, in two rows."""
     constant: NDArray
 
     @classmethod
     def of(cls, f: ca.Function) -> Instructions:
-        """Those of a function of symbols that calls no other."""
+        """Return the instructions of a symbolic function that calls no other."""
         atoms = _serialised(f)
         if atoms is None:
             atoms = _one_by_one(f)
@@ -92,7 +92,7 @@ class Instructions:
         places = np.full((2, count), -1)
         places[:, code == ca.OP_INPUT] = atoms[code == ca.OP_INPUT, 2:].T
         places[:, output] = atoms[output][:, [1, 3]].T
-        # Of CasADi's workspace, an operand is what was written last before it at its place.
+        # An operand is the value last written at its address in CasADi's workspace.
         writes = numbers[~output]
         written = first[writes] * count + writes
         order = np.argsort(written)
@@ -119,7 +119,7 @@ class Instructions:
         return Instructions(self.code[kept], operands, self.place[:, kept], self.constant[kept])
 
     def check(self, scene: str, function: str) -> None:
-        """ExportError where an operation has no C here."""
+        """Raise ExportError if an operation has no C here."""
         if missing := set(self.code.tolist()) - {*BINARY, *UNARY, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}:
             raise ExportError(f"{scene}: operation {min(missing)} of {function} has no C here; use --kernel vm")
 
@@ -128,7 +128,7 @@ class Instructions:
 
 
 def _one_by_one(f: ca.Function) -> NDArray:
-    """The instructions of a function as CasADi tells them: operation, where it writes, what it reads; by call."""
+    """Return the instructions of a function by CasADi's calls: operation, output address, input addresses."""
     count = f.n_instructions()
     atoms = np.zeros((count, 4), "<i4")
     atoms[:, 0] = list(map(f.instruction_id, range(count)))
@@ -138,7 +138,7 @@ def _one_by_one(f: ca.Function) -> NDArray:
 
 
 def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
-    """Of an instruction: where it writes, and two numbers that say what it reads, or are the constant's."""
+    """Return of an instruction its output address, and two numbers for its inputs or its constant."""
     if operation == ca.OP_CONST:
         return [f.instruction_output(k)[0], *struct.unpack("<ii", struct.pack("<d", f.instruction_constant(k)))]
     inputs = f.instruction_input(k)
@@ -149,16 +149,16 @@ def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
 
 
 _ATOM = 32
-"""Letters of an instruction."""
+"""Length of a serialised instruction in characters."""
 
 _SAMPLE = 8
-"""Instructions that have to be as CasADi tells them, lest their serialised form is not what it was."""
+"""Number of instructions compared with CasADi's calls, to detect a change of the serialised form."""
 
 
 def _serialised(f: ca.Function) -> NDArray | None:
-    """The same from the serialised function, some fifty times faster; None where it has another form.
+    """Return the instructions from the serialised function, some fifty times faster; None if its form has changed.
 
-    Four integers stand for each instruction, two letters for each byte of them, the lower half first.
+    Four integers encode each instruction, two characters each byte, the lower half first.
     """
     count = f.n_instructions()
     if not count:
@@ -188,23 +188,23 @@ def _agree(atom: list[int], expected: list[int]) -> bool:
 
 @dataclass(frozen=True)
 class Operations:
-    """What a function computes, in order.
+    """The operations of a function, in order.
 
-    Inputs and constants are operands, not operations of their own, and each result is written right after its value
-    was computed. A value has the number of the operation that computes it.
+    Inputs and constants are operands, not operations, and each result is written right after its value is computed. A
+    value has the number of the operation that computes it.
     """
 
     code: NDArray
     kind: NDArray
-    """Of each operand, two rows: NOTHING, VALUE, INPUT or CONSTANT."""
+    """Kind of each operand, in two rows: NOTHING, VALUE, INPUT or CONSTANT."""
     operand: NDArray
-    """Two rows: number of a value, entry of an argument, instruction with a constant."""
+    """Number of a value, entry of an argument, or instruction of a constant, in two rows."""
     argument: NDArray
-    """Two rows: which argument it is an entry of, or -1."""
+    """Argument of an entry, or -1, in two rows."""
     result: NDArray
-    """Two rows: which result is written, and which entry of it, or -1."""
+    """Result and entry that are written, or -1, in two rows."""
     constant: NDArray
-    """By number of the instruction."""
+    """Constants by number of the instruction."""
 
     @classmethod
     def of(cls, instructions: Instructions) -> Operations:
@@ -219,7 +219,7 @@ class Operations:
         own[kept] = np.arange(len(kept))
 
         made = made[:, kept]
-        kinds = np.full(len(code) + 1, VALUE)  # the last is that of -1
+        kinds = np.full(len(code) + 1, VALUE)  # the last entry is for -1
         kinds[:-1][code == ca.OP_INPUT], kinds[:-1][code == ca.OP_CONST], kinds[-1] = INPUT, CONSTANT, NOTHING
         kind = kinds[made]
         operand = np.select([kind == VALUE, kind == INPUT], [own[made], instructions.place[1, made]], made)
@@ -232,12 +232,12 @@ class Operations:
 
     @cached_property
     def made(self) -> NDArray:
-        """Two rows: the operation that makes each operand; 0 where none does."""
+        """Operation of each operand, in two rows; 0 if there is none."""
         return np.where(self.kind == VALUE, self.operand, 0)
 
     @cached_property
     def written(self) -> NDArray:
-        """Two rows: which result each value becomes, and which entry of it; the first of several, or -1."""
+        """Result and entry of each value, the first of several, or -1, in two rows."""
         written = np.full((2, len(self)), -1)
         writes = np.flatnonzero((self.result[0] >= 0) & (self.kind[0] == VALUE))[::-1]
         written[:, self.operand[0, writes]] = self.result[:, writes]

@@ -1,7 +1,7 @@
-"""The method with symbols, for the equations of one mechanism; every part says whether its unrolled loops were enough.
+"""The method in symbols, for the equations of one mechanism; every part reports whether its unrolled loops converged.
 
-Equation (4) is divided by alpha, the largest penalty, so that no product with it is left: M, F and the multipliers are
-in units of it here (times `scale`), and with them H, its pivots and its factors.
+Equation (4) is divided by alpha, the largest penalty, so that no product with it remains: M, F and the multipliers are
+in units of alpha here (times `scale`), and so are H, its pivots and its factors.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration, Equations
 from ..equations.evaluation import DENSE, symbols
+from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
 from ..method import singular as branch
@@ -28,85 +29,77 @@ from ..method.stepping import NOISE, Explicit
 from .form import Plan
 from .memory import PACE, SETTINGS, TURN, Layout
 
-__all__ = ["MATRICES", "MONITORED", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
+__all__ = ["MATRICES", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
 
 MATRICES = ("M", "C", "F", "xi", "D", "L")
-"""What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
-
-MONITORED = tuple(
-    f"monitor.{name}"
-    for name in (
-        *("position_error", "velocity_error", "energy", "work", "step_error"),
-        *("iterations", "distance", "singular", "reaction_error"),
-    )
-)
-"""Monitors that `instant` computes, in this order."""
+"""Values that an evaluation passes on, by their nonzeros: the terms of (4) and (3), and the factors of H."""
 
 SHARES = 6
 """Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
 
 _SHARED = 1e-12
-"""Last change of these shares, over what they are."""
+"""Largest last change of these shares, over their size."""
 
 LOADED = 3
-"""Passes by which joints share a load where it is read."""
+"""Passes that share a load among joints for outputs."""
 
 PATIENT_LOADED = 8
-"""The same near a singular position: each gains HELD_SHARES times the distance squared."""
+"""The same number near a singular position: each gains HELD_SHARES times the distance squared."""
 
 _LEFT = 2.0**-50
-"""Last change of what multipliers of least norm are made of, over what it is."""
+"""Largest last change of the coefficients of multipliers of least norm, over their size."""
 
 LEFT_BY_FEW = 1e-3
-"""What few multiplier iterations may leave of accelerations, over the relative tolerance of a step."""
+"""Error of accelerations that few multiplier iterations may leave, over the relative tolerance of a step."""
 
 SOFT = 1e-5
-"""Typical pivot that masses make, over the penalty, where penalties are softened: iterations then gain five digits
-each, and a motion that moves 1e-6 of the usual mass keeps five of its digits in H."""
+"""Typical pivot contributed by masses, over softened penalties: iterations then gain five digits each, and a motion
+that moves 1e-6 of the usual mass keeps five of its digits in H."""
 
 _SOFTEST = 1e4
-"""Most that penalties are softened."""
+"""Largest factor by which penalties are softened."""
 
 _TOLD = 4.0
-"""Margin that can be told from nothing, over it."""
+"""Smallest margin, over the noise floor, that counts as nonzero."""
 
 _ALONE = 1e-10
-"""Added to C C', whose rows are of length 1, so that rows that depend on each other leave a pivot of this size."""
+"""Added to the diagonal of C C', whose rows have length 1, so that dependent rows leave a pivot of this size."""
 
 _TINY = 1e-300
-"""Lets a mechanism at rest pass the check of convergence."""
+"""Avoids division by zero in the convergence check of a mechanism at rest."""
 
 EPSILON = 2.0**-52
-"""Round-off of a number, over it."""
+"""Relative round-off of a number."""
 
 ROUND_OFF = 8 * EPSILON
-"""Of a constraint, over its coordinates."""
+"""Round-off of a constraint, over its coordinates."""
 
 _PROBES = 5
-"""Positions at which an entry of H is compared."""
+"""Number of positions at which entries of H are compared."""
 
 _SAME = 1e-13
-"""Largest difference of what is the same there, over its size."""
+"""Largest relative difference of entries that are the same there."""
 
 
 _Settings = namedtuple("_Settings", SETTINGS)
 
 
 def lengths_of(equations: Equations) -> dict[str, int]:
-    """Lengths of the named values that functions of programs take; digits behind a name number those that are alike."""
+    """Return lengths of the named values of functions of programs; names with appended digits share a length."""
     e, n, l, inputs = equations, equations.n, equations.l, len(equations.inputs)
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
         "singular lost error read_power renew before passes size most patient again projects within floor": 1,
+        "of_least_norm on_branch onward by_classic by_penalty by_stiffness by_baumgarte by_dae": 1,
         "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
-        "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
-        "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "watch watched watchl watchn read_watch": len(Watch._fields),
+        "q qz ql qn v vz vl vn a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
         "aside off_q off_v": n,
         "round_off read_a": n,
-        "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
-        "du inputs": inputs,
+        "lam laml lamn force Phi Cv stabilised least_norm": l,
+        "inputs": inputs,
         "past": memory_size(inputs),
         "soft": found["k"],
         "slopes": 1 + inputs,
@@ -120,23 +113,24 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     for names, length in alike.items():
         found |= dict.fromkeys(names.split(), length)
     count = len(e.frictions)
-    # Of dry friction (`kernel.rubbing`): changes of a and lam by a unit of each, passes, how well laws hold, decisions.
+    # Dry friction (`kernel.rubbing`): changes of a and lam per unit of each, passes, convergence of the laws,
+    # decisions.
     return found | {"moved": n * count, "pressed": l * count, "rubs": 1, "rubbed": 2, "grip": 3 * count + 2}
 
 
 class Watch(NamedTuple):
-    """What an evaluation says of itself."""
+    """Diagnostics of an evaluation."""
 
     change: SX
-    """Last change of a, squared, but for what is round-off of the forces."""
+    """Last change of a, squared, without the round-off of the forces."""
     size: SX
-    """a itself, squared."""
+    """Squared norm of a."""
     pivot: SX
     """Smallest pivot of H."""
     near: SX
     """Whether the margin to a singular position may be below `alfmu.method.singular.BRANCH_MARGIN`."""
     margin: SX
-    """That margin, of which the quick step knows nothing (1)."""
+    """That margin; the quick step does not compute it (1)."""
 
     @classmethod
     def of(cls, vector: SX) -> Watch:
@@ -149,17 +143,17 @@ class Watch(NamedTuple):
 class Scene:
     """The method of a scene, with a symbol for each named value."""
 
-    def __init__(self, equations: Equations, weighted: bool, lengths: dict[str, int]):
+    def __init__(self, equations: Configuration, weighted: bool, lengths: dict[str, int]):
         self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
         self._symbols: dict[str, SX] = {}
         self._factorisations: dict[tuple[int, ...], ca.Function] = {}
-        """By where the nonzeros stand of what they factorise."""
+        """Factorisations by the sparsity of the matrix."""
         e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
         self.settings = _Settings(*ca.vertsplit(self.k[: len(SETTINGS)]))
         self.scale = 1 / self.settings.alpha
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)]).tolist()
         own, units, self.inverse_scales, self.stiffnesses = (self.k[begin:end] for begin, end in pairwise(ends))
-        if not weighted:  # One penalty for all rows is one unit for all.
+        if not weighted:  # a single penalty means a single unit
             own, units = SX.ones(e.l), self.k[ends[1]]
         self.inverse_units = units
         self.held = own > 0 if weighted else own
@@ -172,7 +166,7 @@ class Scene:
     # Named values --------------------------------------------------------------------------------------------------
 
     def symbol(self, name: str) -> SX:
-        """The symbol that stands for a value; of a matrix, for its nonzeros."""
+        """Return the symbol of a value; of a matrix, of its nonzeros."""
         if name not in self._symbols:
             self._symbols[name] = SX.sym(name, self.length(name))
         return self._symbols[name]
@@ -183,7 +177,7 @@ class Scene:
         return self._lengths[name if name in self._lengths else name.rstrip("0123456789")]
 
     def value(self, name: str) -> SX:
-        """The symbol of a value; a matrix is one again."""
+        """Return the symbol of a value; a matrix has its sparsity."""
         symbol = self.symbol(name)
         return SX(self.patterns[name], symbol) if name in MATRICES else symbol
 
@@ -197,14 +191,14 @@ class Scene:
 
     @staticmethod
     def _handed(terms: Sequence[SX], D: SX, L: SX) -> list[SX]:
-        """MATRICES: vectors are dense."""
+        """Return MATRICES with dense vectors."""
         M, C, F, xi = terms
         return [M, C, ca.densify(F), ca.densify(xi), ca.densify(D), L]
 
     # Evaluations ---------------------------------------------------------------------------------------------------
 
     def terms(self, t: SX, q: SX, v: SX, u: SX) -> tuple[SX, SX, SX, SX]:
-        """M, C, F, xi."""
+        """Return M, C, F, xi."""
         M, C, F, xi = self.e.dynamics(q, v, u, self.p, t)
         return self.scale * ca.sparsify(M), ca.sparsify(C), self.scale * F, xi
 
@@ -212,39 +206,39 @@ class Scene:
         return self.e.power(q, v, u, self.p, t) if self.e.works else SX(0)
 
     def supply(self, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> SX:
-        """Power of what moves by itself, where time is a coordinate."""
+        """Return power of prescribed motion, if time is a coordinate."""
         return self.e.motion_power(q, v, a, lam / self.scale, u, self.p, t)
 
     def speed(self, q: SX, v: SX, C: SX) -> SX:
-        """Phi-dot: what (2) lacks, of velocities or of displacements along them."""
+        """Return Phi-dot, the residual of (2), for velocities or for displacements along them."""
         return self.e.Phi_dot(q, v, self.p) if self.e.timed else C @ v
 
     def _own(self, x: SX) -> SX:
-        """Entries of dependent coordinates alone."""
+        """Return the entries of dependent coordinates alone."""
         return x[: self.e.dependent] if self.e.dependent else SX(0, 1)
 
     def evaluated(self, t: SX, q: SX, v: SX, u: SX) -> list[SX]:
-        """MATRICES; a and lam after the first iteration, power, watch."""
+        """Return MATRICES, a and lam after the first iteration, power, watch."""
         *found, watch = self.begun(self.terms(t, q, v, u))
         return [*found, self.power(t, q, v, u), watch]
 
     def begun(self, terms: Sequence[SX]) -> list[SX]:
-        """The same for given M, C, F, xi, and without power."""
+        """Return these for given M, C, F, xi, without power."""
         D, L = self.factors(self.augmented_mass(*terms[:2]))
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
         watch = Watch(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
-        """a, lam and watch after one more iteration."""
+        """Return a, lam and watch after one more iteration."""
         a, lam, change = self.iterated((M, C, F, xi), (D, L), a, lam, 1)
-        # Forces that balance each other leave their round-off, beside which accelerations may be nothing.
+        # Balanced forces leave round-off, which may exceed accelerations near zero.
         left = self.settings.tolerance**2 * ca.sumsqr(F) / (ca.sumsqr(ca.diag(M)) + _TINY)
         change = ca.fmax(ca.sumsqr(change) - left, 0)
         return a, lam, Watch.of(watch)._replace(change=change, size=ca.sumsqr(a)).vector()
 
     def iterated(self, terms: Sequence[SX], factors: tuple[SX, SX], a: SX, lam: SX, most: int) -> tuple[SX, SX, SX]:
-        """a and lam after so many iterations, and the last change of a."""
+        """Return a and lam after `most` iterations, and the last change of a."""
         M, C, F, xi = terms
         changes = []
 
@@ -256,19 +250,19 @@ class Scene:
         return a, lam, changes[-1]
 
     def _at_rest(self) -> tuple[SX, SX]:
-        """a and lam that iterations begin with."""
+        """Return a and lam at the start of iterations."""
         return SX(self.e.n, 1), SX(self.e.l, 1)
 
     def nearest(self, plan: Plan, t: SX, q: SX, v: SX, u: SX, a: SX) -> tuple[SX, SX]:
-        """Accelerations that keep the constraints, the nearest to a in the metric of M, and what tells of them."""
+        """Return the accelerations nearest to a in the metric of M that satisfy the constraints, and their watch."""
         M, C, _, xi = self.terms(t, q, v, u)
         D, L = self.factors(self.augmented_mass(M, C))
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
         return found, Watch(ca.sumsqr(change), ca.sumsqr(found), ca.mmin(D), *self.margin(D)).vector()
 
     def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
-        """Number of checks of the multiplier iteration that fail; `limit` is what may be left where they are few, the
-        tolerance unless given."""
+        """Return the number of failed convergence checks; `limit` is the error allowed after few iterations, by default
+        the tolerance."""
         if not self.e.l:
             return SX(0)
         change, size = sum(x.change for x in evaluations), evaluations[0].size
@@ -279,13 +273,13 @@ class Scene:
         return 1 - (change <= limit ** (2 * (m - 1) / m) * size + _TINY)
 
     def gaining(self, watch: SX, before: SX) -> tuple[SX, SX]:
-        """Whether multiplier iterations that have not converged still gain, and the last change."""
+        """Return whether multiplier iterations that have not converged still gain, and the last change."""
         seen = Watch.of(watch)
         done = seen.change <= self.settings.tolerance**2 * seen.size + _TINY
         return ca.logic_and(ca.logic_not(done), seen.change < method.GAIN**2 * before), seen.change
 
     def softened(self) -> SX:
-        """k with smaller penalties, by which what masses make of H is not lost beside them."""
+        """Return k with smaller penalties, beside which the contribution of masses to H keeps its digits."""
         settings = self.settings
         typical = ca.exp(settings.masses / ca.fmax(settings.freedom, 1))
         factor = ca.if_else(settings.freedom > 0, ca.fmin(ca.fmax(SOFT / typical, 1), _SOFTEST), 1)
@@ -298,9 +292,9 @@ class Scene:
         return ca.vertcat(*settings._replace(**changed), self.k[len(SETTINGS) :])
 
     def judged(self, plan: Plan, watch: SX) -> tuple[SX, SX]:
-        """Whether more iterations are needed, and the watch with what one more would change at most where not.
+        """Return whether more iterations are needed, and the watch with a bound of the change by one more if not.
 
-        An iteration gains the margin over that of a singular position at least, which masses make.
+        An iteration gains at least the ratio of the margin to the pivot contributed by masses.
         """
         seen = Watch.of(watch)
         next_change = seen.change * (self.settings.nothing / branch.NOISE_FLOOR / seen.margin) ** 2
@@ -310,12 +304,12 @@ class Scene:
     # Implicit methods ----------------------------------------------------------------------------------------------
 
     def given(self, z: SX, u: SX) -> SX:
-        """Inputs, and behind them the states of z: what the equations call u."""
+        """Return inputs, followed by the states of z: u of the equations."""
         layout = Layout(self.e)
         return ca.vertcat(u, z[layout.states : layout.time]) if self.e.states else u
 
     def stiffness(self, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX, M: SX, C: SX) -> tuple[SX, SX, SX]:
-        """H, Q, V of `alfmu.method.implicit.stiffness`; states count behind v, as velocities of masses of 1."""
+        """Return H, Q, V of `alfmu.method.implicit.stiffness`; states follow v, as velocities of masses of 1."""
         tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
         Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
         H = self.augmented_mass(M, C)
@@ -323,15 +317,15 @@ class Scene:
         return self.beside_states(*found, *map(ca.sparsify, tangents[5:])) if self.e.states else found
 
     def beside_states(self, H: SX, Q: SX, V: SX, Rx: SX, Gq: SX, Gv: SX, Gx: SX) -> tuple[SX, SX, SX]:
-        """The same matrices with rows and columns for states, which are no displacements."""
+        """Return these matrices with rows and columns for states, which are no displacements."""
         n, count, s = self.e.n, len(self.e.states), self.scale
         Q = ca.blockcat([[Q, SX(n, count)], [s * Gq, SX(count, count)]])
         return ca.diagcat(H, s * SX.eye(count)), Q, ca.blockcat([[V, s * Rx], [s * Gv, s * Gx]])
 
     def positions(self, rule: Newmark, dt: SX, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> tuple[SX, ...]:
-        """H, Rq, Rv, C (by columns), Phi and the right-hand side of `method.implicit.position_step`.
+        """Return H, Rq, Rv, C (by columns), Phi and the right-hand side of `method.implicit.position_step`.
 
-        Behind the accelerations a are the rates of states, as in `stiffness`.
+        The rates of states follow the accelerations a, as in `stiffness`.
         """
         M, C, F, _ = self.terms(t, q, v, u)
         Phi = self.e.Phi(q, self.p)
@@ -355,7 +349,7 @@ class Scene:
     # Multipliers where constraints are redundant -------------------------------------------------------------------
 
     def least(self, C: SX, D: SX, L: SX, lam: SX) -> SX:
-        """lam of least norm; not finite where the passes were too few, as they are with small penalties."""
+        """Return lam of least norm, NaN if the passes did not converge, as with small penalties."""
         left: list[SX] = []
 
         def done(change: SX, value: SX) -> bool:
@@ -367,7 +361,7 @@ class Scene:
         return ca.if_else(left[0], math.nan, lam + rubbing if self.e.frictions else lam)
 
     def _apart(self, lam: SX) -> tuple[SX, SX]:
-        """lam of constraints in force, and that of dry friction, which belongs to none of them."""
+        """Return lam of constraints in force, and that of dry friction, which is none of them."""
         if not self.e.frictions:
             return lam, SX(self.e.l, 1)
         own = SX(self.e.l, 1)
@@ -376,7 +370,7 @@ class Scene:
         return lam - own, own
 
     def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX, before: SX) -> tuple[SX, SX, SX, SX]:
-        """One more pass: z, lam by it, whether another one is needed, and its change (squared)."""
+        """Make one more pass: return z, its lam, whether another one is needed, and its change (squared)."""
         lam, rubbing = self._apart(lam)
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
@@ -386,8 +380,8 @@ class Scene:
         return z, lam + rubbing if self.e.frictions else lam, more, changed
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
-        """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
-        few."""
+        """Return lam shared among joints by the given compliances or with least norm; NaN if the passes did not
+        converge."""
         weights, last = self._shares, []
         lam, rubbing = self._apart(lam)
 
@@ -403,16 +397,16 @@ class Scene:
         return lam + rubbing if self.e.frictions else lam
 
     def light(self, M: SX) -> SX:
-        """M made so small beside penalties that few passes are enough, whatever penalty is given."""
+        """Return M scaled so far below penalties that few passes suffice, for any given penalty."""
         return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
 
     def carried(
         self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED, impact: bool = False
     ) -> SX:
-        """lam that acts alike with the least that joints carry; not finite where the passes were too few.
+        """Return lam of the same effect with least loads of joints; NaN if the passes did not converge.
 
-        In an impact, a are changes of v, and nothing else loads joints. docs/theory/redundancy.md has what this is,
-        `method.formulations.shared_again` how it is found.
+        In an impact, a are changes of v, and there are no other loads. docs/theory/redundancy.md defines the loads,
+        `method.formulations.shared_again` the algorithm.
         """
         e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
         held = SX.ones(e.l) if self.kind == "plain" else self.held
@@ -429,7 +423,7 @@ class Scene:
         C = ca.sparsify(ca.diag(held) @ C)
         sizes = self._sizes(P, C, carried)
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
-        # A column of round-off is none beside what H has on its diagonal.
+        # A column at the level of round-off of H's diagonal counts as zero.
         there = ca.fmin(1, ca.densify(ca.sum1(C**2).T) * self.inverse_scales)
         weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
 
@@ -445,9 +439,10 @@ class Scene:
         return lam + self.scale * ca.if_else(found, d, math.nan)
 
     def _sizes(self, P: SX, C: SX, carried: Sequence[int]) -> SX:
-        """Return the size (l,) of each row of P; of rows that no joint carries, by their columns of C in others.
+        """Return the size (l,) of each row of P; rows without loads of joints get one from their columns of C in
+        others.
 
-        So multipliers of all rows compare, in whatever unit each is.
+        The sizes make multipliers of all rows comparable, in any units.
         """
         e = self.e
         inverse = ca.vertcat(*(1 / P[i, i] if i in carried else SX(0) for i in range(e.l)))
@@ -457,7 +452,7 @@ class Scene:
         return ca.vertcat(*(P[i, i] if i in carried else ca.if_else(found[i] > 0, found[i], 1) for i in range(e.l)))
 
     def _inverse(self, K: SX) -> method.Solve:
-        """What solves with a matrix (l, l)."""
+        """Return a solver with a matrix (l, l)."""
         order = K.sparsity().amd()
         K = ca.sparsify(K)[order, order]
         D, L = self._factors_of(K)
@@ -467,31 +462,31 @@ class Scene:
     # Singular positions --------------------------------------------------------------------------------------------
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
-        """S2: whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[self.e.order]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
-        if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
+        if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
             return near, SX(1)
         small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
         if self.e.turns and few:
             irregular = _product(ratios) < self.settings.regular
             near, small = near * irregular, small * irregular
         more = ca.sum1(small) - self.settings.freedom
-        # Of many, the product could leave the range of numbers.
+        # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
         )
         return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
 
     def irregular(self, q: SX) -> SX:
-        """Whether more constraints may depend on each other at q than usually do, whatever the masses.
+        """Return whether more constraints may be dependent at q than at regular positions, for any masses.
 
-        The margin also vanishes where a mechanism moves no mass to speak of, as at a dead centre with heavy sliders.
+        The margin also vanishes where a mechanism moves almost no mass, as at a dead centre with heavy sliders.
         """
         held = self.held if self.kind == "weighted" else SX.ones(self.e.l)
         C = ca.densify(self.e.C(q, self.p)) * held
         K = C @ C.T
-        # A row of a joint that vanishes is not told by its own size, but by that of all of them.
+        # A vanishing row of a joint is compared with the size of all its rows.
         joints = [(row.name, row.unit) for row in self.e.rows]
         together = ca.DM([[float(one == other) for other in joints] for one in joints])
         sizes = ca.sqrt(together @ ca.diag(K))
@@ -501,12 +496,12 @@ class Scene:
         return ca.sum1(pivots < branch.BRANCH_MARGIN) > usual
 
     def margin_at(self, q: SX) -> SX:
-        """S2: the margin at a place."""
+        """S2: return the margin at a position."""
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
-        """S4: distance [s] of places along v; a step may be too short to tell the places apart."""
+        """S4: return the spacing [s] of positions along v; a step may be too short to distinguish them."""
         spacing, units = share * dt, [c.unit for c in self.e.coordinates[: self.e.dependent]]
         sizes = [
             x * self.settings.inverse_length if u == "m" else x for u, x in zip(units, ca.vertsplit(v), strict=False)
@@ -515,49 +510,49 @@ class Scene:
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(fastest, _TINY))
 
     def probed(self, q: SX) -> tuple[SX, ...]:
-        """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
-        most of which is known then."""
+        """Return the margin at q, whether a limit may have to be taken there, a zero spacing; and q after a correction
+        (10), which shares most of the computation."""
         here = self.margin_at(q)
         farthest = branch.LIMIT_ZONE * self.settings.least_distance
         near = 1 - (ca.sqrt(here) >= farthest)
         return here, near, SX(0), self.placed(q)
 
     def aside(self, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
-        """S2: the places beside q, one spacing along v before and after it."""
+        """S2: return the positions one spacing along v before and after q."""
         before, after = (q + k * spacing * v for k in (-1, 1))
         return before, after
 
     def approached(self, here: SX, before: SX, after: SX, spacing: SX) -> tuple[SX, SX]:
-        """S4: whether the limit has to be taken at a place of a known margin, and the spacing [s] of the places for it,
-        by the margins beside it."""
+        """S4: return whether the limit has to be taken at a position of known margin, and the spacing [s] of its
+        positions, from the margins on either side."""
         rate = self._rate(here, before, after)
         first = self.settings.least_distance
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
-        # Where the places are too near to tell, the spacing is infinite, and the step is left to the patient tier.
+        # Indistinguishable positions give an infinite spacing, which leaves the step to the patient tier.
         return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * first / rate
 
     def _rate(self, here: SX, before: SX, after: SX) -> SX:
-        """S2: the distance that one spacing along v covers, by margins; 0 where that cannot be told."""
+        """S2: return the distance covered by one spacing along v, from margins; 0 if it is indistinguishable."""
         squared = branch.curvature(before, here, after)
-        told = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
-        return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+        clear = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
+        return ca.if_else(clear, ca.sqrt(ca.fmax(squared, 0)), 0)
 
     def places(self, q: SX, v: SX, spacing: SX, side: int) -> list[SX]:
-        """S4: the places from which a limit is taken."""
+        """S4: return the positions from which a limit is taken."""
         return [q + k * spacing * v for k in branch.weights(side)]
 
     def mean(self, accelerations: Sequence[SX], watches: Sequence[SX], side: int) -> tuple[SX, SX]:
-        """S4: the limit, and the worst of what the evaluations say."""
+        """S4: return the limit, and the worst watch of its evaluations."""
         a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
         seen = [Watch.of(x) for x in watches]
         return a, _worst(seen, seen[0].near, seen[0].margin)
 
     def mean_of(self, values: Sequence[SX], side: int) -> SX:
-        """S4: the limit of a number."""
+        """S4: return the limit of a number."""
         return branch.mean(dict(zip(branch.weights(side), values, strict=True)))
 
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
-        """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
+        """S3: return q displaced along the motion to the position nearest to `wanted`, and the v of that motion."""
         mass, heavy = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing, SX(self.e.n, 1)
         for i in self.e.telling:
             heavy[i] = mass / self.inverse_scales[i]
@@ -571,16 +566,17 @@ class Scene:
         return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v, speed, ca.vertcat(self._own(v), 0))
 
     def read_places(self, here: SX, before: SX, after: SX, spacing: SX, q: SX, v: SX) -> list[SX]:
-        """S4: the places from which a limit is read, by margins; not finite where they cannot be told from the position
-        itself."""
+        """S4: return the positions from which a limit of outputs is taken, by margins; NaN if they are
+        indistinguishable from q."""
         spacing *= branch.READ_DISTANCE / self._rate(here, before, after)
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """a, lam and watch from those at the places and those here; whether lam has a limit (1) or a pole (2).
+        """Return a, lam and watch from those at the positions and those here; whether lam has a limit (1) or a pole
+        (2).
 
-        Limits are taken where they are more exact than what is found here: `branch.with_pole`. Behind what is found
-        here may be the error of reactions here; then the last result is that of reactions that are read.
+        Limits are used if they are more accurate than the values here: `singular.with_pole`. The error of reactions
+        here may follow these values; the last result is then that of the reactions returned.
         """
         count = len(branch.READ_MEAN)
         found, (here, lam_here, watch, *lost_here) = found[: 3 * count], found[3 * count :]
@@ -589,8 +585,8 @@ class Scene:
         )
         margin = Watch.of(watch).margin
         limit, pole, magnified = self._with_pole(lam)
-        told, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
-        rough, coarse = (self._with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
+        use_pole, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
+        rough, coarse = (self._with_pole(x, use_pole)[0] for x in (fewer, branch.fewer(fewer)))
         change = ca.mmax(ca.fabs(limit - rough))
         lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
         direct = ca.logic_and(margin > self.settings.nothing, lost < change)
@@ -602,12 +598,12 @@ class Scene:
         return a, lam, said, 1 + pole, *(ca.if_else(direct, x, error) for x in lost_here)
 
     def lost(self, C: SX, F: SX, lam: SX, watch: SX) -> SX:
-        """Error of reactions that are read at a place itself."""
+        """Return the error of reactions evaluated at a position itself."""
         loads = ca.mmax(ca.fabs(ca.vertcat(F, C.T @ lam))) / self.scale
         return branch.reading_error(Watch.of(watch).margin, EPSILON) * loads
 
-    def _with_pole(self, values: dict[int, SX], told: SX | float = 1.0) -> tuple[SX, SX, SX]:
-        """`branch.with_pole`."""
+    def _with_pole(self, values: dict[int, SX], use_pole: SX | float = 1.0) -> tuple[SX, SX, SX]:
+        """Compute `singular.with_pole`."""
         limit, first, second = map(ca.densify, branch.pole(values))
         least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
         steepest, at = first[0], second[0]
@@ -615,15 +611,15 @@ class Scene:
             more = ca.fabs(first[i]) > ca.fabs(steepest)
             steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
         pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
-        beside = told * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        beside = use_pole * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
         limit -= ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0)
         return limit, pole, ca.if_else(beside, (steepest / at) ** 2, 0)
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
     def corrected(self, q: SX, v: SX) -> tuple[SX, SX, SX, SX]:
-        """q and v after one correction (10) each, by H and C' of q as it was, which serves both at a regular position;
-        the smallest pivot, the residues (squared) of both."""
+        """Return q and v after one correction (10) each, by H and C' of the old q, which serves both at a regular
+        position; the smallest pivot, the residuals (squared) of both."""
         M, C, D, solve = self._augmented(q)
         q = self._closer(M, C, solve, q)
         after = self.e.C(q, self.p)
@@ -632,12 +628,12 @@ class Scene:
         return q, v, ca.mmin(D), self._residues(q, self.speed(q, v, after))
 
     def placed(self, q: SX) -> SX:
-        """q after a correction (10)."""
+        """Return q after a correction (10)."""
         M, C, _, solve = self._augmented(q)
         return self._closer(M, C, solve, q)
 
     def settled(self, q: SX, v: SX, corrections: int) -> tuple[SX, SX, SX]:
-        """v after corrections (10), the smallest pivot, and the residues (squared) of q and v."""
+        """Return v after corrections (10), the smallest pivot, and the residuals (squared) of q and v."""
         M, C, D, solve = self._augmented(q)
         for _ in range(corrections):
             Cv = self.speed(q, v, C)
@@ -645,15 +641,15 @@ class Scene:
         return v, ca.mmin(D), self._residues(q, self.speed(q, v, C))
 
     def open(self, q: SX) -> SX:
-        """Whether q does not keep the constraints well enough."""
+        """Return whether q violates the constraints beyond the tolerance."""
         return 1 - self._within(self._residue(self.e.Phi(q, self.p)), q)
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
-        """Whether q and v with these residues (squared) do not."""
+        """Return whether these residuals (squared) of q and v exceed the tolerance."""
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
     def along(self, q: SX, *parts: SX) -> tuple[SX, ...]:
-        """Displacements or velocities without what the constraints take of them."""
+        """Return displacements or velocities projected onto the constraints."""
         _, C, _, solve = self._augmented(q)
         return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
 
@@ -667,45 +663,48 @@ class Scene:
         x: SX | None = None,
         change: SX | None = None,
     ) -> tuple[SX, SX]:
-        """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
-        where it is more; and `least` over the tolerance at most. `parts` are the errors of q and v along the motion,
-        `x` are the states and `change` their error."""
+        """Return the largest error of the constrained state over the tolerance, and the largest `least` over the
+        tolerance.
+
+        Errors below the round-off `least` (2 n) are zero; where it exceeds the tolerance, it replaces it. `parts` are
+        the errors of q and v along the motion, `x` are the states and `change` their error.
+        """
         size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
         floor, over = SX(0), size / allowed
         if least is not None:
             floor, over = ca.mmax(least / allowed), ca.fmax(size - least, 0) / ca.fmax(allowed, least)
         if x is not None:
             size, over = ca.vertcat(size, change), ca.vertcat(over, ca.fabs(change) / self._allowed_of_states(z, x))
-        # The largest of numbers leaves out those that are none.
+        # fmax ignores NaN.
         return ca.if_else(ca.sumsqr(size) < math.inf, ca.mmax(over), math.inf), floor
 
     def bound_size(self, z: SX, q: SX, v: SX, x: SX | None, bounds: SX) -> SX:
-        """Largest of bounds of errors of q, v and states over the tolerance."""
+        """Return the largest of bounds of errors of q, v and states over the tolerance."""
         allowed = self._allowed_of(z, q, v)
         over = bounds / (allowed if x is None else ca.vertcat(allowed, self._allowed_of_states(z, x)))
         return ca.if_else(ca.sumsqr(bounds) < math.inf, ca.mmax(over), math.inf)
 
     def _allowed_of(self, z: SX, q: SX, v: SX) -> SX:
-        """Tolerance of q and v in a step from z."""
+        """Return the tolerance of q and v in a step from z."""
         return self.allowed(ca.fmax(ca.fabs(z[: 2 * self.e.n]), ca.fabs(ca.vertcat(q, v))))
 
     def _allowed_of_states(self, z: SX, x: SX) -> SX:
-        """Tolerance of states in a step from z."""
+        """Return the tolerance of states in a step from z."""
         layout = Layout(self.e)
         return self.allowed_states(ca.fmax(ca.fabs(z[layout.states : layout.time]), ca.fabs(x)))
 
     def nudged(self, q: SX, v: SX) -> tuple[SX, SX]:
-        """q and v with their last digits changed."""
+        """Return q and v with their last digits changed."""
         sign = SX([(-1) ** i for i in range(self.e.n)])
         return q * (1 + EPSILON * sign), v * (1 + EPSILON * sign)
 
     def least_error(self, rule: Explicit, dt: SX, v: SX, left: SX) -> SX:
-        """What round-off leaves of the error of a step of q and v (2 n), where it leaves so much of accelerations."""
+        """Return the error of a step of q and v (2 n) due to the round-off `left` of accelerations."""
         return NOISE * math.hypot(*rule.errors[0]) * dt * ca.vertcat(dt * left + EPSILON * ca.fabs(v), left)
 
     def allowed(self, sizes: SX) -> SX:
-        """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact, and a place far
-        from the origin no length."""
+        """Return the tolerance of each entry of q and v of given sizes, which neither whole turns nor a distance from
+        the origin increase."""
         larger = ca.vertsplit(sizes)
         for i, c in enumerate(self.e.coordinates):
             if c.unit in ("rad", "m"):
@@ -714,18 +713,18 @@ class Scene:
         return ca.vertcat(*least, *least) + self.settings.relative * ca.vertcat(*larger)
 
     def allowed_states(self, sizes: SX) -> SX:
-        """Tolerance of states of given sizes."""
+        """Return the tolerance of states of given sizes."""
         nominal = ca.DM([v.nominal for v in self.e.states])
         return self.settings.absolute * nominal + self.settings.relative * sizes
 
     def closed(self, plan: Plan, names: Iterable[str]) -> SX:
-        """The state after a step from these values; its `trouble` counts failed checks, each a comparison that NaN
+        """Return the state after a step from these values; its `trouble` counts failed checks, comparisons that NaN
         fails."""
         e, layout, known = self.e, Layout(self.e), {name: self.symbol(name) for name in names}
         z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
         evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", SX(0, 1))))
-        # Error control judges what iterations leave by the error that it makes; few of them also by how they gain.
+        # Error control also sees the error of iterations; few of them are judged by their rate of convergence, too.
         fixed = known["pace"][PACE.index("fixed")] != 0 if "pace" in known else SX(1)
         limit = ca.if_else(
             fixed, self.settings.tolerance, ca.fmax(self.settings.tolerance, LEFT_BY_FEW * self.settings.relative)
@@ -758,7 +757,7 @@ class Scene:
             q, v = ca.vertcat(self._own(q), arrival), ca.vertcat(self._own(v), 1)
         return ca.vertcat(q, v, angles, work, x, arrival, z[layout.trouble] + trouble, change, pivot, near)
 
-    # What is read --------------------------------------------------------------------------------------------------
+    # Outputs -------------------------------------------------------------------------------------------------------
 
     def seen(
         self,
@@ -774,7 +773,7 @@ class Scene:
         lost: SX | float = 0.0,
         limit: float | None = None,
     ) -> SX:
-        """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
+        """Return outputs, monitors, and `memory.SEEN`; a, lam and watch are None if no output needs them.
 
         `limit` is that of `unconverged`.
         """
@@ -787,12 +786,12 @@ class Scene:
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
         monitors = []
-        if set(MONITORED) - set(e.monitors):
+        if {monitor.name for monitor in MONITORS} - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
             values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
             values = *values, plan.iterations, ca.sqrt(margin), singular, lost
-            monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
+            monitors = [x for each, x in zip(MONITORS, values, strict=True) if each.name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
         seen, near = Watch.of(watch), SX(0)
@@ -802,7 +801,7 @@ class Scene:
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
-        """Computed angles moved by whole turns to the values nearest to those that `near` begins with."""
+        """Return computed angles moved by whole turns to the values nearest to those at the start of `near`."""
         e = self.e
         if not e.wrapped:
             return SX(0, 1)
@@ -811,29 +810,29 @@ class Scene:
         raw = readings[[names[name] for name in e.wrapped]]
         return raw + 2 * ca.pi * ca.floor((near[: len(e.wrapped)] - raw) / (2 * ca.pi) + 0.5)
 
-    # Residues and factors ------------------------------------------------------------------------------------------
+    # Residuals and factors -----------------------------------------------------------------------------------------
 
     def _angles(self, q: SX) -> SX:
-        """Of coordinates, those in rad."""
+        """Return the coordinates in rad."""
         return q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]
 
     def _closed(self, left: SX, q: SX, v: SX, quick: bool, near: SX | None) -> SX:
-        """Whether both residues (squared) are within the tolerance, or within round-off.
+        """Return whether both residuals (squared) are within the tolerance, or within round-off.
 
-        The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish. A
-        quick step has too few corrections to find that out. Near a singular position q has lost more digits in the
-        direction that C hardly holds: by one over the distance, down to the least that can be told.
+        Round-off of large angles perturbs C, so that no v satisfies its dependent rows exactly. A quick step has too
+        few corrections to detect that. Near a singular position round-off of q is larger in the direction that C hardly
+        determines: by one over the distance, down to the smallest distinguishable one.
         """
         turned = 1.0 if quick else ca.fmax(1, ca.sumsqr(self._angles(q)))
         lost = turned if near is None else ca.if_else(near, ca.fmax(turned, 1 / self.settings.nothing), turned)
         return self._within(left[0], q) * self._within(left[1], v, lost)
 
     def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
-        """Whether a residue (squared) of x is within the tolerance, or within round-off, which is so much larger."""
+        """Return whether a residual (squared) of x is within the tolerance, or within `larger` times round-off."""
         return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * self._squares(x))
 
     def _squares(self, x: SX) -> SX:
-        """Sum of squares of coordinates or velocities, lengths over that of the mechanism."""
+        """Return the sum of squares of coordinates or velocities, lengths over that of the mechanism."""
         lengths = [i for i, c in enumerate(self.e.coordinates) if c.unit == "m"]
         others = [i for i, c in enumerate(self.e.coordinates) if c.unit != "m"]
         return ca.sumsqr(x[others]) + self.settings.inverse_length**2 * ca.sumsqr(x[lengths])
@@ -842,28 +841,28 @@ class Scene:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)
 
     def _residues(self, q: SX, Cv: SX) -> SX:
-        """Sums of squares of Phi and Phi-dot, in units of the rows."""
+        """Return the sums of squares of Phi and Phi-dot, in units of the rows."""
         return ca.vertcat(self._residue(self.e.Phi(q, self.p)), self._residue(Cv))
 
     def _residue(self, rows: SX) -> SX:
-        """Sum of squares of Phi or Phi-dot, in units of the rows."""
+        """Return the sum of squares of Phi or Phi-dot, in units of the rows."""
         if self.kind == "plain":
             return ca.sumsqr(rows) * self.inverse_units**2
         return ca.sumsqr(rows * self.held * self.inverse_units)
 
     def _closer(self, M: SX, C: SX, solve: method.Solve, q: SX) -> SX:
-        """q after a correction (10)."""
+        """Return q after a correction (10)."""
         Phi = self.e.Phi(q, self.p)
         return q + method.project_residual(M, C, self.weights, solve, Phi, lambda d: self.e.Phi(q + d, self.p))
 
     def _augmented(self, q: SX) -> tuple[SX, SX, SX, method.Solve]:
-        """M and C, the pivots of H, and what solves with it."""
+        """Return M and C, the pivots of H, and its solver."""
         M, C = self.scale * self.e.M(q, self.p), self.e.C(q, self.p)
         D, L = self.factors(self.augmented_mass(M, C))
         return M, C, D, self.solver(D, L)
 
     def augmented_mass(self, M: SX, C: SX) -> SX:
-        """H, with what is the same at every position left to the parameters alone."""
+        """Return H, with constant entries as functions of the parameters alone."""
         H = method.augmented_mass(M, C, self.weights)
         for place, value in self._steady.items():
             H[place] = value
@@ -871,7 +870,7 @@ class Scene:
 
     @cached_property
     def _steady(self) -> dict[tuple[int, int], SX]:
-        """Entries of H that contain q and yet do not depend on it, as the square of a length that turns does not."""
+        """Return entries of H that contain q but do not depend on it, such as the square of a rotating length."""
         e, q = self.e, SX.sym("q", self.e.n)
         if e.n > DENSE:
             return {}
@@ -889,7 +888,7 @@ class Scene:
         return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
 
     def factors(self, H: SX) -> tuple[SX, SX]:
-        """D and L' - I of the LDL' factorisation of H, its coordinates in the order `Equations.order`."""
+        """Return D and L' - I of the LDL' factorisation of H, with coordinates in the order `Equations.order`."""
         order = self.e.order
         H = H[order, order]
         if self.e.n > DENSE:
@@ -897,14 +896,14 @@ class Scene:
         return self._factors_of(H)
 
     def _factors_of(self, H: SX) -> tuple[SX, SX]:
-        """The same of a matrix in the order of its rows."""
+        """Return these factors of a matrix in the order of its rows."""
         pattern = *H.sparsity().colind(), *H.sparsity().row()
         if pattern not in self._factorisations:
             self._factorisations[pattern] = _factorisation(H.sparsity())
         return self._factorisations[pattern](H)
 
     def solver(self, D: SX, L: SX) -> method.Solve:
-        """What solves with these factors: by one division a pivot, whose time is that of several products."""
+        """Return a solver with these factors, by one division per pivot, which takes as long as several products."""
         order = self.e.order
         if self.e.n > DENSE:
             return lambda b: ca.ldl_solve(b, D, L, order)
@@ -913,13 +912,13 @@ class Scene:
 
 
 def _once(quotient: SX) -> SX:
-    """The same, by which CasADi multiplies instead of dividing each product again."""
+    """Return the quotient in a form that makes CasADi multiply by it instead of dividing each product again."""
     return ca.copysign(quotient, quotient)
 
 
 def _factorisation(pattern: ca.Sparsity) -> ca.Function:
-    """D and L' - I of the LDL' factorisation of a matrix with such nonzeros, as a function of it; by a division a
-    pivot."""
+    """Return the function from a matrix of this sparsity to D and L' - I of its LDL' factorisation, with one division
+    per pivot."""
     n, H = pattern.size1(), SX.sym("H", pattern)
     pattern = pattern.ldl(False)[0]
     D, inverse, upper, scaled = SX(n, 1), [SX(0)] * n, SX(pattern), SX(pattern)
@@ -935,7 +934,7 @@ def _factorisation(pattern: ca.Sparsity) -> ca.Function:
 
 
 def _worst(seen: Sequence[Watch], near: SX, margin: SX) -> SX:
-    """The worst that several evaluations say, with this of the distance to a singular position."""
+    """Return the worst of several watches, with this distance to a singular position."""
     pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
     return Watch(sum(x.change for x in seen), sum(x.size for x in seen), pivot, near, margin).vector()
 

@@ -1,4 +1,4 @@
-"""A scene as one file for the C runtime: its tables, functions and programs; the headers that both languages share."""
+"""A scene file for the C runtime: tables, functions and programs; headers for constants that both languages share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from ..equations import Equations, Variable
+from ..equations import Configuration, Equations, Variable
 from ..equations.evaluation import DENSE
 from ..equations.friction import LIMITED, SHARED
 from ..equations.interface import (
@@ -29,16 +29,16 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
-from ..model.kept import once
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from ..model.units import rate_of
 from . import memory, thresholds
-from .alternatives import OWN
+from .alternatives import CHOSEN
 from .alternatives import formulations as carried
+from .controlled import whole
 from .emit import compiled_code
-from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, called
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
 from .joined import joined
 from .lanes import laned
 from .memory import TIERS, Layout
@@ -48,6 +48,7 @@ from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
 __all__ = [
+    "HEAD",
     "alone",
     "function_sizes",
     "identified",
@@ -55,20 +56,21 @@ __all__ = [
     "known_choices",
     "layout_header",
     "machine_code",
+    "number_of",
     "packed",
     "packed_start",
 ]
 
-VERSION = 19
-"""Of scene files; raised whenever their content changes meaning."""
+VERSION = 20
+"""Version of scene files, increased whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
 
 HEAD, IDENTITY = 64, 40
-"""Bytes before the body: MAGIC, version, length, check sum; at their end the identity."""
+"""Number of bytes before the body: MAGIC, version, length, checksum, and the identity."""
 
 REFERENCES = ("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance")
-"""Numbers of the solver that the runtime reads."""
+"""Solver variables that the runtime reads."""
 
 FIELDS = ("z", "after", "begin", "u", "p", "k", "dt", "control", "tally", "pace", "past", "seen")
 """Fields of the memory that the runtime reads and writes."""
@@ -79,29 +81,27 @@ def _same(names: str) -> dict[str, str]:
 
 
 HANDED = {
-    **_same("most patient du slopes within q v dy struck lost again stabilisation projects"),
+    **_same("most patient slopes within q v struck lost again stabilisation projects of_least_norm on_branch onward"),
+    **{name: name for name in CHOSEN.values()},
     "impulse": "impulses",
     **_same(" ".join(f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4))),
     **_same("watch0 read_watch grip"),
 }
-"""What the runtime and programs hand to each other, by its name in C."""
+"""Values passed between the runtime and programs, by their names in C."""
 
-OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
     **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
     **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
-"""Functions that the runtime calls, by their names in C."""
+"""Functions called by the runtime, by their names in C."""
 
 PROGRAMS = {
-    **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
+    **_same("quick careful instant limit move close impact reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
     **{"stiff_step": "stiff", "regular_step": "regular"},
-    **_same("short_beside onward short_onward instant_quick"),
-    **_same("instant_patient limit_patient keep gripping"),
-    **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
+    **_same("short_beside instant_quick instant_patient limit_patient gripping"),
 }
-"""Programs that the runtime runs, by their names in C."""
+"""Programs run by the runtime, by their names in C."""
 
 Number = Callable[["_Table"], float]
 
@@ -128,14 +128,14 @@ COUNTS: dict[str, Number] = {
     "peaks": lambda t: len(t.e.peaks),
     "break_count": lambda t: len(t.e.breaks),
 }
-"""Of what a scene has, each checked when it is loaded."""
+"""Counts of a scene, each checked when it is loaded."""
 
 _WATCHED = {
     **{"position": "position_error", "velocity": "velocity_error", "energy": "energy"},
     **{"iterations": "iterations", "step_error": "step_error"},
 }
-"""Monitors whose largest values an instance keeps, and those that it computes itself: iterations where loops stop on
-convergence, and the error of a step."""
+"""Monitors whose largest values an instance records, and those that it computes itself: iterations of loops that stop
+on convergence, and the error of a step."""
 
 NUMBERS: dict[str, Number] = {
     **COUNTS,
@@ -154,6 +154,9 @@ NUMBERS: dict[str, Number] = {
     "method": lambda t: 1 + (t.method in FIXED) if t.rule else 0,
     "rk4_choice": lambda t: list(t.known["solver.method"]).index("rk4") if "rk4" in t.known["solver.method"] else -1,
     "automatic": lambda t: default_settings(t.e).method == "auto",
+    "reuses": lambda t: any(
+        "onward" in taken(t.e.kernel[name].steps) for name in ("quick", "short") if name in t.e.kernel
+    ),
     "implicit": lambda t: bool(t.rule) and t.e.kernel["method"].nodes > 0,
     "method_cost": lambda t: t.cost("method"),
     "short_cost": lambda t: t.cost("short"),
@@ -165,7 +168,7 @@ NUMBERS: dict[str, Number] = {
         for name in ("time", "work", "trouble", "change", "near")
     },
     "size": lambda t: t.layout.size,
-    # What a scene does not hand on has a place at the beginning, which has room for it.
+    # Values that a scene does not pass on share the start, which has room for them.
     "workspace": lambda t: max(
         t.workspace, t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1
     ),
@@ -173,7 +176,7 @@ NUMBERS: dict[str, Number] = {
     **{name: partial(lambda key, t: t.number.get(key, -1), key) for name, key in FUNCTIONS.items()},
     **{name: partial(lambda key, t: t.program.get(key, -1), key) for name, key in PROGRAMS.items()},
 }
-"""Numbers of a scene that the runtime knows by name."""
+"""Numbers of a scene that the runtime reads by name."""
 
 REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
@@ -188,25 +191,26 @@ REALS: dict[str, Number] = {
 }
 
 NODE_COST = 6
-"""Evaluations that a node of an implicit step costs, with its tangents and passes of Newton's method."""
+"""Evaluations equivalent to a node of an implicit step, with its tangents and iterations of Newton's method."""
 
-HOT = ("quick", "onward", "instant", "instant_quick", "method", "short", "short_onward")
-"""Programs whose calls are joined: they run in every step."""
+HOT = ("quick", "instant", "instant_quick", "method", "short")
+"""Programs with joined calls: they run in every step."""
 
 
 def interface(equations: Equations) -> Interface:
-    """The variables of a scene; it carries one order of inputs."""
+    """Return the variables of a scene, which has one order of inputs."""
     found = variables_of(equations)
     only = [replace(v, minimum=v.start, maximum=v.start) if v.name in _FIXED else v for v in found.parameters]
     return replace(found, parameters=only)
 
 
 _FIXED = ("solver.input_order",)
-"""Numbers of the solver that a scene has traced."""
+"""Solver variables fixed by tracing."""
 
 
 def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
-    """What text variables can be, and what that is: a scene carries one method of integration, RK4 beside `auto`."""
+    """Return the values of text variables with descriptions; the integrator is that of the scene, and RK4 beside
+    `auto`."""
     methods = {"auto": ["rk4", "auto"]}
     method = default_settings(equations).method
     carries = {"solver.formulation": carried(equations), "solver.method": methods.get(method, [method])}
@@ -217,7 +221,7 @@ def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
 
 
 def layout_header() -> str:
-    """layout.h: what the C runtime shares with Python: names of the numbers of a scene, constants."""
+    """Return layout.h: the numbers of a scene by name, and constants, shared by the C runtime and Python."""
     found = {
         "SCENE_VERSION": VERSION,
         "GROSS": memory.GROSS,
@@ -260,7 +264,7 @@ def layout_header() -> str:
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]
     tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
-    tables |= {"OTHERS": OTHERS}
+    tables |= {"OTHERS": CHOSEN.values()}
     for name, names in tables.items():
         rows = "".join(f" \\\n    X({each})" for each in names)
         lines += ["", f"#define SCENE_{name}(X){rows}"]
@@ -268,41 +272,41 @@ def layout_header() -> str:
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 
-def alone(equations: Equations) -> Equations:
-    """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    own = equations.kept.scene.latest(alone, lambda: _alone(equations))
+def alone(equations: Traced) -> Traced:
+    """Return traced equations with only the programs and functions of a scene file, in its order."""
+    own = equations.kept.scene.latest(alone, lambda: _alone(whole(equations)))
     given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
     return replace(equations, **given)
 
 
-def _alone(equations: Equations) -> Equations:
+def _alone(equations: Traced) -> Traced:
     e = standalone(equations)
     if e.n > DENSE:
         return _ordered(joined(e, HOT, READ))
-    # Near singular positions, RK4 takes limits in every step; other methods have other programs there.
+    # RK4 takes limits near singular positions in every step; other integrators have other programs there.
     steps = [] if "method" in e.kernel else ["branch"]
     fields, kernel = Layout(e).fields, e.kernel
     kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
     return _ordered(joined(replace(e, kernel=kernel), HOT, READ))
 
 
-def _ordered(e: Equations) -> Equations:
-    """The same equations with no functions but those of the scene, in the order of its file."""
+def _ordered(e: Traced) -> Traced:
+    """Return equations with only the functions of the scene, in the order of its file."""
     used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
     functions, signatures = ({name: table[name] for name in names} for table in (e.functions, e.signatures))
     return replace(e, functions=functions, signatures=signatures)
 
 
-def machine_code(equations: Equations, scene: bytes) -> list[str]:
-    """C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
+def machine_code(equations: Traced, scene: bytes) -> list[str]:
+    """Return C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
     e = alone(equations)
     kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
     return compiled_code(e, kept, f"{zlib.crc32(scene[HEAD:]):08x}")
 
 
-def function_sizes(equations: Equations) -> dict[str, int]:
-    """Bytes of each function in a scene file."""
+def function_sizes(equations: Traced) -> dict[str, int]:
+    """Return the size of each function in a scene file in bytes."""
     e, found = alone(equations), {}
     table = _Table(equations, e)
     table.code()
@@ -313,21 +317,20 @@ def function_sizes(equations: Equations) -> dict[str, int]:
     return found
 
 
-@once
-def packed(equations: Equations) -> bytes:
-    """The scene file of traced equations, written once."""
+def packed(equations: Traced) -> bytes:
+    """Return the scene file of traced equations."""
     with getting_ready():
         return _file(equations, alone(equations))
 
 
-def packed_start(equations: Equations) -> bytes:
-    """The scene file of untraced equations with a start alone: it can be initialised, and makes no step."""
+def packed_start(equations: Configuration) -> bytes:
+    """Return the scene file of untraced equations: it can be initialised, but not stepped."""
     chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
     e = beginning(replace(equations, solver=chosen))
     return _file(e, _ordered(e))
 
 
-def _file(equations: Equations, e: Equations) -> bytes:
+def _file(equations: Traced, e: Traced) -> bytes:
     w = Writer()
     w.text(e.name)
     table = _Table(equations, e)
@@ -341,15 +344,21 @@ def _file(equations: Equations, e: Equations) -> bytes:
 
 
 def identified(scene: bytes, identity: str) -> bytes:
-    """The same scene with another identity: the GUID of the FMU that it is in."""
+    """Return the scene with another identity: the GUID of its FMU."""
     rest = identity.encode().ljust(IDENTITY, b"\0") + scene[HEAD:]
     return MAGIC + struct.pack("<IIQ", VERSION, len(scene), zlib.crc32(rest)) + rest
 
 
-class _Table:
-    """What stands in the file of a scene."""
+def number_of(scene: bytes, name: str) -> int:
+    """A number of NUMBERS in a scene file."""
+    behind_name = HEAD + 4 + struct.unpack_from("<i", scene, HEAD)[0]
+    return struct.unpack_from("<i", scene, behind_name + 4 * list(NUMBERS).index(name))[0]
 
-    def __init__(self, scene: Equations, own: Equations):
+
+class _Table:
+    """The tables of a scene file."""
+
+    def __init__(self, scene: Traced, own: Traced):
         self.e, self.layout = own, Layout(scene)
         self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
         self.method = integrator(scene)
@@ -357,11 +366,11 @@ class _Table:
         rule = explicit_rule(self.method, 1.0, self.rule) or implicit.RULES.get(self.method)
         self.share = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}
-        """Where values stand in the workspace that programs hand on, and their lengths."""
+        """Addresses and lengths of values in the workspace that programs pass on."""
         self.workspace = 0
 
     def code(self) -> None:
-        """Functions and programs, in the order of their numbers."""
+        """Encode functions and programs, in the order of their numbers."""
         e = self.e
         for name, length in {**dict.fromkeys(HANDED.values(), 0), **self.passed}.items():
             if length:
@@ -383,7 +392,7 @@ class _Table:
         return fields[name][1] if name in fields else self.places[name][1]
 
     def _at(self, name: str) -> int:
-        """Place in the memory; the workspace stands behind the fields."""
+        """Return the address of a value; the workspace follows the fields."""
         fields = self.layout.fields
         return fields[name][0] if name in fields else self.layout.size + self.places[name][0]
 
@@ -406,7 +415,7 @@ class _Table:
         return words
 
     def _called(self, step: Call | Routine) -> list[int]:
-        """What is called, and where its arguments and its results are; results have their places from here on."""
+        """Return the encoded call, with addresses of its arguments and of its results, which are assigned here."""
         if isinstance(step, Call):
             what = [self.number[step.function]]
             lengths = self.functions[what[0]][0].outputs
@@ -426,20 +435,20 @@ class _Table:
         return [*what, *(self._at(each) for each in (*step.arguments, *step.results))]
 
     def cost(self, program: str) -> int:
-        """Of a step, in evaluations of accelerations."""
+        """Return the cost of a step in evaluations of accelerations."""
         known = self.e.kernel.get(program)
         return known.evaluations + NODE_COST * known.nodes if known else 0
 
     def causal(self, name: str) -> int:
-        """Number of a variable that a user may set, among all of them."""
+        """Return the number of a settable variable among all of them."""
         return next(k for k, (_, v) in enumerate(self.variables.causalities) if v.name == name)
 
     def output(self, name: str) -> int:
-        """Number of an output; -1 where it is left out."""
+        """Return the number of an output; -1 if it is left out."""
         return next((k for k, v in enumerate(self.variables.outputs) if v.name == name), -1)
 
     def write(self, w: Writer) -> None:
-        """Everything behind the numbers."""
+        """Write everything after the numbers."""
         e, known, variables = self.e, self.known, self.variables
         for _, v in variables.causalities[: -len(variables.jacobian) or None]:
             self._variable(w, v)
@@ -458,7 +467,7 @@ class _Table:
             w.integer(each.slip)
             w.integer(each.output in (e.survey.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
-        # Behind impulses is the energy lost, whether or not there is any, and behind that are peaks.
+        # The energy lost follows the impulses, even without any, and peaks follow it.
         places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}
         w.integers(places[v.name] for v in events(e))
         outputs = {v.name: i for i, v in enumerate(e.outputs)}
@@ -498,7 +507,7 @@ class _Table:
             self._jacobian(w)
 
     def _followed(self, w: Writer) -> None:
-        """Inputs that move something."""
+        """Write inputs that prescribe motion."""
         w.integer(len(self.e.followed))
         for each in self.e.followed:
             for number in (each.input, each.derivatives, each.order):
@@ -506,7 +515,7 @@ class _Table:
             w.real(each.jump)
 
     def _leaps(self, w: Writer) -> None:
-        """Laws of time that may jump, or not be finite."""
+        """Write laws of time that may jump or diverge."""
         w.integer(len(self.e.leaps))
         for each in self.e.leaps:
             for text in (each.what, each.unit, rate_of(each.unit)):
@@ -514,7 +523,7 @@ class _Table:
             w.integer(each.row)
 
     def _jacobian(self, w: Writer) -> None:
-        """The interface Jacobian, with which the file of a scene ends that has one."""
+        """Write the interface Jacobian, the last part of the file if the scene has one."""
         outputs, inputs = ([v.name for v in known] for known in (self.e.outputs, self.e.inputs))
         w.integer(len(self.e.jacobian))
         for v, (output, by) in zip(self.variables.jacobian, self.e.jacobian, strict=True):

@@ -1,243 +1,248 @@
-"""Numbers by which a run is judged while time passes; the C runtime has them from here (`layout.h`).
+"""Thresholds for decisions during a run, also for the C runtime (`layout.h`).
 
-`docs/singular.md` has what half and twice each of them would do. S1 to S5 are steps of that page.
+`docs/singular.md` has the effect of half and twice each of them. S1 to S5 are steps of that page.
 """
 
 import math
 
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
-"""displacement along the motion [rad or m]: places beside the start at which S1 calibrates; large enough that one of
-them is regular where the start is singular, and of two sizes, as one may be singular too."""
+"""displacement along the motion [rad or m]: S1 calibrates at these distances from the start; they are large enough for
+one of the positions to be regular where the start is singular, and have two sizes, as one may be singular too."""
 
 LITTLE = 1e-4
-"""displacement of lengths [m]: enough to tell which coefficients of C are constant, and so little that no loop opens
+"""displacement of lengths [m]: enough to detect which coefficients of C are constant, and small enough to open no loop
 far."""
 
 FAR_RATIO = 2.0
-"""logarithm of a ratio of pivots [1]: a place beside the start whose pivots contributed by masses are larger by this is
-not typical, as coordinates that hardly describe the motion have larger ones."""
+"""logarithm of a ratio of pivots [1]: a position near the start whose pivots contributed by masses are larger by this
+is discarded as atypical, as coordinates that hardly describe the motion have larger ones."""
 
 COARSE = 1024.0
-"""parts of 1 [1]: the logarithm of a product of pivots is rounded to them, so that round-off does not move what S1
-finds, and all processors find the same."""
+"""parts of 1 [1]: the logarithm of a product of pivots is rounded to them, so that round-off does not change the result
+of S1, and all processors give the same."""
 
 PATIENT = 4
-"""factor to the most multiplier iterations [1]: where the motion may end at a singular position, each
-iteration gains little."""
+"""factor on the limit of multiplier iterations [1]: where the motion may end at a singular position, each iteration
+gains little."""
 
 UNFINISHED = 1e-7
-"""last change of accelerations over them [1]: a step or a reading with a given penalty is refused where the multiplier
-iteration ends above it; what it ends with above `solver.tolerance` is counted and told."""
+"""relative last change of accelerations [1]: a step or an evaluation with a given penalty is rejected if the multiplier
+iteration ends above it; a change above `solver.tolerance` is counted and reported."""
 
 REGULAR = 1e-3
-"""size of a combination of constraints over the largest [1]: S5 freezes the rank only at places where all independent
-combinations are larger; at a singular position the rank of the place before is kept."""
+"""size of a combination of constraints over the largest [1]: S5 freezes the rank only at positions where all
+independent combinations are larger; at a singular position the previous rank is kept."""
 
 PENALTY_RATIO = 1e8
-"""penalty over the largest mass that the rows hold [1]: the residual form of (8) needs three iterations to
-round-off at it, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
+"""penalty over the largest mass that the rows constrain [1]: at this ratio the residual form of (8) needs three
+iterations to round-off, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
 
 ALIKE = 10.0
-"""ratio of the units of rows [1]: rows whose units are not known and differ by less share one."""
+"""ratio of the units of rows [1]: rows with unknown units share one if they differ by less."""
 
 HARDLY = 1e-3
-"""hold of constraints on a coordinate over the largest hold [1]: the mass of a coordinate that is held less does not
-scale penalties, as no row has to carry it, and coefficients that are less in a row tell nothing of its unit."""
+"""effect of constraints on a coordinate over the largest effect [1]: masses of coordinates below it do not scale
+penalties, as no row has to carry them, and coefficients below it do not determine the unit of a row."""
 
 SAME = 1e-11
-"""relative difference of coefficients [1]: coefficients that differ by less at all places beside the start are
-constant, and those that are less than this of the largest (and of 1) are zero; round-off leaves 1e-15 of them."""
+"""relative difference of coefficients [1]: coefficients that differ by less at all positions near the start are
+constant, and those below this share of the largest (and of 1) are zero; round-off leaves 1e-15."""
 
 LOOSE = 1e-12
-"""share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each
-other share a correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
+"""share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that dependent rows share a
+correction, and directions constrained by less than some 1e-6 of the others are released."""
 
 GAINED = 0.9
-"""ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
+"""ratio of residuals [1]: a correction is repeated while the last one left less than this share."""
 
 DEPENDENT = 1e-10
-"""pivot of C C' over its largest entry [1]: a row whose pivot is below it is a combination of others, where coordinates
-are many; LOOSE leaves such a row some 1e-12."""
+"""pivot of C C' over its largest entry [1]: a row with a smaller pivot depends on others, if there are many
+coordinates; LOOSE leaves such a row some 1e-12."""
 
 TOLERANCE = 1e-12
 """gap over the coordinates [1]: an assembly is closed below it; some hundred times round-off."""
 
 ROUGH = 1e-9
-"""gap over the coordinates [1]: an assembly that Gauss-Newton steps cannot close further is accepted below it,
-as near a singular position, where a gap is the square of an angle."""
+"""gap over the coordinates [1]: an assembly that Gauss-Newton steps cannot close further is accepted below it, as near
+a singular position, where a gap is the square of an angle."""
 
 MOST = 200
-"""number of Gauss-Newton steps [1]: an assembly takes some ten; near a singular position each gains a factor of two."""
+"""most Gauss-Newton steps [1]: an assembly takes some ten; near a singular position each gains a factor of two."""
 
 LONGEST_TURN = 0.3
-"""change of an angle in a Gauss-Newton step [rad]: loops are linear enough over it that the assembly found is the one
-nearest to the guess."""
+"""change of an angle in a Gauss-Newton step [rad]: short enough for linearised loops to lead to the assembly nearest to
+the guess."""
 
 TRIES = 32
-"""number of places [1]: another assembly is looked for from so many places around the guess before the start is
-refused."""
+"""number of positions [1]: before the start fails, another assembly is searched from this many positions around the
+guess."""
 
 AWAY = 0.5
-"""way from the guess [m or rad]: an assembly that ends farther from it than this is compared with others around it."""
+"""distance from the guess [m or rad]: an assembly farther from it is compared with others around it."""
 
 NEARER = 0.8
-"""ratio of ways from the guess [1]: the start warns of an assembly whose way is less than this part of its own."""
+"""ratio of distances from the guess [1]: the start warns of an assembly whose distance is less than this share of its
+own."""
 
 BETWEEN = 2.0
-"""ratio of ways from the guess [1]: the start warns of another assembly whose way is less than so many times its own,
-as the guess is then beyond a third of the way to it; so it is where one bar of a pantograph is guessed half a turn
+"""ratio of distances from the guess [1]: the start warns of another assembly within this multiple of its own distance,
+as the guess is then beyond a third of the distance to it, for example if one bar of a pantograph is guessed half a turn
 off."""
 
 DISTINCT = 0.1
-"""way between assemblies [m or rad]: nearer ones are the same, found less exactly; an assembly that is found again from
-so far beside it is determined by the start values."""
+"""distance between assemblies [m or rad]: nearer ones are the same, computed less exactly; an assembly that is found
+again from this distance is determined by the start values."""
 
 MISSED = math.pi / 3
-"""difference of an angle from its guess [rad]: the start names angles that end farther from it, by 60 degrees; guesses
-that a person takes from a drawing are nearer."""
+"""difference of an angle from its guess [rad]: the start reports angles that differ by more, 60 degrees; guesses from a
+drawing are closer."""
 
 MISSED_LENGTHS = 3.0
-"""difference of a length from its guess over the larger of the guess and the mechanism's length [1]: lengths may
-be long ways on small wheels."""
+"""difference of a length from its guess over the larger of the guess and the mechanism's length [1]: the start reports
+larger ones; a length may be the long travel of a small wheel."""
 
 DIRECTION = 1e-40
-"""velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the places of a
-limit lie along the velocity; all that it moves, and its energy, are nothing."""
+"""velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the positions of a
+limit lie along the velocity; its displacement and energy are negligible."""
 
 RANKED = 8
-"""number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be singular;
-with four the five-bar, which starts at a singular position, stops."""
+"""number of positions [1]: S1 computes the rank of C at this many positions around the start, as the start itself may
+be singular; with four the five-bar, which starts at a singular position, stops."""
 
 FEW_RANKED = 2
-"""number of places [1]: the same where coordinates are many, along the motion."""
+"""number of positions [1]: S1 uses this many, along the motion, if there are many coordinates."""
 
 LATER = 0.1
-"""time [s]: where places depend on time, those around the start are this much later or earlier, a tenth, a hundredth
-and a thousandth of it too, as laws are fast or slow; the start may be singular whatever the coordinates."""
+"""time [s]: if positions depend on time, those around the start are this much later or earlier, also by a tenth, a
+hundredth and a thousandth, as laws are fast or slow; the start may be singular for any coordinates."""
 
 MOST_RETURNS = 30
-"""number of corrections [1]: so many bring a displaced place back to constraints that hold to second order alone, whose
-gap each of them halves."""
+"""most corrections [1]: this many return a displaced position to constraints that hold only to second order, whose gap
+each of them halves."""
 
 SECOND_ORDER = 0.01
-"""way back over a displacement [1]: a motion along which constraints lead back by more, however short it is, is
-none."""
+"""correction over a displacement [1]: a direction along which the constraints require a larger one, however short the
+displacement, is not a motion."""
 
 TORN = 0.3
-"""gap that a step leaves over its largest displacement [1]: a step that opens more than this is refused; corrections
-(10) would lead to another assembly."""
+"""gap after a step over its largest displacement [1]: a step with a larger one is rejected, as corrections (10) would
+lead to another assembly."""
 
 SHORTEST = 2.0**-14
-"""part of an internal step [1]: a motion that does not go on by steps of this length is locked up."""
+"""share of an internal step [1]: a motion that does not continue with steps of this length is locked."""
 
 SAID = 6
-"""number of coordinates [1]: an error lists so many at most, which fit into one line."""
+"""most coordinates in an error [1]: they fit into one line."""
 
 FIRST_STEP = 1e-3
 """step [s]: the first one under error control, which then corrects it."""
 
 SHORTENED = 0.2
-"""ratio of steps [1]: a step under error control that cannot be judged is tried again at this part of its length."""
+"""ratio of steps [1]: a step under error control that cannot be judged is repeated at this share of its length."""
 
 REGAINED = 1.1
-"""ratio of steps [1]: what `auto` takes for the step of the method that it does not use grows by it with each step of
-the other one, as conditions change; at 1.2 a third more tries of short steps are refused, below 1.1 the five-bar takes
-long steps for 0.2 s after a singular position."""
+"""ratio of steps [1]: the step that `auto` assumes for the unused integrator grows by it with each step of the other
+one, as conditions change; at 1.2 a third more attempts of short steps are rejected, below 1.1 the five-bar takes long
+steps for 0.2 s after a singular position."""
 
 EXACTER = 1.1
-"""ratio of evaluations [1]: `auto` makes short steps, of order 5, where they take so many times fewer than those of its
-method, of order 8: two short ones for one of it save a thirteenth and have ten times its error."""
+"""ratio of evaluations [1]: `auto` makes short steps, of order 5, if they need fewer evaluations than steps of order 8
+by this factor: two short ones for one of them save a thirteenth and have ten times its error."""
 
 LONGER = 5.0
-"""ratio of steps [1]: `auto` goes over to implicit steps where one so many times as long as the explicit ones keeps the
-tolerance, as stability alone keeps these short."""
+"""ratio of steps [1]: `auto` switches to implicit steps if one this many times as long as the explicit ones meets the
+tolerance, as only stability keeps these short."""
 
 PATIENCE = 100
-"""number of steps [1]: after so many `auto` tries whether implicit ones can be longer, or explicit ones are enough."""
+"""number of steps [1]: after this many `auto` tests whether implicit ones can be longer, or explicit ones suffice."""
 
 MOST_PATIENCE = 1600
-"""number of steps [1]: after each such try in vain it waits twice as long, up to this."""
+"""number of steps [1]: the interval doubles after each such test without success, up to this."""
 
 STAYS_CAREFUL = 8
-"""number of tries [1]: so many are made with careful iterations after one that needed them."""
+"""number of attempts [1]: this many are made with careful iterations after one that needed them."""
 
 UNSEEN = 16
-"""number of tries [1]: after so many without careful iterations one is made with them, to see what round-off leaves."""
+"""number of attempts [1]: after this many without careful iterations one is made with them, to measure round-off."""
 
 SEEN_FLOOR = 0.1
-"""error that round-off leaves over the tolerance [1]: careful tries are kept to where it is larger."""
+"""round-off in the error over the tolerance [1]: careful attempts continue if it is larger."""
 
 STUCK = 20
-"""number of tries [1]: no motion goes on where so many cannot be judged near a singular position before the step is
-covered that was wanted at the first of them."""
+"""number of attempts [1]: no motion continues if this many near a singular position cannot be judged before the step
+proposed at the first of them is covered."""
 
 REST = 1e-9
-"""rate [rad/s or m/s]: a joint with dry friction that is slower rests; projections leave 1e-15 of velocities near 1."""
+"""rate [rad/s or m/s]: a joint with dry friction is at rest below it; projections leave 1e-15 of velocities near 1."""
 
 MOVING = 2.0
-"""ratio of rates [1]: a joint that others, or a motion, held at rest moves from so many REST on, so that its direction
-is beyond doubt."""
+"""ratio of rates [1]: a joint that others, or a motion, held at rest counts as moving above this multiple of REST, so
+that its direction is certain."""
 
 STOPPED = 1e-13
-"""rate over the largest in the step [1]: so near zero the rate of a joint is brought where it stops or turns round."""
+"""rate over the largest in the step [1]: the end of a step where a joint stops or reverses is refined until its rate is
+below this."""
 
 NEARLY_STOPPED = 0.01
-"""rate over REST [1]: no nearer is it brought to zero, as it rests then."""
+"""rate over REST [1]: the refinement ends below it, as the joint is then at rest."""
 
 EXCEEDED = 1e-9
-"""excess of a multiplier over its limit [1]: the joint lets go there, so that what decides is beyond doubt."""
+"""excess of a multiplier over its limit [1]: the joint is released at this excess, so that the decision is certain."""
 
 IDLE = 1e-12
-"""second rate over the largest without friction [1]: a joint that rests is held where it has no more; in rad/s^2 or
-m/s^2 where the largest is below 1."""
+"""second rate over the largest without friction [1]: a joint at rest with a smaller one is held; in rad/s^2 or m/s^2 if
+the largest is below 1."""
 
 IDLER = 100.0
-"""ratio of second rates [1]: a joint that began to slide, and has less than so many IDLE as others hold it, rests."""
+"""ratio of second rates [1]: a joint that began to slide is at rest if others hold it to less than this multiple of
+IDLE."""
 
 SHARING_ROUNDS = 200
-"""number of rounds [1]: in so many the joints at rest take the shares of their limits that hold them; half of them are
-as good for five joints."""
+"""most rounds [1]: joints at rest adjust the shares of their limits that hold them; half as many suffice for five
+joints."""
 
 STEADY_SHARE = 1e-9
-"""change of a share [1]: no other round is made where all change by less."""
+"""change of a share [1]: the rounds end when all change by less."""
 
 NO_ROOM = 1e-7
-"""room of a joint over its limit [1]: one with less cannot stick, as the next change of its load would let it go."""
+"""margin of a joint to its limit, over the limit [1]: one with less cannot stick, as the next change of its load would
+release it."""
 
 SLIDING_ROUNDS = 3
-"""number of rounds for each joint [1]: so often joints that rest are asked again as one more of them slides."""
+"""rounds for each joint [1]: joints at rest are checked again this often as one more of them slides."""
 
 SEARCHED = 60
-"""number of tries [1]: so often a step is made again that ends where a joint stops or lets go; a few events take more
+"""most attempts [1]: a step that ends where a joint stops or is released is repeated this often; a few events need more
 than 30."""
 
 RIGHT_THERE = 1.0 / 1024
-"""part of a step [1]: an event of a joint that has only begun to move is looked for so far behind its begin first."""
+"""share of a step [1]: an event of a joint that has just begun to move is searched first this far from the start of the
+step."""
 
 SEEN_BETWEEN = 16
-"""number of places [1]: at so many a rate within a step is looked at, by the cubic through both ends."""
+"""number of instants [1]: a rate within a step is evaluated at this many, by the cubic through both ends."""
 
 LOOKED_INTO = 1e-7
-"""step [s]: shorter ones are not looked into, as no joint turns round twice in them."""
+"""step [s]: shorter ones are not searched, as no joint reverses twice in them."""
 
 AT_ONCE = 8
-"""number of events [1]: after so many at one instant no way to go on is found."""
+"""number of events [1]: after this many at one instant no continuation exists."""
 
 JAM_AHEAD = 1e-6
-"""time [s]: where a step fails, a jam is looked for ahead, from an internal step down to this."""
+"""time [s]: where a step fails, a jam is searched ahead, from an internal step down to this."""
 
 JAM_SHORTER = 4.0
-"""ratio of times [1]: each is that much shorter than the one before."""
+"""ratio of times [1]: each of them is shorter than the one before by this."""
 
 ONE_STEP = 1e-9
-"""excess of a step [1]: what is left of a step up to an event is made in one where it is longer by no more."""
+"""excess of a step [1]: the rest of a step up to an event is made as one step if it is longer by no more."""
 
 EARLIEST = 1e-3
-"""time [s]: instants before this are told apart as those at this time, by its last digits."""
+"""time [s]: earlier instants are distinguished by the last digits of this time."""
 
 LEFT_TO_RK4 = 16.0
-"""ratio of steps [1]: what is left of a step up to an event or a communication point, and is shorter than so many of
-the shortest steps under error control, is made by RK4."""
+"""ratio of steps [1]: RK4 makes the rest of a step up to an event or a communication point if it is shorter than this
+many of the shortest steps under error control."""
 
 LAST_DIGITS = 4.0
-"""number of last digits of the time [1]: what is left and is no longer than that is made by RK4, too."""
+"""number of last digits of the time [1]: RK4 also makes a rest that is no longer than that."""

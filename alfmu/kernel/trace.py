@@ -1,14 +1,15 @@
 """Trace the method, RK4 and the projections over a mechanism's equations into flat, sparse functions.
 
-What the oracle does with loops that stop on convergence is unrolled here a fixed number of times, and each step says
-whether that was enough; where it was not, the caller takes the careful step, then the patient one. Only what the
-scene needs is traced: no multiplier iteration without constraints, no least-norm pass without redundant rows, no
-reaction equation where no reaction is read, no work where nothing works.
+Loops that stop on convergence in the oracle are unrolled a fixed number of times, and each step reports whether they
+converged; if not, the caller makes the careful step, then the patient one. Only the needed parts are traced: no
+multiplier iteration without constraints, no least-norm pass without redundant rows, no reaction equation without
+reaction outputs, no work if nothing does work.
 
 A step is a program (`alfmu.kernel.form`) of small functions: `stage` combines rates into the state of a stage,
-`evaluate` and `iterate` hold the method, `place` and `settle` (or `correct`) the projection (10), `close` judges. Near
-singular positions each stage is brought to the branch of the motion by the same functions and by `return`, and `probe`
-says where the limit of the accelerations is taken, from `places` before and after, as their weighted `mean`.
+`evaluate` and `iterate` contain the method, `place` and `settle` (or `correct`) the projection (10), `close` the
+checks. Near singular positions each stage is brought to the branch of the motion by the same functions and by `return`,
+and `probe` determines where the limit of the accelerations is taken, from `places` before and after, as their weighted
+`mean`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from types import MappingProxyType
 import casadi as ca
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration, Equations
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
 from ..equations.types import REACTION_ERROR
 from ..method import singular as branch
@@ -32,7 +33,7 @@ from ..method.integrators import rk4
 from ..model.making import making
 from ..model.settings import Settings
 from . import rubbing
-from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
+from .form import Call, Choice, Loop, Plan, Program, Step, Steps, Traced, called
 from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
@@ -43,29 +44,29 @@ CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
 
 MOST_GAINS = 25
-"""Multiplier iterations while each gains: two thirds a time, as the least, then leave 1e-12."""
+"""Most multiplier iterations while each gains: at the smallest gain of two thirds they leave 1e-12."""
 
 _OFTEN = 3
-"""Multiplier iterations that most evaluations of a step on the branch need."""
+"""Multiplier iterations of most evaluations in a step on the branch."""
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 def traced(
-    equations: Equations,
+    configuration: Configuration,
     controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
-) -> Equations:
-    """The same equations with the functions of the kernel.
+) -> Traced:
+    """Return the equations with the functions of the kernel.
 
-    `controlled` traces the method of the scene (`alfmu.kernel.controlled.programs`).
+    `controlled` traces the integrator of the scene (`alfmu.kernel.controlled.programs`).
     """
-    e = replace(untraced(equations), survey=equations.survey)
+    e = replace(untraced(configuration), survey=configuration.survey)
     survey, mobility = e.survey, e.survey.mobility
     redundant = bool(e.l) and (mobility is None or mobility.redundant > 0 or e.changes)
     careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
     quick = careful
     if mobility and e.l and survey.iterations < CAREFUL:
-        # A large scene shares the functions of the careful step, which are long to trace and to compile.
+        # A large scene shares the functions of the careful step, which take long to trace and to compile.
         weighted = e.n > DENSE or e.changes or survey.brakes or survey.uneven
         quick = Plan(survey.iterations, 1, quick=True, weighted=weighted)
     tracer = Tracer(e)
@@ -79,41 +80,42 @@ def traced(
         kernel["reach"] = tracer.reach()
     if continues and len(kernel["instant"].steps) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
-    return replace(with_functions(e, tracer.functions), kernel=kernel)
+    return Traced.of(with_functions(e, tracer.functions), kernel=kernel)
 
 
-def untraced(equations: Equations) -> Equations:
-    """The same equations without the functions of the kernel."""
+def untraced(equations: Equations) -> Configuration:
+    """Return the equations without the functions of the kernel."""
     e = equations
-    if not e.kernel:
-        return e
+    if not isinstance(e, Traced):
+        return e if isinstance(e, Configuration) else Configuration.of(e)
     names = {name for program in e.kernel.values() for name in called(program)} - set(EVALUATED)
     functions, signatures = (
-        {name: x for name, x in each.items() if name not in names} for each in (e.functions, e.signatures)
+        {name: x for name, x in each.items() if name in e.functions and name not in names}
+        for each in (e.functions, e.signatures)
     )
-    return replace(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere, kernel={}, library=None)
+    return Configuration.of(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere)
 
 
 def spaced(*names: str | Sequence[str]) -> str:
-    """Names of values one after the other, as a call takes them."""
+    """Join names of values with spaces, as arguments of a call."""
     return " ".join(each if isinstance(each, str) else " ".join(each) for each in names)
 
 
 class Tracer:
     """Traces programs, and each function that they call once."""
 
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Configuration):
         self.e, self.layout = equations, Layout(equations)
         self.functions: dict[str, ca.Function] = {}
         self.shapes: dict[str, tuple[list[int], int]] = {}
-        """Lengths of the arguments of each function, and how many results it has, as far as they were asked for."""
+        """Lengths of the arguments of each function, and its number of results, as far as requested."""
         self.lengths = lengths_of(equations)
-        """Of the values that functions take, by name."""
+        """Lengths of the values of functions, by name."""
         self.order = int(equations.solver.get("input_order", 0)) if equations.inputs else 0
         self._scenes: dict[bool, Scene] = {}
 
     def scene(self, weighted: bool) -> Scene:
-        """The method with symbols, with a penalty for each constraint or one for all."""
+        """Return the method in symbols, with a penalty for each constraint or one for all."""
         if weighted not in self._scenes:
             self._scenes[weighted] = Scene(self.e, weighted, self.lengths)
         return self._scenes[weighted]
@@ -121,7 +123,7 @@ class Tracer:
     # Programs ------------------------------------------------------------------------------------------------------
 
     def step(self, plan: Plan) -> Program:
-        """An internal step of RK4 with projection."""
+        """Return an internal step of RK4 with projection."""
         calls = Calls(self, plan)
         rates = self._moved(calls)
         known = ["z", "dt", "q", "v", "work", *self.states, "p", "k"]
@@ -136,7 +138,7 @@ class Tracer:
         return Program(calls.steps, plan)
 
     def _moved(self, calls: Calls) -> list[str]:
-        """q, v and work after a step of RK4, which does not keep the constraints yet; names of the rates."""
+        """Compute q, v and work after a step of RK4 before projection; return names of the rates."""
         n, layout, rates = self.e.n, self.layout, []
         z, dt = map(calls.scene.symbol, ("z", "dt"))
         rate = self.rate(calls, "stage", rates)
@@ -147,24 +149,24 @@ class Tracer:
 
     @property
     def states(self) -> list[str]:
-        """The name of the states, where there are any."""
+        """Name of the states, empty if there are none."""
         return ["x"] * bool(self.e.states)
 
     def begun(self, z: SX) -> SX:
-        """q, v, work and states: what is integrated."""
+        """Return q, v, work and states: the integrated values."""
         n, layout = self.e.n, self.layout
         return ca.vertcat(z[: 2 * n], z[layout.work : layout.time])
 
     def parted(self, rest: SX) -> tuple[SX, ...]:
-        """Work, and the states where there are any, from what is integrated beside q and v."""
+        """Split the integrated values beside q and v into work and states."""
         return (rest[0], rest[1:]) if self.e.states else (rest[0],)
 
     def correct(self, calls: Calls) -> None:
-        """q and v after one correction (10) of both, and what tells whether that was enough."""
+        """Compute q and v after one correction (10) of both, and its convergence."""
         calls(f"{calls.scene.kind}_correct", "q v p k", "q v pivot left", calls.scene.corrected)
 
     def _projected(self, calls: Calls) -> None:
-        """q and v brought back to the constraints; on the branch by as many corrections as it takes."""
+        """Project q and v onto the constraints; on the branch by as many corrections as necessary."""
         plan, scene = calls.plan, calls.scene
         self.place(calls, "q", "q")
         more = calls.inside() if plan.branch else calls
@@ -176,7 +178,7 @@ class Tracer:
         self.settle_well(calls)
 
     def reach(self) -> Program:
-        """Keep the inputs at a communication point."""
+        """Return the program that records the inputs at a communication point."""
         calls = Calls(self)
 
         def kept(z: SX, u: SX, past: SX) -> SX:
@@ -187,30 +189,31 @@ class Tracer:
         return Program(calls.steps)
 
     def inputs(self, calls: Calls, i: str) -> str:
-        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name;
-        with the states of the stage behind them where there are any."""
+        """Return the name of the inputs at a stage, held over the communication step or extrapolated to t with i in its
+        name, extended by the states of the stage."""
         u = f"u{i}" if self.order else "u"
         if self.order:
             calls("inputs", f"past t{i}", u, lambda past, t: extrapolated(*self._kept(past), t, self.order, ca.if_else))
         if self.e.states:
-            # The time tells where inputs that have derivatives are asked for (`alfmu.kernel.standalone`).
+            # The time argument marks calls that use inputs with derivatives (`alfmu.kernel.standalone`).
             calls("given", f"t{i} {u} x{i}", f"given{i}", lambda t, u, x: ca.vertcat(u, x))
         return self.inputs_name(i)
 
     def inputs_name(self, i: str) -> str:
-        """Name of the inputs at a stage, with the states there."""
+        """Return the name of the inputs at a stage, with the states there."""
         return f"given{i}" if self.e.states else f"u{i}" if self.order else "u"
 
     @cached_property
     def kinks(self) -> ca.Function:
-        """kinks(t, q, v, u, p): what changes its sign where the rates of the motion or of states have a kink."""
+        """Return kinks(t, q, v, u, p): functions that change their sign at kinks of the rates of the motion or of
+        states."""
         x = symbols(self.e)
         found = kinks_of_rates(self.e, x)
         self.lengths["kinks"] = found.numel()
         return shared("kinks", [x[name] for name in "tqvup"], [found])
 
     def here(self, calls: Calls) -> str:
-        """Name of the inputs at a communication point, with the states there."""
+        """Return the name of the inputs at a communication point, with the states there."""
         if not self.e.states:
             return "u"
         calls("known", "z u", "known", calls.scene.given)
@@ -221,11 +224,11 @@ class Tracer:
         return first[0], first[1:], ca.vertsplit(past[1 + KEPT :], len(self.e.inputs))
 
     def instant(self, plan: Plan, redundant: bool) -> Program:
-        """What a user can read, monitors, largest |Phi-ddot|, trouble."""
+        """Return the program for outputs, monitors, largest |Phi-ddot|, trouble."""
         e, calls = self.e, Calls(self, plan)
         distance = {"monitor.distance", "monitor.singular", REACTION_ERROR} - set(e.monitors)
         if not distance and not any(o.instant for o in e.outputs):
-            # Nobody reads an acceleration or a reaction: none is computed.
+            # No output needs accelerations or reactions.
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
             return Program(calls.steps, plan)
         self._unpacked(calls)
@@ -238,7 +241,7 @@ class Tracer:
         return Program(calls.steps, plan)
 
     def limit(self, plan: Plan, redundant: bool) -> Program:
-        """S4: what `instant` gives, with the limits of accelerations and reactions along the motion."""
+        """S4: return `instant` with the limits of accelerations and reactions along the motion."""
         calls, count = Calls(self, plan), range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         self._unpacked_limit(calls)
@@ -260,32 +263,32 @@ class Tracer:
         return Program(calls.steps, plan)
 
     def _here(self, calls: Calls, u: str, redundant: bool) -> None:
-        """The evaluation where limits are read, too."""
+        """Evaluate at the position where limits are taken, too."""
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
         if redundant:
             (self._bear if self.loaded else self._share)(calls, f"tz qz vz {u}", "al laml")
 
-    # What programs are made of -------------------------------------------------------------------------------------
+    # Parts of programs ---------------------------------------------------------------------------------------------
 
     def _unpacked(self, calls: Calls) -> None:
-        """Time, q and v of the state, where no limit is taken."""
+        """Extract time, q and v of the state, for evaluation without limits."""
         calls("unpack", "z", "t0 q0 v0 singular", lambda z: (*self._position(z), SX(0)))
 
     def _unpacked_limit(self, calls: Calls) -> None:
-        """The same where limits are taken."""
+        """Extract time, q and v of the state, for evaluation with limits."""
         calls("unpack_limit", "z", "tz qz vz", self._position)
 
     def _position(self, z: SX) -> tuple[SX, SX, SX]:
-        """Time, q and v."""
+        """Return time, q and v."""
         n = self.e.n
         return z[self.layout.time], z[:n], z[n : 2 * n]
 
     def rate(
         self, calls: Calls, name: str, rates: list[str], settled: Sequence[str] = (), length: str = "dt"
     ) -> Callable[[SX, SX], SX]:
-        """The rate of a state as an integrator asks for it: its calls are made, and its name goes into `rates`.
+        """Return the rate of a state for an integrator, which makes its calls and appends its name to `rates`.
 
-        `settled` are further values that a stage may depend on, `length` is the name of the step.
+        `settled` are further values on which a stage may depend, `length` is the name of the step.
         """
         n = self.e.n
 
@@ -295,11 +298,7 @@ class Tracer:
             results = f"t{i} q{i} v{i}" + f" x{i}" * bool(self.e.states)
             calls(f"{name}{i}", spaced("z", length, rates, settled), results, lambda *_: stage)
             u = self.inputs(calls, str(i))
-            if calls.plan.branch:
-                self._on_branch(calls, str(i), u, length, i == 1)
-            else:
-                self.evaluation(calls, str(i), {"u": u})
-                self._supply(calls, str(i), {"u": u})
+            self.evaluated(calls, str(i), u, length)
             self._supplied(calls, str(i))
             known = f"v{i} a{i} power{i}"
             if self.e.states:
@@ -311,15 +310,23 @@ class Tracer:
 
         return found
 
+    def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
+        """Make the calls that an integrator needs for a stage, by the plan; i is part of each name."""
+        if calls.plan.branch:
+            self._on_branch(calls, i, u, length, i == "1")
+        else:
+            self.evaluation(calls, i, {"u": u})
+            self._supply(calls, i, {"u": u})
+
     def _beside(self, calls: Calls, place: str, j: str, u: str) -> None:
-        """An evaluation at a place from which a limit is read; j is part of the names of its results, u the name of the
+        """Evaluate at a position from which a limit is taken; j is part of the names of its results, u the name of the
         inputs."""
         self.place(calls, place, "placed")
         self._brought(calls, place, "placed", "vz")
         self.evaluation(calls, j, {"u": u, f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
 
     def _read_places(self, calls: Calls, places: list[str], length: str = "dt") -> None:
-        """The places from which a limit is read; `length` is what their spacing is measured by."""
+        """Compute the positions from which a limit of outputs is taken; `length` is the base of their spacing."""
         scene = calls.scene
 
         def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
@@ -332,19 +339,19 @@ class Tracer:
         calls("read_places", known, spaced(places), scene.read_places)
 
     def _margins(self, calls: Calls, places: str, first: int = 0) -> None:
-        """The margins at places, numbered from the first."""
+        """Compute the margins at positions, numbered from the first."""
         for i, place in enumerate(places.split(), first):
             calls("margin_at", f"{place} p k", f"margin{i}", calls.scene.margin_at)
 
     def _least(self, calls: Calls, lam: str) -> None:
-        """Multipliers of least norm in place of those found last."""
+        """Replace the last multipliers by those of least norm."""
         if self.e.compliances or self.e.lengths:
             calls("distribute", f"k M C {lam}", lam, calls.scene.distributed)
         else:
             calls("least", f"k C D L {lam}", lam, calls.scene.least)
 
     def _share(self, calls: Calls, known: str, found: str) -> None:
-        """Multipliers as joints carry them in place of those found last; `known` are names of time, q, v and inputs,
+        """Replace the last multipliers by those with least loads of joints; `known` are names of time, q, v and inputs,
         `found` those of a and lam."""
         _, lam = found.split()
         if self.loaded:
@@ -353,13 +360,13 @@ class Tracer:
             self._least(calls, lam)
 
     def _bear(self, calls: Calls, known: str, found: str) -> None:
-        """The same by more passes, which are enough near singular positions."""
+        """Do so by more passes, which suffice near singular positions."""
         carried = calls.scene.carried
         calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, PATIENT_LOADED))
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether joints share a load, so that what they carry is seen, and least norm of the rows alone is another."""
+        """Whether joints share a load that outputs show, so that the least norm of rows alone differs."""
         e, x = self.e, symbols(self.e)
         if e.compliances or not (e.changes or e.survey.shared or e.survey.shared is None):
             return False
@@ -369,11 +376,11 @@ class Tracer:
 
     @property
     def losses(self) -> list[str]:
-        """The name of the error of reactions, where it is read."""
+        """Name of the error of reactions, if it is an output."""
         return ["lost"] * (bool(self.e.l) and REACTION_ERROR not in self.e.monitors)
 
     def _lost(self, calls: Calls, found: str) -> None:
-        """The error of reactions at the place itself."""
+        """Compute the error of reactions at the position itself."""
         if self.losses:
             calls("lost", f"k {found}", "lost", calls.scene.lost)
 
@@ -382,9 +389,10 @@ class Tracer:
         calls("seen", known, "seen", lambda *x: calls.scene.seen(calls.plan, *x))
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
+        """S2 to S4: compute a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of
+        each name.
 
-        `u` and `length` are the names of the inputs and of the step; `kept` says that q and v keep the constraints.
+        `u` and `length` are the names of the inputs and of the step; `kept` is true if q and v satisfy the constraints.
         """
         scene, side, own = calls.scene, calls.plan.side, calls.plan.own
         self._probe(calls, i, length)
@@ -428,12 +436,12 @@ class Tracer:
 
     @property
     def supplies(self) -> bool:
-        """Whether the work of what moves by itself counts."""
+        """Whether the work of prescribed motion counts."""
         return self.e.timed and self.e.works
 
     def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "", whole: bool = False) -> None:
-        """Power of what moves by itself, after an evaluation with these names; with `whole` that of friction, too,
-        where the power of the evaluation is not used."""
+        """Compute power of prescribed motion, after an evaluation with these names; if `whole`, also that of friction
+        when the power of the evaluation is not used."""
         if self.supplies:
             scene, rubs = calls.scene, whole and bool(self.e.frictions)
             t, q, v, a, lam = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam"))
@@ -442,21 +450,23 @@ class Tracer:
             calls("rubbing_supply" if rubs else "supply", known, to or f"supplied{i}", supply)
 
     def _supplied(self, calls: Calls, i: str) -> None:
-        """The power of all."""
+        """Compute the total power."""
         if self.supplies:
             calls("supplied", f"power{i} supplied{i}", f"power{i}", lambda power, supplied: power + supplied)
 
     def _probe(self, calls: Calls, i: str, length: str) -> None:
-        """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""
+        """Compute whether a limit has to be taken, and the spacing of its positions; `length` is the base of the
+        spacing."""
         calls("probe", f"q{i} p k", f"here zone{i} spacing placed", calls.scene.probed)
         (self._approach_until_told if self.doubles(calls.plan) else self._approach)(calls, i, length)
 
     def doubles(self, plan: Plan) -> bool:
-        """Whether a spacing that cannot tell is doubled; RK4's step is left to the patient tier there."""
+        """Return whether a spacing is doubled until positions are distinguishable; RK4 leaves this to the
+        patient tier."""
         return plan.gaining
 
     def _approach(self, calls: Calls, i: str, length: str) -> None:
-        """The same of a place whose margin is known."""
+        """Compute these at a position of known margin."""
         scene, plan = calls.scene, calls.plan
         ways = calls.inside()
 
@@ -470,7 +480,8 @@ class Tracer:
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
-        """The same with a spacing that is doubled until it can tell: the least one counts metres as radians."""
+        """Compute these with a spacing doubled until positions are distinguishable; the least one counts metres as
+        radians."""
         zone, again = f"zone{i}", calls.inside()
         calls("stretch", length, "stretched", lambda dt: dt)
         self._approach(again, i, "stretched")
@@ -484,12 +495,12 @@ class Tracer:
         calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
 
     def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
-        """What is called, and again until a number is zero that it gives."""
+        """Make calls, and repeat `again` until the named number is zero."""
         calls("begin", "k", number, lambda: SX(1))
         calls.made.append(Loop(number, most, again.steps))
 
     def _reached(self, calls: Calls, watch: str) -> None:
-        """Trouble in a watch where the branch does not lead to the place that was found last."""
+        """Mark trouble in a watch if the branch does not lead to the last position."""
 
         def seen(watch: SX, left: SX) -> SX:
             lost = ca.if_else(left[0] <= GROSS**2, 0, math.inf)
@@ -498,30 +509,29 @@ class Tracer:
         calls("reached", f"{watch} left0", watch, seen)
 
     def _brought(self, calls: Calls, place: str, placed: str, velocity: str) -> None:
-        """S3: q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
-        first correction put the place."""
+        """S3: compute q0 and v0 on the branch, displaced across the motion alone as in the oracle, from `placed`, the
+        position after a first correction."""
         self.place(calls, placed, "q0")
         calls(f"{calls.scene.kind}_return", f"q0 {place} {velocity} p k", "q0 v0", calls.scene.returned)
         self.place(calls, "q0", "q0")
         self.settle(calls, "q0", "v0", "pivot0 left0")
 
     def place(self, calls: Calls, at: str, to: str) -> None:
-        """A place after a correction (10)."""
+        """Compute a position after a correction (10)."""
         calls(f"{calls.scene.kind}_place", f"{at} p k", to, calls.scene.placed)
 
     def along(self, calls: Calls, dq: str, dv: str) -> None:
-        """Changes of q and v without what the constraints at q take of them."""
+        """Project changes of q and v onto the constraints at q."""
         if self.e.l:
             calls(f"{calls.scene.kind}_along", f"q {dq} {dv} p k", f"{dq} {dv}", calls.scene.along)
 
-    def settle(self, calls: Calls, q: str = "q", v: str = "v", told: str = "pivot left") -> None:
-        """v after corrections (10), and what tells whether q and v keep the constraints: names of the smallest pivot
-        and of the residues (squared)."""
+    def settle(self, calls: Calls, q: str = "q", v: str = "v", results: str = "pivot left") -> None:
+        """Compute v after corrections (10), and into `results` the smallest pivot and squared residuals of q, v."""
         corrections, settled = calls.plan.corrections, calls.scene.settled
-        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {told}", lambda q, v: settled(q, v, corrections))
+        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {results}", lambda q, v: settled(q, v, corrections))
 
     def settle_well(self, calls: Calls) -> None:
-        """The same at the end of a step; on the branch until it is enough: corrections gain little beside a singular
+        """Do so at the end of a step; on the branch until converged, as corrections gain little near a singular
         position."""
         if not calls.plan.branch:
             self.settle(calls)
@@ -532,13 +542,13 @@ class Tracer:
         self.repeat(calls, "more", CORRECTIONS, again)
 
     def unsettled(self, calls: Calls) -> None:
-        """Whether q and v do not keep the constraints well enough."""
+        """Compute whether q and v violate the constraints beyond the tolerance."""
         calls("unsettled", "left q v k", "more", calls.scene.unsettled)
 
     def evaluation(
         self, calls: Calls, i: str, names: Mapping[str, str] = NO_NAMES, iterations: int | None = None
     ) -> None:
-        """a, lam, power and watch from t, q, v, each with i in its name, or as `names` has it."""
+        """Compute a, lam, power and watch from t, q, v, each with i in its name, or named by `names`."""
         plan, scene = calls.plan, calls.scene
         t, q, v, a, lam, power, watch = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam", "power", "watch"))
         known = spaced(t, q, v, names.get("u", "u"), "p k")
@@ -559,7 +569,7 @@ class Tracer:
             calls.made.append(Loop("more", MOST_GAINS, again.steps))
 
     def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
-        """The same with dry friction, whose passes are multiplier iterations too."""
+        """Do so with dry friction, whose passes are multiplier iterations too."""
         t, q, v, u, a, lam, power, watch = (
             names.get(x + i, x + i) if x != "u" else names.get("u", "u")
             for x in ("t", "q", "v", "u", "a", "lam", "power", "watch")
@@ -572,7 +582,7 @@ class Tracer:
 
 
 class Calls:
-    """The steps of a program while it is traced; a function that is called the first time is traced, too."""
+    """The steps of a program while it is traced; the first call of a function traces it."""
 
     def __init__(self, tracer: Tracer, plan: Plan | None = None):
         self._tracer = tracer
@@ -585,17 +595,17 @@ class Calls:
         return tuple(self.made)
 
     def inside(self) -> Calls:
-        """Calls of the same plan, apart."""
+        """Return empty calls of the same plan."""
         return Calls(self._tracer, self.plan)
 
     def choice(self, number: str, nonzero: Calls, zero: Calls | None = None) -> None:
-        """What is called where a number is not zero, and where it is."""
+        """Add a choice: calls if a number is not zero, and calls if it is."""
         self.made.append(Choice(number, nonzero.steps, zero.steps if zero else ()))
 
     def __call__(self, name: str, arguments: str, results: str, function: Callable[..., SX | Sequence[SX]]) -> None:
-        """Call the function of this name; arguments and results are names, with spaces between them.
+        """Call the function of this name; arguments and results are names, separated by spaces.
 
-        `function` gives its results for the values of its arguments but p and k, which are those of the scene.
+        `function` computes its results from the values of its arguments, except p and k, which are those of the scene.
         """
         e, functions, scene = self._tracer.e, self._tracer.functions, self.scene
         call = Call(name, tuple(arguments.split()), tuple(results.split()))

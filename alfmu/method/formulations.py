@@ -41,26 +41,26 @@ CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
 LIGHT = 1e-8
-"""largest mass over the largest penalty [1]: multipliers of least norm are found with masses no larger than this, so
-that each pass gains as much, whatever penalty is given."""
+"""Largest mass over the largest penalty [1] with which multipliers of least norm are found. The bound makes every pass
+gain as much, whatever penalty is given."""
 
 GAIN = 2 / 3
-"""change of a pass over that of the one before [1]: where passes gain less, round-off is all that changes."""
+"""Change of a pass over that of the one before [1] above which only round-off is left to gain."""
 
 SETTLING = 1000
-"""Most passes of `minimum_norm` after (8) [1]: as many as a user may ask of (8) itself."""
+"""Most passes of `minimum_norm` after (8) [1]: the largest number of iterations that a user may set for (8)."""
 
 SETTLED = 1e-10
-"""change of multipliers in a pass of `minimum_norm` that gains less than GAIN, over what they are [1]: (8) has left a
-direction unresolved then, whose part is round-off of its passes; one that is resolved gains as much here as there."""
+"""Relative change of the multipliers [1] up to which a slow pass of `minimum_norm` ends it. A direction that (8) has
+not resolved by then contains round-off alone; one that it has resolved converges as fast here."""
 
 HELD_SHARES = 1e9
-"""what keeps C' lam as it is over what joints carry, where these share a load [1]: a pass gains as much at a regular
-position, and less by the distance squared beside a singular one."""
+"""Weight of C' lam over that of the loads of joints where they share a load [1]. A pass gains this factor at a regular
+position, and less by the squared distance beside a singular one."""
 
 EASE = 1e-6
-"""what is added to the factors of such a pass, over what joints carry [1]: multipliers that no joint carries leave a
-pivot that round-off of HELD_SHARES does not hide."""
+"""Regularisation of the factors of such a pass, over the loads of joints [1]. Multipliers that no joint transmits keep
+a pivot above the round-off of HELD_SHARES."""
 
 Array = Any
 Solve = Callable[[Array], Array]
@@ -75,7 +75,7 @@ def augmented_mass(M: Array, C: Array, alpha: Array) -> Array:
 def classic(
     M: Array, F: Array, C: Array, xi: Array, alpha: Array, solve: Solve, a: Array, lam: Array, most: int, done: Done
 ) -> tuple[Array, Array, int, bool]:
-    """(8) as printed; returns a, lam, the iterations used, and whether `done(da, a)` was reached within `most`."""
+    """Iterate (8) as printed; return a, lam, the iterations used, and whether `done(da, a)` held within `most`."""
     h = F + C.T @ (alpha @ xi)  # (8)
     for i in range(1, most + 1):
         before, a = a, solve(h - C.T @ lam)  # (8)
@@ -88,10 +88,10 @@ def classic(
 def residual(
     M: Array, F: Array, C: Array, xi: Array, alpha: Array, solve: Solve, a: Array, lam: Array, most: int, done: Done
 ) -> tuple[Array, Array, int, bool]:
-    """(8) in residual form: the same fixed point without the cancellation; returns what `classic` returns."""
+    """Iterate (8) in residual form: the same fixed point and result as `classic`, without its cancellation."""
     for i in range(1, most + 1):
-        r1 = F - M @ a  # with -C' lam below, what (4) lacks
-        r2 = xi - C @ a  # what (3) lacks
+        r1 = F - M @ a  # residual of (4), with -C' lam below
+        r2 = xi - C @ a  # residual of (3)
         da = solve(r1 + C.T @ (alpha @ r2 - lam))  # (8) for the increment
         a = a + da
         lam = lam - alpha @ (r2 - C @ da)  # (8) for the increment
@@ -101,7 +101,7 @@ def residual(
 
 
 def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, done: Done) -> Array:
-    """lam without what redundant rows add to it: of all with the same C' lam, that of least norm (weighted by 1/alpha).
+    """Return the multipliers of least norm, weighted by 1 / alpha, among all with the same C' lam.
 
     lam = alpha C z with C' alpha C z = C' lam by iterated (10); each pass gains a factor of mass / alpha.
     """
@@ -120,18 +120,18 @@ def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> A
 
 
 def settled(change: Array, before: Array, size: Array, tolerance: float) -> Array:
-    """Return whether passes of `minimum_norm` are enough, by squares: the last change, the one before, and lam."""
+    """Return whether `minimum_norm` has converged, from squared norms of the last two changes and of lam."""
     return (change <= tolerance**2 * size) + (change <= SETTLED**2 * size) * (change > GAIN**2 * before) > 0
 
 
 def minimum_norm_of_joints(
     C: Array, alpha: Array, lengths: Array, inverse: Callable[[Array], Solve], lam: Array, most: int, done: Done
 ) -> Array:
-    """`minimum_norm` over rows of joints alone: those that `lengths` (l, l) picks add nothing to it.
+    """Apply `minimum_norm` to the rows of joints alone; `lengths` (l, l) selects the other rows.
 
-    They keep Euler parameters at unit length, so that E E' = 1 on the motion. The other rows less what they contain of
-    them, C - share E, are orthogonal to them, and so the least norm of both is that of each. `inverse` gives what
-    solves with M + C' alpha C for such a C.
+    Those others, E, keep Euler parameters at unit length, so that E E' = 1 on the motion. Rows of joints less their
+    part along E, C - share E, are orthogonal to E, so the norms can be minimised separately. `inverse` returns a
+    solver with M + C' alpha C for such a C.
     """
     E = lengths @ C
     share = C @ E.T - lengths
@@ -143,10 +143,10 @@ def minimum_norm_of_joints(
 def shared_again(
     P: Array, g: Array, C: Array, alpha: Array, inverse: Callable[[Array], Solve], eased: Array, most: int, done: Done
 ) -> Array:
-    """Return the change of lam that acts like none and makes what joints carry least: d' P d / 2 + g' d with C' d = 0.
+    """Return the change d of lam that minimises the loads of joints, d' P d / 2 + g' d, subject to C' d = 0.
 
     This is (8) with P (l, l) for the masses, -g for the forces and C' for the constraints, whose penalties are alpha
-    (n, n). `eased` (l, l) is P, or a little more where that holds no multipliers; `inverse` gives what solves.
+    (n, n). `eased` (l, l) is P, regularised in directions that P leaves free; `inverse` returns a solver.
     """
     nothing = 0 * g
     solve = inverse(augmented_mass(eased, C.T, alpha))
@@ -159,19 +159,19 @@ def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> A
 
 
 def penalty(F: Array, C: Array, xi: Array, alpha: Array, solve: Solve) -> tuple[Array, Array]:
-    """(6), full penalty, with `xi` already stabilised; returns a and the multipliers that it implies."""
+    """Solve (6), the full penalty method, with `xi` already stabilised; return a and the multipliers it implies."""
     a = solve(F + C.T @ (alpha @ xi))  # (6)
     return a, alpha @ (C @ a - xi)
 
 
 def stiffness(F: Array, C: Array, Phi: Array, k: Array, solve: Solve) -> tuple[Array, Array]:
-    """(5), penalty of stiffness k (l, l) [N/m by row] only; `solve` applies the inverse of M itself."""
+    """Solve (5), a penalty of stiffness k (l, l) alone [N/m by row]; `solve` applies the inverse of M itself."""
     lam = k @ Phi
     return solve(F - C.T @ lam), lam  # (5)
 
 
 def dae(M: Array, F: Array, C: Array, xi: Array, solve: Callable[[list, list], tuple]) -> tuple[Array, Array]:
-    """(9), the index-1 DAE form; `solve` takes its blocks, and must bear a matrix that is singular."""
+    """Solve (9), the index-1 DAE form; `solve` takes its blocks, and must accept a singular matrix."""
     return solve([[M, C.T], [C, 0]], [F, xi])  # (9)
 
 
@@ -183,10 +183,10 @@ def project(C: Array, alpha: Array, solve: Solve, residue: Array) -> Array:
 def project_residual(
     M: Array, C: Array, alpha: Array, solve: Solve, residue: Array, left: Callable[[Array], Array]
 ) -> Array:
-    """Return a correction (10) in residual form; `left(d)` is what a correction d leaves of the residue.
+    """Return a correction (10) in residual form; `left(d)` is the residue that remains after a correction d.
 
-    As printed, it moves q along the motion by the round-off of alpha times what it moves it across, over a mass. Here
-    the same factors give what it lacks, from what it leaves.
+    As printed, (10) displaces q along the motion by round-off: eps alpha / mass of the correction itself. One step of
+    iterative refinement with the same factors removes this.
     """
     d = project(C, alpha, solve, residue)
-    return d - solve(M @ d + C.T @ (alpha @ left(d)))  # (10) for what d lacks
+    return d - solve(M @ d + C.T @ (alpha @ left(d)))  # (10) for the residual of d

@@ -1,8 +1,8 @@
 """Newton's method for friction that follows from the load, on arrays and symbols alike.
 
-Forces phi of joints that slide are what their laws say of the reactions, phi = law(a, lambda); a and lambda are affine
-in phi, as (4) and (3) are linear. With the slopes D of law(phi) the change of phi is that of (I - D) dphi = law - phi.
-Where friction goes on from none without a fold, all pivots of I - D are positive. At a fold they vanish: a jam.
+Forces phi of sliding joints follow from the reactions, phi = law(a, lambda); a and lambda are affine in phi, as (4)
+and (3) are linear. With the slopes D of law(phi), one iteration solves (I - D) dphi = law - phi. On the branch that
+continues from zero friction all pivots of I - D are positive. At a fold one of them vanishes: the joint jams.
 """
 
 from collections.abc import Sequence
@@ -11,23 +11,24 @@ from typing import Any
 __all__ = ["JAM_PIVOT", "JAM_SETTLED", "LAW_ENOUGH", "LAW_PASSES", "newton"]
 
 LAW_PASSES = 12
-"""number of passes [1]: most of Newton's method in an evaluation; near a jam it takes more than six."""
+"""most iterations of Newton's method in an evaluation [1]: near a jam it takes more than six."""
 
 LAW_ENOUGH = 1e-7
-"""what is left of a law over the friction [1]: Newton's method makes no other pass, as this one then left round-off."""
+"""residual of a law over the friction [1]: Newton's method ends below it, as one more iteration would leave
+round-off."""
 
 JAM_SETTLED = 1e-6
-"""what the last pass leaves of a law over the friction [1]: a pass that is no better has found none."""
+"""residual of a law over the friction after the last iteration [1]: Newton's method has failed above it."""
 
 JAM_PIVOT = 1e-3
-"""pivot of I - D [1]: where it is less a motion that cannot go on has met a jam; it is 1 without friction, and negative
+"""pivot of I - D [1]: below it a motion that cannot continue has met a jam; it is 1 without friction, and negative
 beyond a fold."""
 
 Number = Any
 
 
 def newton(slopes: Sequence[Sequence[Number]], residues: Sequence[Number]) -> tuple[list[Number], list[Number]]:
-    """Return the change of phi by elimination without exchange of rows, and the pivots of I - D; D is given by rows."""
+    """Return the change of phi by elimination without pivoting, and the pivots of I - D; D is given by rows."""
     count, right = len(residues), list(residues)
     rows = [[(i == j) - slopes[i][j] for j in range(count)] for i in range(count)]
     pivots = []

@@ -1,10 +1,10 @@
-"""Implicit forms of a mechanism's equations: tangents, and what the linear systems of implicit methods reduce to.
+"""Implicit forms of a mechanism's equations: tangents, and the reduced linear systems of implicit methods.
 
 State (q, v), rate (v, a(q, v, u, t)) with a from the augmented Lagrangian, so for constraints of any rank. Its tangent
 is J = [[0, I], [aq, av]] with aq, av (n, n) the derivatives of a. Written for NumPy arrays and for symbols alike, as
 `formulations` is: `solve` applies the inverse of H, `divide(A, b)` the inverse of A. Letters are those of
-`formulations`; R = F - M a - C' lam and X = xi - C a are what (4) and (3) lack, and Rq, Rv, Xq, Xv their derivatives at
-fixed a and lam (`alfmu.equations.evaluation.tangents`).
+`formulations`; R = F - M a - C' lam and X = xi - C a are the residuals of (4) and (3), and Rq, Rv, Xq, Xv their
+derivatives at fixed a and lam (`alfmu.equations.evaluation.tangents`).
 """
 
 from collections.abc import Callable, Sequence
@@ -52,16 +52,15 @@ def tangent(
     most: int,
     done: method.Done,
 ) -> Array:
-    """Return derivatives of a (n, k) from those of R (n, k) and X (l, k) at fixed a and lam: (8) with k right-hand
-    sides.
+    """Return derivatives of a (n, k) from those of R (n, k) and X (l, k) at fixed a and lam, by (8).
 
-    `zeros` (n, k) and (l, k) to begin with.
+    The iteration starts at `zeros`, (n, k) and (l, k).
     """
     return method.residual(M, R, C, X, alpha, solve, *zeros, most, done)[0]
 
 
 def solved(s: Array, aq: Array, av: Array, rq: Array, rv: Array, eye: Array, divide: Divide) -> tuple[Array, Array]:
-    """(I - s J)^-1 applied to (rq, rv), by a system of n equations."""
+    """Apply (I - s J)^-1 to (rq, rv) by a system of n equations."""
     dv = divide(eye - s * av - s * s * aq, rv + s * (aq @ rq))
     return rq + s * dv, dv
 
@@ -76,10 +75,10 @@ def corrected(
     split: Callable[[Array, int], list[Array]],
     divide: Divide,
 ) -> list[tuple[Array, Array]]:
-    """Changes of the rates (v, a) at the nodes of a collocation step: s n equations for s nodes.
+    """Return the changes of the rates (v, a) at the s nodes of a collocation step, by one system of s n equations.
 
-    `tangents` (aq, av) and `residues` by node; `joined` makes a matrix of blocks, `split` cuts a vector into
-    equal parts.
+    `tangents` (aq, av) and `residues` are given by node; `joined` builds a matrix from blocks, `split` cuts a vector
+    into equal parts.
     """
     A, nodes, squared = rule.matrix, range(len(rule.nodes)), _squared(rule)
     blocks = [
@@ -97,25 +96,25 @@ def corrected(
     ]
 
 
-# The same by accelerations alone, with what the kernel keeps of a tangent: H, Q, V of `stiffness`. ------------------
+# The same by accelerations alone; the kernel stores a tangent as H, Q, V of `stiffness` -----------------------------
 
 
 def stiffness(H: Array, C: Array, alpha: Array, Rq: Array, Rv: Array, Xq: Array, Xv: Array) -> tuple[Array, ...]:
-    """H, Q, V (n, n) with H da = Q dq + V dv: (8) for small changes, but for multipliers that are of size mass / alpha.
+    """Return H, Q, V (n, n) with H da = Q dq + V dv: (8) for small changes, up to a relative error of mass / alpha.
 
-    An iteration of Newton's method needs no more, as what it leaves is of the same size.
+    Newton's method needs no better tangent: its own residual is of that size.
     """
     weighted = C.T @ alpha
     return H, Rq + weighted @ Xq, Rv + weighted @ Xv
 
 
 def at_node(rule: Collocation, i: int, dt: Array, q: Array, v: Array, a: Sequence[Array]) -> tuple[Array, Array]:
-    """q and v at a node of a collocation step from q and v, with accelerations a at the nodes."""
+    """Return q and v at node i of a collocation step from q and v at its start and the accelerations at all nodes."""
     return q + dt * (rule.nodes[i] * v + dt * combined(_squared(rule)[i], a)), v + dt * combined(rule.matrix[i], a)
 
 
 def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
-    """Return weights by which H, Q, V of each node make up the matrix of a collocation step, for its accelerations."""
+    """Return the weights of H, Q, V of each node in the matrix of a collocation step."""
     nodes = range(len(rule.nodes))
     eye = [[float(i == j) for j in nodes] for i in nodes]
     first, second = ([[x * w for w in row] for row in A] for x, A in ((-dt, rule.matrix), (-dt * dt, _squared(rule))))
@@ -123,13 +122,11 @@ def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
 
 
 def filter_weights(s: Array) -> list[list[list[Array]]]:
-    """Return the same for (I - s J)^-1 (rq, rv) = (rq + s dv, dv): (H - s V - s^2 Q) dv = H rv + s Q rq, see
-    `solved`."""
+    """Return the weights of H, Q, V in the matrix of `solved`, (H - s V - s^2 Q) dv = H rv + s Q rq."""
     return [[[1.0]], [[-s * s]], [[-s]]]
 
 
 def _squared(rule: Collocation) -> list[list[float]]:
-    """Return the matrix of a method, squared."""
     A, nodes = rule.matrix, range(len(rule.nodes))
     return [[sum(A[i][k] * A[k][j] for k in nodes) for j in nodes] for i in nodes]
 
@@ -138,10 +135,10 @@ def _squared(rule: Collocation) -> list[list[float]]:
 
 
 def return_map(C: Array, alpha: Array, solve: method.Solve, Xv: Array, eye: Array, passes: int) -> tuple[Array, Array]:
-    """How places on the branch follow displacements beside it: dq -> T dq, dv -> T dv + S dq (n, n).
+    """Return T, S (n, n), which project displacements off a branch onto it: dq -> T dq, dv -> T dv + S dq.
 
-    T keeps what keeps the constraints; S is the change of v that the turn of the constraints asks for: with xi
-    quadratic in v, (dC) v = -Xv T dq / 2.
+    T projects onto the motions that satisfy the constraints; S corrects v for the rotation of the constraints: with
+    xi quadratic in v, (dC) v = -Xv T dq / 2.
     """
     T, S = eye, 0 * eye
     for _ in range(passes):
@@ -153,7 +150,7 @@ def return_map(C: Array, alpha: Array, solve: method.Solve, Xv: Array, eye: Arra
 
 
 def on_branch(aq: Array, av: Array, T: Array, S: Array) -> tuple[Array, Array]:
-    """aq and av of the accelerations at the place on the branch, by displacements beside it."""
+    """Return aq and av of the accelerations on the branch with respect to displacements that may leave it."""
     return aq @ T + av @ S, av @ T
 
 
@@ -164,7 +161,7 @@ def on_branch(aq: Array, av: Array, T: Array, S: Array) -> tuple[Array, Array]:
 class Newmark:
     """A member of the generalised-alpha family (Chung and Hulbert 1993; for constraints, Arnold and Bruels 2007).
 
-    (1 - m) w1 + m w0 = (1 - f) a1 + f a0 for the accelerations w that make positions and velocities:
+    (1 - m) w1 + m w0 = (1 - f) a1 + f a0 for the accelerations w that positions and velocities are integrated from:
     q1 = q0 + dt v0 + dt^2 ((1/2 - beta) w0 + beta w1), v1 = v0 + dt ((1 - gamma) w0 + gamma w1).
     """
 
@@ -175,7 +172,7 @@ class Newmark:
 
     @property
     def name(self) -> str:
-        """The name of the rule, different from that of any other."""
+        """Return a name that identifies the rule and its parameters."""
         return f"newmark {self.m} {self.f}"
 
 
@@ -184,7 +181,7 @@ TRAPEZOIDAL = Newmark(0.0, 0.0, 0.25, 0.5)
 
 
 def damped(radius: float) -> Newmark:
-    """Return the member with a spectral radius (0 to 1) at infinite frequency, and least damping below it; order 2."""
+    """Return the member of order 2 with this spectral radius (0 to 1) at infinite frequency and least damping below."""
     m, f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
     gamma = 0.5 + f - m
     return Newmark(m, f, (gamma + 0.5) ** 2 / 4, gamma)
@@ -201,23 +198,23 @@ RULES: dict[str, Collocation | Newmark] = {
     "trapezoidal": TRAPEZOIDAL,
     "generalized_alpha": damped(DAMPED),
 }
-"""What the methods that need tangents of the equations (`alfmu.equations.evaluation.with_tangents`) stand for."""
+"""Methods that need tangents of the equations (`alfmu.equations.evaluation.with_tangents`), by name."""
 
 
 def moved(rule: Newmark, dt: Array, q: Array, v: Array, w: Array, a: Array, change: Array) -> tuple:
-    """q, v, w after a step in which the accelerations change from a to a + change."""
+    """Return q, v, w after a step in which the accelerations change from a to a + change."""
     after = ((1 - rule.f) * (a + change) + rule.f * a - rule.m * w) / (1 - rule.m)
     q = q + dt * v + dt * dt * ((0.5 - rule.beta) * w + rule.beta * after)
     return q, v + dt * ((1 - rule.gamma) * w + rule.gamma * after), after
 
 
 def changes(rule: Newmark, dt: Array) -> tuple[Array, Array]:
-    """What v1 and a1 change by, over a change of q1: gamma / (beta dt), (1 - m) / (beta dt^2 (1 - f))."""
+    """Return dv1/dq1 = gamma / (beta dt) and da1/dq1 = (1 - m) / (beta dt^2 (1 - f))."""
     return rule.gamma / (rule.beta * dt), (1 - rule.m) / (rule.beta * dt * dt * (1 - rule.f))
 
 
 def position_weights(rule: Newmark, dt: Array) -> list[list[list[Array]]]:
-    """Return weights by which H, Rq, Rv make up the matrix of `position_step`."""
+    """Return the weights of H, Rq, Rv in the matrix of `position_step`."""
     by_v, by_a = changes(rule, dt)
     return [[[1.0]], [[-1 / by_a]], [[-by_v / by_a]]]
 

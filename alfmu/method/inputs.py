@@ -1,6 +1,6 @@
 """Inputs inside a communication step, extrapolated from their values at past communication points.
 
-The rules are the same lines on numbers and on symbols: they choose by a `where` they are handed (`stepping`).
+The rules run on numbers and on symbols: they branch by a `where` that the caller passes (see `stepping`).
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 __all__ = ["KEPT", "Past", "extrapolated", "memory_size", "reached"]
 
 KEPT = 3
-"""Communication points that are kept: enough for order 2."""
+"""Number of communication points recorded: enough for order 2."""
 
 Array = Any
 Where = Callable[[Any, Any, Any], Any]
 
 
 def memory_size(inputs: int) -> int:
-    """Return numbers of so many inputs at past points: how many points, their times, their inputs, newest first."""
+    """Return the size of the record of past points: their count, times and inputs, newest first."""
     return 1 + KEPT * (1 + inputs)
 
 
 def reached(
     known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, u: Array, where: Where
 ) -> tuple[Array, list[Array], list[Array]]:
-    """What is known of past points after u at t, in place of what was there if it has been reached before."""
+    """Return the record after inputs u at communication point t; a point already recorded is replaced."""
     later = sum(where(known > i, where(times[i] >= t, 1.0, 0.0), 0.0) for i in range(KEPT))
 
     def older(values: Sequence[Array], i: int) -> Array:
@@ -45,7 +45,7 @@ def reached(
 def extrapolated(
     known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, order: int, where: Where
 ) -> Array:
-    """Return inputs at t by the polynomial of an order through the newest points, a lower one while there are fewer."""
+    """Return inputs at t by the polynomial of this order through the newest points, of lower order if there are few."""
     total = 0.0
     for i in range(order + 1):
         weight = where(known > i, 1.0, 0.0)
@@ -58,7 +58,7 @@ def extrapolated(
 
 
 class Past:
-    """Inputs at the last communication points, newest first; `numbers` are all of it, and may be kept by the caller."""
+    """Inputs at the last communication points, newest first; `numbers` hold the whole state and can be saved."""
 
     def __init__(self, inputs: int, numbers: NDArray[np.float64] | None = None):
         self.numbers: NDArray[np.float64] = np.zeros(memory_size(inputs)) if numbers is None else numbers
@@ -66,7 +66,7 @@ class Past:
         self._inputs = self.numbers[1 + KEPT :].reshape(KEPT, inputs)
 
     def reach(self, t: float, u: NDArray[np.float64]) -> None:
-        """Records the inputs u at a communication point t."""
+        """Record the inputs u at a communication point t."""
         known, times, inputs = reached(self.numbers[0], self._times.tolist(), self._inputs.copy(), t, u, np.where)
         self.numbers[0], self._times[:], self._inputs[:] = known, times, inputs
 

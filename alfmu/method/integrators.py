@@ -1,4 +1,4 @@
-"""Steps of explicit integration, free of mechanisms: they see a state vector and its rate."""
+"""Explicit integration of a state vector with a given rate, independent of mechanisms."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,10 +1,11 @@
 """Singular positions, in five steps that `docs/singular.md` explains and that lines of the code cite.
 
-S1 calibrate at the start, S2 measure the margin, S3 bring a stage to the branch, S4 take the limit from places beside,
-S5 return to the constraints and freeze the rank. At a singular position C loses rank and two or more motions cross: an
-acceleration can keep the constraints and yet belong to none of them. On one branch the acceleration is smooth, so its
-limit follows from places before and after. The page has the formula of the margin, and what half and twice each of
-these constants would do. The functions take NumPy arrays and symbols alike, except `with_pole`, which takes arrays.
+S1 calibrate at the start, S2 measure the margin, S3 bring a stage to the branch, S4 compute the limit from positions on
+either side, S5 return to the constraints and freeze the rank. At a singular position C loses rank and two or more
+motions cross: an acceleration can satisfy the constraints and yet belong to none of them. On one branch the
+acceleration is smooth, so its limit follows from positions before and after. The page has the formula of the margin,
+and the effect of halving and doubling each of these constants. The functions take NumPy arrays and symbols alike,
+except `with_pole`, which takes arrays.
 """
 
 import math
@@ -34,100 +35,101 @@ __all__ = [
 Array = Any
 
 BRANCH_MARGIN = 2.5e-4
-"""margin [1]: a step that comes below it is made on the branch; at four times the value a third more
-steps are made there, and errors change by 0.4 % at most."""
+"""margin [1]: a step below it is made on the branch; at four times the value a third more steps are made there, and
+errors change by 0.4 % at most."""
 
 SMALL_PIVOT = 0.03
 """pivot over its scale [1]: only pivots below it enter the margin; larger ones vary with the position and do not
 vanish."""
 
 REGULAR_PRODUCT = 0.1
-"""product of all pivots over its typical value [1]: a position above it is regular although a pivot is small, as
-where Euler parameters hardly describe the motion."""
+"""product of all pivots over its typical value [1]: a position above it is regular although a pivot is small, as where
+Euler parameters hardly describe the motion."""
 
 NOISE_FLOOR = 25.0
-"""margin over the pivot contributed by masses [1]: up to it a margin cannot be told from that of the singular position
-itself, where masses contribute several such pivots."""
+"""margin over the pivot contributed by masses [1]: below it a margin is indistinguishable from that of the singular
+position itself, where masses contribute several such pivots."""
 
 SPACING = 0.25
-"""distance between places over the step [1]: at 0.1 the N-four-bar of 10 loops in natural coordinates is 1.5e-6 rad off
-after 10 s instead of less than 1e-8, by the round-off of margins."""
+"""distance between positions over the step [1]: at 0.1 round-off of margins puts the N-four-bar of 10 loops in natural
+coordinates 1.5e-6 rad off after 10 s, instead of less than 1e-8."""
 
 LEAST_DISTANCE = 0.011
-"""distance of the first place [rad]: accelerations on the branch lose digits with the third power of the distance; at
-0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of 2e-11;
-at half and twice the value `stiff` at 1e-9 refuses one or two steps in 3 s, as at the value
+"""distance of the first position [rad]: accelerations on the branch lose digits with the third power of the distance;
+at 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of
+2e-11; at half and twice the value `stiff` at 1e-9 rejects one or two steps in 3 s, as at the value
 (`tests/test_methods.py`)."""
 
 CONVERGENCE = 7.0
-"""distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
-the square of it, 49, and the five of the careful step gain 3e8; it counts where the penalty is small."""
+"""distance of the first position over the root of the pivot contributed by masses [1]: each multiplier iteration gains
+the square of it, 49, and the five of the careful step gain 3e8; it applies where the penalty is small."""
 
 DOUBLINGS = 20
-"""doublings of a spacing [1]: a slow motion, whose places are too near to be told apart, gets a spacing of up to a
-million times its own."""
+"""most doublings of a spacing [1]: positions of a slow motion are too close to be distinguished until the spacing has
+grown up to a million times."""
 
 LIMIT_ZONE = 0.5
-"""distance to the singular position over that of the first place [1]: closer stages take the limit; at this distance
-its places are on both sides of the position."""
+"""distance to the singular position over that of the first position [1]: closer stages take the limit, whose positions
+are then on both sides of the singular one."""
 
 INDEPENDENT_MASS = 1e3
-"""mass added to independent coordinates over that of the motion [1]: large enough that a stage is brought to the branch
-by moving dependent coordinates instead."""
+"""mass added to independent coordinates over that of the motion [1]: large enough that a stage reaches the branch by
+moving dependent coordinates instead."""
 
 READ_DISTANCE = 0.03
-"""distance of the first place where reactions are read [rad]: reactions lose digits with its fourth power, so it is
-larger than that of accelerations."""
+"""distance of the first position where reactions are evaluated [rad]: reactions lose digits with its fourth power, so
+it is larger than that of accelerations."""
 
 READ_ZONE = 0.2
-"""distance to the singular position over READ_DISTANCE [1]: reactions read closer than this are limits; farther ones
-are as exact by themselves."""
+"""distance to the singular position over READ_DISTANCE [1]: closer reactions are limits; farther away, direct
+evaluation is as exact."""
 
 FARTHEST = 0.1
-"""distance of the first place [rad]: above it steps with error control take no limit; penalties of 200 times the masses
-ask for 0.5, and a four-bar is 2e-5 rad off then at a tolerance of 1e-6, which no estimate sees."""
+"""distance of the first position [rad]: above it steps with error control take no limit; penalties of 200 times the
+masses would require 0.5, and a four-bar is then 2e-5 rad off at a tolerance of 1e-6, which no estimate detects."""
 
 PLACES = 4
-"""places on either side [1]: a limit of order 8, whose places can be so far apart that round-off does not count; with 2
-the N-four-bar in natural coordinates is 8e-10 rad off after 10 s of steps of 0.3 ms instead of 2e-11."""
+"""positions on either side [1]: a limit of order 8, whose positions can be far enough apart to make round-off
+negligible; with 2 the N-four-bar in natural coordinates is 8e-10 rad off after 10 s of steps of 0.3 ms instead of
+2e-11."""
 
 LONG_PLACES = 4
-"""places on either side where reactions are read, and of integrators beside RK4 [1]: a limit of order 8, the order of
-the best integrator."""
+"""positions on either side for reactions, and for integrators other than RK4 [1]: a limit of order 8, the order of the
+best integrator."""
 
 LONG_SPACING = 0.1
-"""distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
+"""distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
 READ_LOSS = 40.0
-"""error of reactions at a regular position over round-off of the loads [1]: what the tolerance of constraints and of
-(8) leaves."""
+"""error of reactions at a regular position over round-off of the loads [1]: it is due to the tolerances of constraints
+and of (8)."""
 
 NEAR_LOSS = 0.1
-"""the same over one over the fourth power of the distance where that is more [1]: runs of four-bars and five-bars left
-half of it to 400 times less."""
+"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]:
+runs of four-bars and five-bars had between half of it and 1/400 of it."""
 
 LIMIT_LOSS = 3.0
-"""error of a limit over round-off of its first places [1]: of four-bars and five-bars it was 0.05 to 5."""
+"""error of a limit over round-off of its nearest positions [1]: in runs of four-bars and five-bars it was 0.05 to 5."""
 
 POLE_SEEN = 1e-6
-"""what a pole makes of reactions at the places over the largest of them [1]: less of it is none, as round-off leaves
+"""contribution of a pole to reactions over the largest of them [1]: a smaller pole is ignored, as round-off leaves
 1e-8."""
 
 POLE_ZERO = 1e-7
-"""distance of a pole over that of the first place [1]: a smaller one is zero to round-off, which leaves 1e-9 of it, and
-the position is the pole itself."""
+"""distance of a pole over that of the first position [1]: below it the position counts as the pole itself; round-off
+leaves 1e-9."""
 
 FROZEN = 1e-6
-"""motion that is left where time stands still over the motion itself [1]: below it a mechanism has no motion but the
-prescribed one, along which no place is displaced; round-off leaves 1e-12 near a singular position."""
+"""motion at fixed time over the whole motion [1]: below it a mechanism has only its prescribed motion, along which no
+position is displaced; round-off leaves 1e-12 near a singular position."""
 
 TINY = 1e-300
-"""number [1]: added to a divisor that may be zero, as that of a mechanism at rest."""
+"""number [1]: added to a divisor that may be zero, as for a mechanism at rest."""
 
 
 def weights(m: int) -> dict[int, float]:
-    """S4: weights of m places before and m after, evenly spaced, that leave an error of order 2 m in the spacing."""
+    """S4: return weights of m evenly spaced positions before and after, with an error of order 2 m in the spacing."""
     return {
         k * side: (-1) ** (k + 1) * math.comb(2 * m, m + k) / math.comb(2 * m, m)
         for side in (-1, 1)
@@ -136,62 +138,61 @@ def weights(m: int) -> dict[int, float]:
 
 
 MEAN = weights(PLACES)
-"""Places [spacings] from which a step takes an acceleration, and their weights."""
+"""Positions [spacings] from which a step takes the limit of an acceleration, and their weights."""
 
 READ_MEAN = weights(LONG_PLACES)
-"""The same where reactions are read."""
+"""Positions [spacings] from which a limit of reactions is taken, and their weights."""
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:
-    """S2: square of the distance [rad^2] that a spacing covers, from margins, which are parabolas over the distance."""
+    """S2: return the squared spacing [rad^2], from margins, which are parabolas over the distance."""
     return (before + after) / 2 - here
 
 
 def mean(values: dict[int, Array]) -> Array:
-    """S4: the limit from values at places, as many before as after."""
+    """S4: return the limit from values at as many positions before as after."""
     return sum(w * values[k] for k, w in weights(len(values) // 2).items())
 
 
 def pole(values: dict[int, Array]) -> tuple[Array, Array, Array]:
-    """S4: of values x_k at places k, the means of x_k, k x_k and k^2 x_k.
+    """S4: return the limits of x_k, k x_k and k^2 x_k at k = 0.
 
-    At k = 0 the last two are nothing where x is smooth. Of A / (k - c) they are B and c B, and -B / c is what the mean
-    of x_k lacks.
+    The last two vanish where x is smooth. For A / (k - c) they are B and c B, and -B / c corrects the limit of x_k.
     """
     limit, first, second = (mean({k: k**power * x for k, x in values.items()}) for power in (0, 1, 2))
     return limit, first, second
 
 
 def fewer(values: dict[int, Array]) -> dict[int, Array]:
-    """The same without the places that are farthest: what they change tells the error of a limit."""
+    """Return the values without the farthest positions; the change of the limit estimates its error."""
     return {k: x for k, x in values.items() if abs(k) < len(values) // 2}
 
 
 def direct_error(margin: Array, eps: float) -> Array:
-    """Round-off of reactions over them at a place of this margin, as the fourth power of its distance loses it."""
+    """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance."""
     return eps / (margin * margin + TINY)
 
 
 def reading_error(margin: Array, eps: float) -> Array:
-    """Error of reactions read at a place of this margin, over the loads there."""
+    """Return the error of reactions evaluated at this margin, relative to the loads there."""
     return READ_LOSS * eps + NEAR_LOSS * direct_error(margin, eps)
 
 
 def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: float) -> Array:
-    """Error of a limit of values that are as large as `largest` at the places.
+    """Return the error of a limit of values that reach `largest`.
 
-    What the farthest places change falls with each pair of them as it did before. Round-off of the first places is
-    `magnified` where it moves a pole.
+    The effect of each farther pair of positions is extrapolated from the last two, `change` and `before`. Round-off of
+    the nearest positions is `magnified` where it displaces a pole.
     """
     noise = LIMIT_LOSS * direct_error(READ_DISTANCE**2, eps) * largest
     return change * change / (change + before + TINY) + noise * (1 + magnified)
 
 
-def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, bool, float]:
-    """S4: reactions (l,) from those at places before and after, whether they have a pole nearby, and by how much that
-    magnifies round-off.
+def with_pole(values: dict[int, NDArray], use_pole: bool = True) -> tuple[NDArray, bool, float]:
+    """S4: return reactions (l,) from those before and after, whether a pole is near, and by how much it magnifies
+    round-off.
 
-    Where they have one, this is their value here, and at the pole itself, or with `told` false, the finite part.
+    Near a pole this is the value here; at the pole itself, or with `use_pole` false, it is the finite part.
     """
     limit, first, second = pole(values)
     largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)
@@ -199,20 +200,20 @@ def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, b
     if not np.abs(first[steepest]) > POLE_SEEN * largest or not abs(second[steepest]) < abs(first[steepest]):
         return limit, False, 0.0
     place = second[steepest] / first[steepest]
-    if not told or abs(place) <= POLE_ZERO:
+    if not use_pole or abs(place) <= POLE_ZERO:
         return limit, True, 0.0
     return limit - np.where(np.abs(first) > POLE_SEEN * largest, first, 0.0) / place, True, 1 / place**2
 
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:
-    """S3: the part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in metric M."""
+    """S3: return the part of d (n,) that satisfies the constraints; the rest is orthogonal to it in metric M."""
     return d + project(C, alpha, solve, C @ d)
 
 
 def along(M: Array, heavy: Array, way: Array, d: Array, least: Array = 0.0) -> Array:
-    """S3: multiple of a tangent `way` (n,) to move by, so that a displacement d (n,), which is orthogonal to it in the
-    metric of M, is so in that of M with the masses `heavy` (n,) of the independent coordinates. A way far below `least`
-    in that metric is none."""
+    """S3: return the multiple of the tangent `way` (n,) that makes a displacement d (n,) orthogonal to it in the metric
+    of M with the masses `heavy` (n,) of the independent coordinates, given that it is orthogonal in metric M. A tangent
+    far shorter than `least` in that metric counts as zero."""
     given = way * heavy
     return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + least + TINY)
 
@@ -229,10 +230,10 @@ def returned(
     speed: Callable[[Array], Array] | None = None,
     still: Array | None = None,
 ) -> tuple[Array, Array]:
-    """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion.
+    """Return q displaced along the motion to the position nearest to `wanted`, and the v of that motion.
 
-    Where time is a coordinate, `speed` gives Phi-dot of a velocity, and `still` is v with time standing still: nothing
-    is displaced along a motion that takes time, which the place has already.
+    If time is a coordinate, `speed` returns Phi-dot of a velocity, and `still` is v at fixed time: time itself is not
+    displaced.
     """
     speed = speed or (lambda x: C @ x)
 

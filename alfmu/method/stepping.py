@@ -1,7 +1,7 @@
-"""Methods with error control, free of mechanisms: they see a state vector, its rate, and what solves with its tangent.
+"""Integrators with error control, independent of mechanisms: they take a state vector, its rate and a tangent solver.
 
-Methods are data; a step is the same lines on NumPy arrays and on symbols, so nothing in it depends on values. What does
-is in the rules at the end, plain arithmetic of step sizes, which choose by a `where` they are handed.
+Methods are data. A step runs on NumPy arrays and on symbols, so it never branches on values. The rules for step sizes
+at the end do, by a `where` that the caller passes.
 """
 
 import math
@@ -47,22 +47,22 @@ class Explicit:
 
     order: int
     estimate: int
-    """Order of the embedded method; the estimated error is of one order more in the step."""
+    """Order of the embedded method; its local error is one order higher in the step."""
     nodes: tuple[float, ...]
     stages: tuple[tuple[float, ...], ...]
-    """Weights of the rates that make the second stage, the third, and so on."""
+    """Weights of the rates in the second stage, the third, and so on."""
     weights: tuple[float, ...]
     errors: tuple[tuple[float, ...], ...]
-    """Weights of the rates that make each estimate; one more than `weights` where the rate at the end counts too."""
+    """Weights of the rates in each estimate; one more than `weights` if the rate at the end is used."""
 
     @property
     def name(self) -> str:
-        """The name of the method: its order tells those apart that `solver.method` stands for."""
+        """Return a name that identifies the method by its order."""
         return f"explicit {self.order}"
 
     @property
     def reuses(self) -> bool:
-        """Whether the rate at the end of a step belongs to it, and is the first of the next one."""
+        """Whether the last stage of a step is the first of the next one (FSAL)."""
         return len(self.errors[0]) > len(self.weights)
 
 
@@ -73,16 +73,16 @@ class Collocation:
     order: int
     estimate: int
     gamma: float
-    """Weight of the rate at the begin in the embedded method, and what its error is filtered with."""
+    """Weight of the rate at the start in the embedded method, and the factor of its filter."""
     nodes: tuple[float, ...]
     matrix: tuple[tuple[float, ...], ...]
-    """Weights of the rates at the nodes that make the place of each node."""
+    """Weights of the rates at the nodes in the state at each node."""
     errors: tuple[float, ...]
-    """Weights of the rates at the nodes, beside gamma for the one at the begin, that make the estimate."""
+    """Weights of the rates at the nodes in the estimate, beside gamma for the one at the start."""
 
     @property
     def name(self) -> str:
-        """The name of the method, different from that of any other."""
+        """Return a name that identifies the method."""
         return f"collocation {self.order}"
 
 
@@ -122,7 +122,7 @@ EXPLICIT5_SHORT = Explicit(
     ),
 )
 """Cash and Karp, "A variable order Runge-Kutta method for initial value problems with rapidly varying right-hand
-sides", ACM Trans. Math. Softw. 16 (1990) 201-222: for short steps, as its estimate takes no rate at the end."""
+sides", ACM Trans. Math. Softw. 16 (1990) 201-222: for short steps, as its estimate needs no rate at the end."""
 
 EXPLICIT8 = Explicit(
     order=8,
@@ -341,8 +341,8 @@ EXPLICIT8_BESIDE = Explicit(
     ),
 )
 """Prince and Dormand, "High order embedded Runge-Kutta formulae", J. Comput. Appl. Math. 7 (1981) 67-75: for steps on
-the branch near a singular position, where rates are noisy. Its weights are below 1, those of `EXPLICIT8` reach 32 and
-leave 40 times as much of the noise; on smooth motions it takes 1.5 times the steps."""
+the branch near a singular position, where rates are noisy. Its weights are below 1; those of `EXPLICIT8` reach 32 and
+amplify the noise 40 times more. On smooth motions it takes 1.5 times the steps."""
 
 RADAU9 = Collocation(
     order=9,
@@ -359,14 +359,14 @@ RADAU9 = Collocation(
     errors=(-0.2523433122495464, 0.16035712210296996, -0.11627313434096281, 0.08100664894556402, -0.03181316888549383),
 )
 """Radau IIA with five nodes (Hairer and Wanner, "Stiff differential equations solved by Radau methods", J. Comput.
-Appl. Math. 111 (1999) 93-111): order 9, L-stable, and of order 5 at least whatever is stiff."""
+Appl. Math. 111 (1999) 93-111): order 9, L-stable, of order at least 5 for stiff components."""
 
 
 # Steps ------------------------------------------------------------------------------------------------------------
 
 
 def combined(weights: tuple[float, ...], values: list[State], begin: State | None = None) -> State:
-    """Sum of values by their weights, and of `begin`; those of weight zero are left out."""
+    """Return `begin` plus the weighted sum of values; values of weight zero are left out."""
     for weight, value in zip(weights, values, strict=True):
         if weight:
             begin = weight * value if begin is None else begin + weight * value
@@ -384,11 +384,11 @@ def explicit(
 ) -> tuple[State, list[State], State | None]:
     """Return one step from y at t to t + dt: the new state, estimates of its error, and the rate there if known.
 
-    `first` is the rate at y where it is known. `settle` brings the new state to where the motion goes on (projection):
-    a method that reuses the last rate takes it there, so that it is that of the state the next step begins with.
+    `first` is the rate at y if known. `settle` projects the new state onto the constraints; an FSAL method evaluates
+    its last rate there, since the next step begins there.
     """
     first = rate(t, y) if first is None else first
-    others: list[State] = []  # rates less the first one: large weights that cancel then cost no digits
+    others: list[State] = []  # rates less the first one, so that large weights of opposite sign lose no digits
     for node, weights in zip(method.nodes[1:], method.stages, strict=True):
         place = combined(weights[1:], others, node * first)
         others.append(rate(t + node * dt, y + dt * place) - first)
@@ -402,13 +402,13 @@ def explicit(
 
 
 def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
-    """Return weights of the rates, for a collocation method that at the begin first, of bounds of what a kink in a step
-    does.
+    """Return weights of the rates for bounds of the error that a kink within a step causes.
 
-    Estimates of high order miss most of it: the embedded methods have weights of 1e-4 in their first stages, a filter
-    takes it for what is stiff, and any single estimate vanishes for a kink at some place. The largest of these, which
-    are what a polynomial of second degree leaves of each rate, times the weight of that rate where it is above 1, is at
-    least two thirds of the error that a jump or a kink leaves, wherever it is in the step.
+    For a collocation method the rate at the start comes first. Estimates of high order miss most of this error: the
+    embedded methods have weights of 1e-4 in their first stages, a filter treats it as stiff, and any single estimate
+    vanishes for some position of the kink. Each bound is the residual of one rate from a polynomial of second degree,
+    times the weight of that rate if it is above 1. Their maximum is at least two thirds of the error of a jump or kink
+    anywhere in the step.
     """
     implicit = isinstance(method, Collocation)
     nodes, weights = np.array(method.nodes), np.abs(method.matrix[-1] if implicit else method.weights)
@@ -430,13 +430,12 @@ def collocation(
     most: int,
     done: Callable[[list[State], list[State]], bool],
 ) -> tuple[State, list[State], int, bool]:
-    """Return one step from y at t to t + dt by Newton's method on the rates k at the nodes, of which a guess is handed
-    in.
+    """Return one step from y at t to t + dt by Newton's method, from a guess k of the rates at the nodes.
 
-    `linearise` gives the rate at a time and state, and what `correct` needs of its tangent J there; `correct(tangents,
-    residues)` solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has a tangent of its own: one for all
-    would not do where the direction of a stiff force turns within the step. Returns the new state, k, the iterations
-    used, and whether `done(changes, k)` was reached within `most`.
+    `linearise` returns the rate at a time and state, and the data of its tangent J for `correct(tangents, residues)`,
+    which solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has its own tangent, because the direction of a
+    stiff force can rotate within the step. Returns the new state, k, the iterations used, and whether
+    `done(changes, k)` held within `most`.
     """
     for i in range(1, most + 1):
         places = [y + dt * combined(weights, k) for weights in method.matrix]
@@ -451,18 +450,17 @@ def collocation(
 def collocation_error(
     method: Collocation, solve: Callable[[Any, State], State], first: State, k: list[State], dt: Any
 ) -> State:
-    """Estimate of the error of a step from the rates, that at the begin first, damped where the rate is stiff.
+    """Return an error estimate of a step from its rates, the one at the start first, damped in stiff directions.
 
-    `solve(s, r)` gives (I - s J)^-1 r with J the tangent at the begin of the step. Solved twice: once bounds what is
-    stiff, but takes an offset of stiff springs for an error of velocities, over s; the step itself damps it.
+    `solve(s, r)` returns (I - s J)^-1 r with J the tangent at the start of the step. It is applied twice: once bounds
+    stiff components, but counts an offset of stiff springs, over s, as an error of velocities, which the step damps.
     """
     s = method.gamma * dt
     return solve(s, solve(s, dt * (method.gamma * first + combined(method.errors, k))))  # (IV.8.20), (IV.8.21)
 
 
 def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
-    """Return a guess of the rates in the next step, `ratio` times as long: the polynomial through those of the last
-    one."""
+    """Extrapolate the rates to the next step, `ratio` times as long, by the polynomial through those of the last."""
     nodes = method.nodes
     guesses = []
     for node in nodes:
@@ -481,95 +479,99 @@ def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
 
 
 LOOSE = 1e-4
-"""Tolerance of a run above which the pair of order 5 serves better than that of order 8."""
+"""Tolerance of a run above which the pair of order 5 is more efficient than that of order 8."""
+
+
+EXPLICIT_METHODS = {"order8": EXPLICIT8}
+"""Explicit methods that are the same at every tolerance, by the name of `solver.method`."""
 
 
 def explicit_rule(method: str, run: float, carried: str | None = None) -> Explicit | None:
-    """Return the explicit method that `solver.method` stands for at the tolerance of a run, None if it is another one.
+    """Return the explicit method that `solver.method` selects at the tolerance of a run, None if it is not explicit.
 
-    `carried` is the name of the one that is in the kernel: it is taken whatever the tolerance.
+    `carried` names the method traced into the scene; if given, it is used at any tolerance.
     """
-    if method == "order8":
-        return EXPLICIT8
     if method != "explicit":
-        return None
+        return EXPLICIT_METHODS.get(method)
     wanted = EXPLICIT5 if run > LOOSE else EXPLICIT8
     return next((rule for rule in (EXPLICIT5, EXPLICIT8) if rule.name == carried), wanted)
 
 
 def rule_beside(rule: Explicit) -> Explicit:
-    """What an explicit method is replaced by for steps on the branch near a singular position."""
+    """Return the method that replaces an explicit one for steps on the branch near a singular position."""
     return EXPLICIT8_BESIDE if rule is EXPLICIT8 else rule
 
 
 SHARE = 0.0016
-"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion: a slider-crank of equal
-links that turns twice is at most 7e-8 rad off at the default tolerance in 12,000 phases, at 0.002 1.2e-7."""
+"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion. At the default tolerance
+a slider-crank of equal links that turns twice is at most 7e-8 rad off in 12,000 phases; at 0.002 it is 1.2e-7."""
 
 
 STEADY = 1e-6
-"""Tolerance of a run up to which that of a long explicit step is in proportion to it."""
+"""Tolerance of a run up to which the tolerance of a long explicit step is proportional to it."""
 
 LOOSER = 0.25
-"""Exponent by which it is less above: such steps are so long that the estimate misses a part of their errors. Without,
-Bennett's linkage is 35 tolerances off at 1e-4 after 10 s, with it 2, by a seventh more evaluations."""
+"""Exponent by which the step tolerance falls further above STEADY, where steps are so long that the estimate misses
+part of their errors. Without it, Bennett's linkage is 35 tolerances off at 1e-4 after 10 s; with it 2, at a cost of a
+seventh more evaluations."""
 
 
 def share(method: Explicit | Collocation) -> tuple[float, float]:
-    """Factor and exponent that make the tolerance of a run that of a step.
+    """Return factor and exponent of the step tolerance, factor * (run tolerance)^exponent.
 
-    The estimate of a collocation method is of an order far below its own: with the exponent of Hairer and Wanner's
-    RADAU code, the error follows the tolerance all the same.
+    The estimate of a collocation method has a far lower order than the method: with the exponent of Hairer and
+    Wanner's RADAU code the error is still proportional to the tolerance.
     """
     return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
 
 
 SPLIT = 2.0
-"""Steps that are left up to an end below which they are made equal."""
+"""Number of steps left up to an end below which they are made equal."""
 
 NOISE = 8.0
-"""Errors that round-off is taken for, over one sample of what it leaves: so much of an error is none. With 4 steps of
-the flyball governor by an explicit method collapse at 1e-12."""
+"""Error attributed to round-off, over one sample of it; errors below it are ignored. At a factor of 4, steps of the
+flyball governor by an explicit method collapse at 1e-12."""
 
 SHORTEST = 1e-12
-"""Step [s] below which a run ends."""
+"""Step [s] below which a run fails."""
 
 SAFETY = 0.9
-"""Of a new step, over that which would just meet the tolerance."""
+"""Safety factor of a new step, over the one that would just meet the tolerance."""
 
 INTEGRAL = 0.7
-"""Exponent of this error, over that of a step that just meets the tolerance."""
+"""Exponent of the current error over the tolerance."""
 
 PROPORTIONAL = 0.4
-"""The same of the error before, against it."""
+"""Exponent of the previous error over the tolerance, with opposite sign."""
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
-"""Of a step over the one before."""
+"""Bounds of a step over the one before."""
 
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
-"""Errors over the tolerance below which one counts no more, as this error and as the one before."""
+"""Lower bounds of the current and of the previous error over the tolerance."""
 
 Where = Callable[[Any, Any, Any], Any]
-"""Takes a condition, and what is chosen where it holds and where not: the rules below run on numbers and on symbols."""
+"""Takes a condition and two values, and returns the first where it holds, else the second, for numbers and
+for symbols."""
 
 
 def chosen(condition: bool, a: float, b: float) -> float:
-    """`Where` of numbers."""
+    """Return a if the condition holds, else b: `Where` for numbers."""
     return a if condition else b
 
 
 def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
-    """Return a step of about dt, so that `left` is covered without a tiny step at the end."""
+    """Return a step of about dt that covers `left` without a tiny last step."""
     return where(dt >= left * (1 - 1e-9), left, where(SPLIT * dt > left, left / 2, dt))
 
 
 def judged(
     order: int, numbers: Sequence[Any], step: Any, error: Any, where: Where = chosen
 ) -> tuple[Any, Any, Any, Any]:
-    """`Control.numbers` after a step with an error over the tolerance, and whether it is accepted.
+    """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
-    Proportional and integral in the logarithm of the error. A step that was cut to land, and is accepted, shortens none
-    after it. What is not a number is refused.
+    The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
+    given time does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -595,17 +597,16 @@ def judged(
 
 
 CONVERGED = 1e-5
-"""What Newton's method with tangents that are kept may leave, over the tolerance of the step."""
+"""Largest last change of Newton's method with fixed tangents, over the tolerance of the step."""
 
 SLOW = 0.2
-"""Change of one pass of it over that of the one before, from which on new tangents cost less than further passes."""
+"""Ratio of successive changes above which new tangents cost less than further iterations."""
 
 
 def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
-    """Return whether passes of Newton's method with the same tangents have converged, and whether another one is worth
-    it.
+    """Return whether Newton's method with fixed tangents has converged, and whether another iteration can succeed.
 
-    `change` is that of the last pass over the tolerance, `before` that of the one before, infinite for the first.
+    `change` and `before` are the last two changes over the tolerance; `before` is infinite at the first iteration.
     """
     rate = change / before
     converged = where(before < math.inf, change * rate, change) <= CONVERGED * (1 - rate)
@@ -615,27 +616,27 @@ def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
 class Control:
     """Step sizes of one run, from one step to the next.
 
-    `numbers` are the whole memory, and may be kept by the caller: the step that is wanted [s], the error of the last
-    accepted step over the tolerance, whether the last try was refused.
+    `numbers` hold the whole state and can be saved: the proposed step [s], the error of the last accepted step over the
+    tolerance, and whether the last attempt was rejected.
     """
 
     def __init__(self, order: int, dt: float, numbers: MutableSequence[float] | None = None):
         self.order = order
-        """Of the estimate of the error in the step: `estimate` + 1 of the method."""
+        """Order of the error estimate in the step: `estimate` + 1 of the method."""
         self.numbers = [0.0] * 3 if numbers is None else numbers
         self.numbers[:] = dt, LEAST_BEFORE, 0.0
 
     @property
     def dt(self) -> float:
-        """The step that is wanted [s]."""
+        """The proposed step [s]."""
         return float(self.numbers[0])
 
     def propose(self, left: float) -> float:
-        """Return the next step where `left` is left up to the point to land on."""
+        """Return the next step, given the time `left` up to the point where a step must end."""
         return landing(self.dt, left)
 
     def judge(self, dt: float, error: float) -> bool:
-        """Records a step of dt with an error over the tolerance; returns whether it is accepted."""
+        """Record a step dt with its error over the tolerance; return whether it is accepted."""
         *numbers, accepted = judged(self.order, [float(x) for x in self.numbers], dt, error)
         self.numbers[:] = numbers
         return accepted

@@ -24,7 +24,6 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from .errors import DeclarationError
 from .relations import Marker, Mechanism, Places, Reading, Relation, Rim, circle, direction
@@ -238,6 +237,8 @@ def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
                     f"{' in its slope' * (of != 'm')}; make it periodic"
                 )
         return Curve(turn, ca.substitute(value, turn, once))
+    from scipy.interpolate import CubicSpline  # which takes half a second to import
+
     turns, lengths = _points(m, which, given, outline)
     spline = CubicSpline(turns, lengths, bc_type="periodic")
     # The first knot is the origin; coefficients of a piece are sums of steps, which keeps the derivatives short.

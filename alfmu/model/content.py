@@ -16,7 +16,7 @@ import numpy as np
 
 from .mechanism import Mechanism
 
-__all__ = ["content"]
+__all__ = ["content", "value_text"]
 
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -38,6 +38,15 @@ def content(mechanism: Mechanism) -> str | None:
     return hashlib.sha256(f"{text!r}{program.serialize()}".encode("utf-8", "surrogatepass")).hexdigest()
 
 
+def value_text(value: Any) -> str:
+    """Return a value without expressions as text; raise TypeError if its type has no text."""
+    said = _Said()
+    text = repr(said.of(value))
+    if said.expressions:
+        raise TypeError("SX")
+    return text
+
+
 class _Said:
     """Values as nested lists of texts and numbers, with the list of their expressions."""
 
@@ -46,7 +55,7 @@ class _Said:
         self.places: dict[int, int] = {}
 
     def of(self, value: Any) -> Any:
-        """Return a value as text; raise TypeError if it is of a kind that has none."""
+        """Return a value as text; raise TypeError if its type has no text."""
         if isinstance(value, _PLAIN):
             return type(value).__name__, repr(value)
         if isinstance(value, ca.SX):

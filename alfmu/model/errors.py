@@ -70,7 +70,7 @@ class WriteError(AlfmuError, OSError):
 
 
 class StepError(AlfmuError):
-    """A step cannot be taken; the state before it is kept."""
+    """A step failed; the state before it is unchanged."""
 
 
 class ExportError(AlfmuError):

@@ -35,7 +35,7 @@ _FOLDER = "alfmu-scratch-"
 """Prefix of the names of temporary folders; eight characters follow."""
 
 _OPENED = "/proc/self/fd"
-"""Folder in which a nameless file can be found, to give it a name."""
+"""Folder with links to open files, through which an unnamed file gets a name."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Results that are made once: the latest of each function, as long as what they follow from lives."""
+"""A cache of results: the latest of each function, for the lifetime of the object that they follow from."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["MOST", "Kept", "latest", "once"]
 _Made = TypeVar("_Made")
 
 MOST = 8
-"""Results of one function that are kept at most: equations of mechanisms, and scenes of equations."""
+"""Largest number of cached results of a function: equations of mechanisms, and scenes of equations."""
 
 _LOCK = Lock()
 
@@ -48,7 +48,7 @@ class Kept:
     def latest(
         self, function: Callable[..., Any], make: Callable[[], _Made], key: Hashable = None, most: int = MOST
     ) -> _Made:
-        """The result of a function for a key, made where it is not kept."""
+        """Return the result of a function for a key, computed if it is not cached."""
         return latest(self.of(function), key, make, most)
 
 
@@ -61,7 +61,7 @@ _Keeper = TypeVar("_Keeper", bound=_Keeps)
 
 
 def once(function: Callable[[_Keeper], _Made]) -> Callable[[_Keeper], _Made]:
-    """The same function, whose result is kept with its argument."""
+    """Return the function with its result cached in its argument."""
 
     @wraps(function)
     def found(keeper: _Keeper) -> _Made:

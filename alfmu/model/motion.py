@@ -76,7 +76,7 @@ class Signal(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Law(Brief):
-    """A law of time that moves something and may jump or become infinite: a run checks it over each communication
+    """A law of time that prescribes motion and may jump or diverge: a run checks it over each communication step.
     step."""
 
     what: str

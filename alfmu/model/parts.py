@@ -293,7 +293,7 @@ AnyJoint = Joint | SpatialJoint | SpatialFreedom
 
 @dataclass(frozen=True, repr=False)
 class Rigidity(Brief):
-    """The constant distance between the two points that carry a body in natural coordinates."""
+    """The constant distance between two points that define a body in natural coordinates."""
 
     body: Body
 

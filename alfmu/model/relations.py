@@ -54,7 +54,7 @@ class Body(Protocol):
 
 
 class Marker(Protocol):
-    """`mechanism.Marker`."""
+    """Interface of `mechanism.Marker`."""
 
     @property
     def body(self) -> Body: ...
@@ -80,7 +80,7 @@ class Joint(Protocol):
 
 
 class Mechanism(Protocol):
-    """What declarations ask of a `mechanism.Mechanism`: its joints, and the checks of numbers."""
+    """Interface of a `mechanism.Mechanism` for declarations: its joints, and the checks of numbers."""
 
     name: str
 
@@ -98,12 +98,12 @@ _ROUND = 72
 """Sides of a circle in pictures [1]: five degrees each, which is round at the size of a screen."""
 
 _RUN = 4
-"""Half the length that pictures show of a rack or a line, in radii of what runs on it [1]."""
+"""Half the length of a rack or a line in pictures, in radii of the wheel on it [1]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rim(Brief):
-    """A line that pictures show on a body: points (x, y) [m] of its frame; `filled` where it goes around a disc."""
+    """A curve on a body in pictures: points (x, y) [m] in its frame; `filled` if it bounds a disc."""
 
     body: Body
     points: tuple[tuple[Scalar, Scalar], ...]
@@ -128,7 +128,7 @@ class Places(Protocol):
 
 @dataclass(eq=False, repr=False)
 class Relation(Brief, ABC):
-    """Constraints between bodies that are no joint; `kind` is what messages call it."""
+    """A constraint between bodies that is not a joint; `kind` is its name in messages."""
 
     kind: ClassVar[str] = ""
     directions: ClassVar[tuple[str, ...]] = ()
@@ -155,7 +155,7 @@ class Relation(Brief, ABC):
         return None
 
     def rims(self) -> list[Rim]:
-        """What pictures show of it."""
+        """Return its curves in pictures."""
         return []
 
 
@@ -249,7 +249,7 @@ class Gear(Pair):
         return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
-        # A ring pushes what is in it towards its own centre.
+        # A ring pushes the inner wheel towards its own centre.
         apart = self.separating(multipliers)
         return self.pushed(places, apart if self.ring < 0 else -apart)
 
@@ -340,7 +340,7 @@ class Rack(Relation):
         return readings
 
     def rims(self) -> list[Rim]:
-        # The pitch line on the rack, as the guide's line through its marker, put beside the pinion at the start.
+        # The pitch line of the rack, the guide's line shifted to touch the pinion at the start.
         bar, run = self.guide.second, _RUN * self.radius
         lean = self.guide.axis - self.guide.angle
         dx, dy = self.held.x - self.guide.first.x, self.held.y - self.guide.first.y
@@ -467,7 +467,7 @@ class SpatialRolling(Relation):
     centre: Any
     radius: Scalar
     axis: tuple[Scalar, Scalar, Scalar] | None
-    """Of a disc, in its body's frame; None of a ball."""
+    """Axis of a disc, in its body's frame; None for a ball."""
     triad: tuple[tuple[Scalar, Scalar, Scalar], ...]
     """Two directions along the plane and its normal, of unit length."""
 
@@ -490,7 +490,7 @@ class SpatialRolling(Relation):
         return pairs
 
     def _lean(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the plane's normal, its part along a disc's axis, and the length of what is left."""
+        """Return the plane's normal, its part along a disc's axis, and the length of the remainder."""
         normal = ca.SX(list(self.triad[2]))
         if self.axis is None:
             return normal, ca.SX.zeros(3), ca.SX(1)
@@ -676,7 +676,7 @@ def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
 
 
 def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float, float]:
-    """Return two radii, and what they are at the defaults of the parameters."""
+    """Return two radii, and their values at the defaults of the parameters."""
     given = _both(m, f"the radii of {what}", radii)
     named = [(f"the {which} radius of {what}", r) for which, r in zip(("first", "second"), given, strict=True)]
     own = [m._constant_length(*each) for each in named]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings"]
+__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings", "internal_steps"]
 
 FORMULATIONS: dict[str, str] = {
     "residual": "augmented Lagrangian (8) in residual form",
@@ -57,11 +58,11 @@ class Settings:
     penalty: float | Sequence[float] = 0.0
     """alpha [kg or kg.m2 by row], one for all or one per constraint; 0 (alone) scales it with the masses."""
     tolerance: float = 1e-13
-    """Of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
+    """Tolerance of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
     max_iterations: int = 10
-    """Of the multiplier iteration."""
+    """Most multiplier iterations."""
     formulation: str = "residual"
-    """One of FORMULATIONS."""
+    """Formulation, one of FORMULATIONS."""
     method: str = "auto"
     """One of METHODS; `auto` means `rk4` for formulations other than `residual` and for `branch` = paper."""
     relative_tolerance: float = 1e-6
@@ -115,3 +116,8 @@ class Settings:
     def continues(self) -> bool:
         """Whether the branch of the motion is followed through singular positions."""
         return self.formulation == "residual" and self.branch == "continue" and self.projects
+
+
+def internal_steps(length: float, step_size: float) -> int:
+    """The least number of internal steps in a communication step, to round-off of its length."""
+    return max(1, math.ceil(length / step_size * (1 - 1e-12)))

@@ -156,7 +156,7 @@ class SpatialBody(Brief):
 
     @property
     def is_placed(self) -> bool:
-        """Whether something says where the body is: coordinates of its own, or a joint with coordinates."""
+        """Whether the position of the body is defined: by coordinates of its own, or a joint with coordinates."""
         return self.own is not None or self.placed_by is not None
 
     @cached_property
@@ -312,9 +312,9 @@ class SpatialJoint(Brief):
     lead: Scalar = 0.0
     """Way [m] along the axis of a screw in one turn."""
     length: Scalar = 0.0
-    """Of a rod [m]."""
+    """Length of a rod [m]."""
     nominal: tuple[Vector, Vector] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-    """The axes at the defaults of parameters, as numbers: they say which normals are taken."""
+    """The axes at the defaults of parameters, as numbers; they determine the normals."""
     drifts: bool = False
     """Whether its point on the second body, which it places, moves on that body."""
 
@@ -361,7 +361,7 @@ class SpatialJoint(Brief):
 
     @property
     def carrier(self) -> SpatialBody | None:
-        """The body that carries both bodies of the joint, the nearest one; None if there is none."""
+        """Return the nearest body that carries both bodies of the joint; None if there is none."""
         others = self.second.body.carriers
         return next((body for body in self.first.body.carriers if body in others), None)
 
@@ -476,7 +476,7 @@ class SpatialJoint(Brief):
         }.get(self.kind, list)()
         return list(zip(turns, self._ways(triad), strict=True))
 
-    # What is measured -------------------------------------------------------------------------------------------
+    # Measured displacements -----------------------------------------------------------------------------------------
 
     @property
     def free(self) -> ca.SX:
@@ -499,7 +499,7 @@ class SpatialJoint(Brief):
         return self._measured(which)
 
     def near(self, which: str) -> ca.SX:
-        """Where an angle was last that the places of both bodies tell, which tells its turns."""
+        """Return the symbol of an angle's last value, which determines its turns."""
         return self.__dict__.setdefault("_near", {}).setdefault(which, ca.SX.sym(f"{self.name}.{which}.near"))
 
     def counted(self, which: str) -> ca.SX:
@@ -509,8 +509,8 @@ class SpatialJoint(Brief):
         return with_turns(*self._arms(which), self.near(which))
 
     def _measured(self, which: str) -> ca.SX:
-        """Return the displacement as the places of both bodies tell it, an angle within a turn; the same object each
-        time."""
+        """Return the displacement from the positions of both bodies, an angle within a turn; the same object
+        each time."""
         kept = self.__dict__.setdefault("_kept", {})
         if which not in kept:
             kept[which] = self._from_places(which)
@@ -668,17 +668,17 @@ class SpatialFreedom(Brief):
 
 
 _OPPOSITE = 1e-6
-"""Share [1]: directions that are opposite to round-off, as a declaration may have them, stay so; others turn."""
+"""Regularisation [1] of the residual at opposite directions, which a declaration may contain up to round-off."""
 
 
 _NONE = 1e-30
-"""A length [1] that is nothing, in place of zero in a quotient."""
+"""Smallest length [1] in a quotient, instead of zero."""
 
 
 def with_turns(sine: ca.SX, cosine: ca.SX, near: ca.SX) -> ca.SX:
-    """Return the angle of a sine and a cosine, times one length, that is within half a turn of where it was last [rad].
+    """Return the angle [rad] within half a turn of `near`, from its sine and cosine times a common length.
 
-    Without jumps, and atan2 alone where it was at zero.
+    It has no jumps near `near`; for `near` = 0 it is atan2.
     """
     c, s = ca.cos(near), ca.sin(near)
     return near + ca.atan2(sine * c - cosine * s, cosine * c + sine * s)

@@ -29,7 +29,7 @@ __all__ = ["CREEP", "ONSET", "EndStop", "contact"]
 Scalar = float | ca.SX
 
 ONSET = 1e-3
-"""Penetration over which a stop stiffens where none is given [m or rad]: some tenths of what rubber gives way."""
+"""Default penetration over which a stop stiffens [m or rad]: some tenths of the compression of rubber."""
 
 CREEP = 1e-3
 """Rate between pushing in and back where none is given [m/s or rad/s]: far below that of any blow."""
@@ -37,7 +37,7 @@ CREEP = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EndStop(Brief):
-    """A one-sided stop at an upper limit, at a lower one, or at both; `of` is what it limits."""
+    """A one-sided stop at an upper limit, at a lower one, or at both; `of` is the limited displacement."""
 
     name: str
     of: Any
@@ -53,7 +53,7 @@ class EndStop(Brief):
 
     @property
     def limited(self) -> str:
-        """What it limits, in words."""
+        """The limited displacement in words."""
         if isinstance(self.of, tuple):
             return f"the distance of {self.of[0].body.name} and {self.of[1].body.name}"
         return "what it limits" if isinstance(self.of, ca.SX) else f"{self.of.second.body.name} in {self.of.name}"

@@ -153,5 +153,5 @@ def _powers(name: str) -> dict[str, int]:
 
 
 def _plain(name: str) -> str:
-    """Return a unit without what people write otherwise: dots, spaces, powers."""
+    """Return a unit without optional notation: dots, spaces, powers."""
     return "".join(c for c in name if c not in " .*^·")

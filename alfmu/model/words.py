@@ -62,7 +62,8 @@ def shown(value: Any) -> str:
 
 
 class Brief:
-    """Of dataclasses: a `repr` of one short line, with what differs from the defaults, symbols and parts by name."""
+    """A base for dataclasses: a `repr` of one short line, with fields that differ from the defaults, symbols and parts
+    by name."""
 
     def __repr__(self) -> str:
         said = []
@@ -98,7 +99,7 @@ def _brief(value: Any) -> str:
 
 
 def no_attribute(of: object, name: str, meant: str | None = None) -> str:
-    """What to say of an attribute that something does not have; what is `meant` by it may be known."""
+    """Return the message for an unknown attribute; `meant` is the intended one if known."""
     said = f"{type(of).__name__} {vars(of).get('name', '')}".strip() + f" has no attribute {name!r}"
     if name.startswith("_"):
         return said
@@ -116,7 +117,7 @@ def nearest(name: object, names: Collection[str]) -> list[str]:
 
 
 def there_is(name: object, names: Collection[str]) -> str:
-    """What to say of a name that is none of these: what may have been meant, or else what there is, a handful."""
+    """Return a suggestion for an unknown name: similar names, or else a few of those that exist."""
     if meant := nearest(name, names):
         return f"did you mean {in_words(meant)}?"
     listed = list(names)

@@ -1,7 +1,7 @@
-"""Parts that a mechanism is driven by, declared in one call each: a DC motor, a gearbox, a PI controller, a load.
+"""Parts that drive or load a mechanism, declared by one call each: a DC motor, a gearbox, a PI controller, a load.
 
-Each is made of what a user could declare too: states, bodies, drives, parameters, outputs. Their names begin with the
-name of the part. `blocks` has them as mechanisms of their own, to be connected as FMUs.
+Each consists of elements that a user could declare: states, bodies, drives, parameters, outputs. Their names begin with
+the name of the part. `blocks` has parts as mechanisms of their own, to be connected as FMUs.
 
 Other rooms import `blocks`.
 """

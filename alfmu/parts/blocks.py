@@ -1,12 +1,11 @@
-"""Parts as mechanisms of their own, to be exported as FMUs and connected: a motor, a gearbox, a controller, a load.
+"""Parts as mechanisms of their own, for export as FMUs and connection: a motor, a gearbox, a controller, a load.
 
     controller          motor               gearbox             load or mechanism
     wanted   ->         voltage ->          motor_speed ->      torque ->
     measured ->  output speed   -> torque   load_speed  -> motor_torque, load_torque   -> angle, speed
 
-A motor without inertia takes the speed of what it drives and gives a torque: it is coupled with a mechanism directly.
-One with a rotor of its own takes the torque that it is loaded by and gives its speed, as a gearbox with elastic shafts
-needs.
+A motor without inertia takes the speed of its load and returns a torque: it is connected to a mechanism directly. One
+with a rotor takes the load torque and returns its speed, as a gearbox with elastic shafts requires.
 """
 
 from __future__ import annotations
@@ -36,10 +35,11 @@ def motor(
     damping: float = 0.0,
     nominal: float = 1.0,
 ) -> Mechanism:
-    """Return a DC motor: `voltage` and the `speed` of its shaft in, `torque` and `current` out.
+    """Return a DC motor with inputs `voltage` and `speed` of its shaft, and outputs `torque` and `current`.
 
-    With the `inertia` [kg.m2] of a rotor and its viscous `damping` [N.m.s/rad] the shaft moves by itself: `voltage` and
-    the torque `load` against it in, `speed`, `angle`, `torque` and `current` out. `nominal` [A] is a large current.
+    With the `inertia` [kg.m2] of a rotor and its viscous `damping` [N.m.s/rad] the motor integrates its own motion: the
+    inputs are `voltage` and the opposing torque `load`, the outputs `speed`, `angle`, `torque` and `current`. `nominal`
+    [A] is the order of magnitude of the current.
     """
     m = Mechanism("motor", "DC motor")
     voltage = m.input("voltage", "V", description="at its terminals")
@@ -74,10 +74,10 @@ def motor(
 
 @explained
 def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0) -> Mechanism:
-    """Return a gearbox with elastic shafts: `motor_speed` and `load_speed` in, `motor_torque` and `load_torque` out.
+    """Return a gearbox with elastic shafts: inputs `motor_speed`, `load_speed`, outputs `motor_torque`, `load_torque`.
 
     `ratio` is the speed of the motor over that of the load [1], `stiffness` [N.m/rad] and `damping` [N.m.s/rad] are
-    those of its shafts, seen from the load. Its state `twist` [rad] is what the side of the motor is ahead.
+    those of its shafts, referred to the load. Its state `twist` [rad] is the angle by which the motor side leads.
     """
     m = Mechanism("gearbox", "Gearbox with elastic shafts")
     motor_speed = m.input("motor_speed", "rad/s", description="of the shaft of the motor")
@@ -96,10 +96,9 @@ def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0
 
 @explained
 def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mechanism:
-    """Return a PI controller of a speed: `wanted` and `measured` in [rad/s], `output` [V] out, within `limit` [V] of
-    zero.
+    """Return a PI controller of a speed: inputs `wanted` and `measured` [rad/s], `output` [V] in +-`limit` [V].
 
-    `gain` is in V.s/rad, `time` [s] that of the integral part.
+    `gain` is in V.s/rad, `time` [s] is the integral time.
     """
     m = Mechanism("controller", "PI controller of a speed")
     wanted, measured = m.input("wanted", "rad/s"), m.input("measured", "rad/s")
@@ -110,7 +109,7 @@ def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mec
 
 @explained
 def load(inertia: float = 0.01, damping: float = 0.0, opposing: float = 0.0, fan: float = 0.0) -> Mechanism:
-    """Return a load on a shaft of its own: `torque` in, `angle` and `speed` out; the numbers are those of
+    """Return a load on its own shaft: input `torque`, outputs `angle` and `speed`; the numbers are those of
     `parts.load`."""
     m = Mechanism("load", "Load on a shaft")
     torque = m.input("torque", "N.m", description="that drives the shaft")
@@ -130,4 +129,4 @@ def load(inertia: float = 0.01, damping: float = 0.0, opposing: float = 0.0, fan
 BLOCKS: MappingProxyType[str, Callable[..., Mechanism]] = MappingProxyType(
     {"motor": motor, "gearbox": gearbox, "controller": controller, "load": load}
 )
-"""Parts by the names that a file of a system gives them; their arguments are its options."""
+"""Parts by their names in a file of a system; their arguments are its options."""

@@ -1,10 +1,10 @@
-"""A controller with proportional and integral part.
+"""A proportional-integral controller with limits.
 
-With e the difference of what is wanted and what is measured,
+With e the difference of the wanted and the measured value,
 
     u = K e + z within its limits,      dz/dt = K e / T + (u - K e - z) / T,
 
-so that the integral part z runs on no further than the limits let the output follow (anti-windup by back-calculation).
+so that the integral part z stops growing at the limits (anti-windup by back-calculation).
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def pi_controller(
 ) -> ca.SX:
     """Add a PI controller; return its output, for a motor or a drive.
 
-    `wanted` and `measured` are expressions in the first of `units`; measured are coordinates, rates, states and inputs,
-    and no accelerations. `gain` [second unit over first] and `time` [s] of the integral part are numbers, which become
-    the parameters `<name>.gain` and `<name>.time`, or expressions in parameters. The output stays within `limit` on
-    either side of zero, the parameter `<name>.limit` [second unit]. `start` is the integral part at the start,
-    `nominal` what a large output is (as in `Mechanism.state`).
+    `wanted` and `measured` are expressions in the first of `units`; `measured` may depend on coordinates, rates, states
+    and inputs, not on accelerations. `gain` [second unit over first] and the integral time `time` [s] are numbers,
+    which become the parameters `<name>.gain` and `<name>.time`, or expressions in parameters. The output stays within
+    +-`limit`, the parameter `<name>.limit` [second unit]. `start` is the initial integral part, `nominal` the order of
+    magnitude of the output (as in `Mechanism.state`).
 
-    Outputs are `<name>.output`, `<name>.error`, and the state `<name>.integral`. Raises DeclarationError if units are
-    no pair of units, or what is given makes no controller.
+    Outputs are `<name>.output`, `<name>.error`, and the state `<name>.integral`. Raises DeclarationError if `units` is
+    not a pair of units, or an argument is invalid.
     """
     if not isinstance(units, tuple | list) or len(units) != 2:
         raise DeclarationError(

@@ -1,4 +1,4 @@
-"""Common services of the parts: their parameters, and units that follow from others."""
+"""Helpers of the parts: parameters, and units derived from others."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["label", "mounted", "named", "of", "rate_of_joint"]
 
 
 def label(part: str, name: str) -> str:
-    """Return the name of a quantity of a part; as it is where the part is a mechanism of its own, without a name."""
+    """Return the name of a quantity of a part, without a prefix if the part has no name."""
     return f"{part}.{name}" if part else name
 
 
 def of(part: str) -> str:
-    """of the part, where it has a name."""
+    """Return " of the part" if it has a name."""
     return f" of {part}" if part else ""
 
 
@@ -34,7 +34,7 @@ def named(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Any:
-    """Return a number as the parameter `<part>.<name>` of the mechanism; an expression stays what it is."""
+    """Return a number as the parameter `<part>.<name>` of the mechanism, and an expression unchanged."""
     if isinstance(value, ca.SX):
         return value
     return m.parameter(
@@ -57,8 +57,10 @@ def mounted(
     inertia: Scalar,
     damping: Scalar,
 ) -> None:
-    """A torque on a joint, by a body in a bearing on the first body where that has inertia; it turns `ratio` times as
-    fast as the joint. In space that body is a thin disc about the axis of the joint."""
+    """Add a torque on a joint, through a body in a bearing on the first body if it has inertia.
+
+    The body rotates `ratio` times as fast as the joint; in space it is a thin disc about the axis of the joint.
+    """
     if not isinstance(inertia, ca.SX) and inertia == 0:
         m.drive(joint, ratio * torque)
         if isinstance(damping, ca.SX):
@@ -80,6 +82,6 @@ def mounted(
 
 
 def rate_of_joint(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
-    """Return the rate of the free displacement of a joint: coordinates, or a law of time beside them."""
+    """Return the rate of the free displacement of a joint: of coordinates, and of a law of time."""
     moving, rates = stack([m.time, *(c.q for c in m.coordinates)]), stack([1.0, *(c.v for c in m.coordinates)])
     return ca.jtimes(Kinematics(m).free(joint), moving, rates)

@@ -1,8 +1,8 @@
-"""A load on a joint that turns: a flywheel, viscous friction, a torque that opposes the motion, a fan.
+"""A load on a rotating joint: a flywheel, viscous friction, an opposing torque, a fan.
 
 With w the speed of the joint, J the inertia, b the damping, T the opposing torque and c that of the fan,
 
-    J dw/dt = -b w - T tanh(w / w0) - c |w| w + what drives the joint.
+    J dw/dt = -b w - T tanh(w / w0) - c |w| w + torque of the drive.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Load:
     """Quantities of a load, for outputs and controllers: expressions in the symbols of its mechanism."""
 
     speed: ca.SX
-    """Of the joint [rad/s]."""
+    """Speed of the joint [rad/s]."""
     torque: ca.SX
-    """On the joint, without that of the inertia [N.m]."""
+    """Torque on the joint, without that of the inertia [N.m]."""
 
 
 @explained
@@ -44,15 +44,15 @@ def load(
     opposing: Scalar = 0.0,
     fan: Scalar = 0.0,
 ) -> Load:
-    """Add a load on a joint that turns, a hinge or a screw, which brakes it and gives it inertia.
+    """Add a load with inertia on a rotating joint, a hinge or a screw.
 
-    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own, in space a thin disc about the axis.
-    `damping` [N.m.s/rad] is viscous, `opposing` [N.m] a torque against the motion, which builds up within
-    `alfmu.parts.motor.TURNING` of standstill and so holds nothing at rest, `fan` [kg.m2] a torque over the square of
-    the speed. Numbers other than zero become the parameters `<name>.inertia` and so on; expressions stay what they are.
+    `inertia` [kg.m2] is that of a flywheel, the body `<name>.wheel`, in space a thin disc about the axis. `damping`
+    [N.m.s/rad] is viscous, `opposing` [N.m] a torque against the motion, which vanishes within
+    `alfmu.parts.motor.TURNING` of standstill and so does not hold at rest, `fan` [kg.m2] a torque over the square of
+    the speed. Numbers other than zero become the parameters `<name>.inertia` and so on; expressions are used unchanged.
 
-    The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name leaves out what
-    stands in front. Raises DeclarationError if the joint is none that turns, or nothing is given.
+    The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name omits the prefix.
+    Raises DeclarationError if the joint does not rotate, or nothing is given.
     """
     turns = isinstance(joint, Joint | SpatialJoint) and joint.kind in ("revolute", "screw")
     if not turns or joint not in (*m.joints, *m.spatial_joints):

@@ -24,21 +24,21 @@ from .declared import label, mounted, named, of, rate_of_joint
 __all__ = ["Gearbox", "Motor", "dc_motor"]
 
 _DRIVEN = ("revolute", "prismatic", "screw")
-"""Kinds of joints that a motor drives."""
+"""Kinds of joints that a motor can drive."""
 
 TURNING = 0.1
-"""speed of a rotor [rad/s]: up to about this the loss of a gearbox builds up; well below the speeds of motors, and so
-large that a step passes a change of direction."""
+"""Speed of a rotor [rad/s] above which the loss of a gearbox is fully developed; well below the speeds of motors, and
+large enough for a step to pass a change of direction."""
 
 
 @dataclass(frozen=True)
 class Gearbox:
     """A gearbox between a motor and a joint; a number becomes a parameter of the motor.
 
-    `ratio` is the speed of the motor over that of the joint [1], of a joint that slides that over its velocity [rad/m];
-    below zero it turns the other way round. `efficiency` [1] is the share of the motor's torque that reaches the joint
-    where the motor drives; where the joint drives the motor, the same share reaches the motor. What accelerates the
-    rotor itself is taken to be free of it. `damping` [N.m.s/rad] is the viscous loss at the motor's shaft.
+    `ratio` is the speed of the motor over that of the joint [1], or over the velocity of a sliding joint [rad/m]; it
+    may be negative. `efficiency` [1] is the share of the motor's torque that reaches the joint if the motor drives; if
+    the joint drives the motor, the same share reaches the motor. The torque that accelerates the rotor has no loss.
+    `damping` [N.m.s/rad] is the viscous loss at the motor's shaft.
     """
 
     ratio: Scalar = 1.0
@@ -51,11 +51,11 @@ class Motor:
     """Quantities of a motor, for outputs and controllers: expressions in the symbols of its mechanism."""
 
     current: ca.SX
-    """[A]"""
+    """Current [A]."""
     torque: ca.SX
-    """On the joint, after the gearbox [N.m]; without a joint on the shaft; on a joint that slides the force [N]."""
+    """Torque on the joint, after the gearbox [N.m]; on the shaft without a joint; on a sliding joint the force [N]."""
     speed: ca.SX
-    """Of the rotor against its housing [rad/s]."""
+    """Speed of the rotor relative to its housing [rad/s]."""
 
 
 @explained
@@ -74,24 +74,23 @@ def dc_motor(
     current: float = 0.0,
     nominal: float = 1.0,
 ) -> Motor:
-    """Add a DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic
-    one.
+    """Add a DC motor that drives the second body of a joint from the first.
 
-    Joints in space are driven as those in the plane are, and a screw, too, by its angle.
+    The joint is revolute, prismatic or, in space, a screw, which the motor drives by its angle.
 
     `voltage` [V] is any expression: an input, the output of a controller. `resistance` [Ohm], `inductance` [H],
     `constant` [N.m/A, V.s/rad] and `inertia` [kg.m2] of the rotor are numbers, which become the parameters
-    `<name>.resistance` and so on, or expressions in parameters. An inductance of 0 gives a current without delay.
-    `current` [A] is that at the start, `nominal` [A] what a large one is (as in `Mechanism.state`).
+    `<name>.resistance` and so on, or expressions in parameters. With an inductance of 0 the current follows without
+    delay. `current` [A] is its start, `nominal` [A] its order of magnitude (as in `Mechanism.state`).
 
-    A rotor with inertia is a body of its own, `<name>.rotor`, in a bearing on the first body: it counts with the square
-    of the gearbox's ratio, and the joints that carry the motor feel it. In space it turns about the axis of the joint,
-    as a thin disc, whose inertia across the axis is half of that about it. Without a joint `speed` [rad/s] is that of
-    the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which has the inertia.
+    A rotor with inertia is a body, `<name>.rotor`, in a bearing on the first body: its inertia counts with the square
+    of the gearbox's ratio, and the joints that carry the motor feel it. In space it is a thin disc about the axis of
+    the joint, whose inertia across the axis is half of that about it. Without a joint, `speed` [rad/s] is that of the
+    shaft, usually an input: the motor is then connected to a mechanism elsewhere, which contains the inertia.
 
-    Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. An empty name is that of a mechanism that is
-    nothing but the motor: nothing stands in front of its names, and the voltage is no output. Raises DeclarationError
-    where what is given makes no motor.
+    Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. With an empty name the mechanism is the motor
+    itself: its names have no prefix, and the voltage is no output. Raises DeclarationError if the arguments do not
+    define a motor.
     """
     gearbox = gearbox or Gearbox()
     _check(m, name, joint, speed, inertia, gearbox)
@@ -115,7 +114,7 @@ def dc_motor(
     kind = "force" if sliding else "torque"
     what = f"{kind}{of(name)} on {joint.name if joint else 'its shaft'}"
     m.output(label(name, kind), out, "N" if sliding else "N.m", what)
-    if name:  # what has none is a mechanism of its own, whose input the voltage is
+    if name:  # without a name it is a mechanism, with the voltage as an input
         m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
     return Motor(i, symbolic(out), w)
 
@@ -155,7 +154,7 @@ def _joints(m: Mechanism) -> tuple[Joint | SpatialJoint, ...]:
 def _geared(
     m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | SpatialJoint | None
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Ratio, efficiency and damping, as parameters where they differ from those of no gearbox."""
+    """Return ratio, efficiency and damping, as parameters if they differ from the defaults."""
     none, ratio, efficiency, damping = Gearbox(), gearbox.ratio, gearbox.efficiency, gearbox.damping
     if isinstance(ratio, ca.SX) or ratio != none.ratio:
         ratio = named(m, name, "ratio", ratio, "1", "speed over that of its joint,")
@@ -167,7 +166,7 @@ def _geared(
 
 
 def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
-    """Return the torque beyond a gearbox, on the motor's side: less if the motor drives, more if it is driven."""
+    """Return the torque behind a gearbox, referred to the motor: less if the motor drives, more if it is driven."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
     passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)

@@ -1,4 +1,4 @@
-"""What moves a scene: the C library, what builds it, and instances that it drives.
+"""The runtime: the C library, its build and binding, and instances.
 
 Other rooms import `build`, `compiled`, `instance`, `library`, `pipeline`, `probe`, `shipped`, `sweeps`.
 """
@@ -12,7 +12,7 @@ __all__ = ["Instance"]
 
 
 def __getattr__(name: str) -> Any:
-    """`Instance` when it is first used: `library` alone needs neither NumPy nor CasADi."""
+    """Import `Instance` on first use: `library` alone needs neither NumPy nor CasADi."""
     if name != "Instance":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .instance import Instance

@@ -1,8 +1,8 @@
-"""Builds the C library of the runtime: for this machine by its compiler, for others and for browsers by zig.
+"""Build the C library of the runtime: for this machine by its compiler, for others and for browsers by zig.
 
-Needs nothing but Python, so that an installation from source runs it before alfmu is there:
-`python alfmu/runtime/build.py [PLATFORM ...]` writes the libraries beside this file; without a platform those of this
-machine and, where there is zig, of browsers.
+It needs Python alone, so that an installation from source can run it first: `python alfmu/runtime/build.py [PLATFORM
+...]` writes the libraries beside this file; without a platform that of this machine and, if zig is installed, that for
+browsers.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Platform:
-    """What a library is made for."""
+    """A platform of the library."""
 
     target: str
-    """As zig names it."""
+    """Target name for zig."""
     suffix: str
     fmi3: str
-    """Its folder in an FMU of FMI 3; that of FMI 2 is its name here."""
+    """Folder in an FMU of FMI 3; the name here is that of FMI 2."""
     wheel: str
-    """Its tag in the name of a wheel: the systems on which the target runs."""
+    """Platform tag of a wheel: the systems on which the target runs."""
 
 
 PLATFORMS = {
@@ -58,7 +58,7 @@ PLATFORMS = {
 """Platforms of the runtime."""
 
 WEB = "wasm32"
-"""The runtime of a page in a browser, as WebAssembly: no platform of FMUs."""
+"""The runtime for a page in a browser, as WebAssembly, which is no platform of FMUs."""
 
 _MACHINES = {
     ("linux", "x86_64"): "linux64",
@@ -69,71 +69,69 @@ _MACHINES = {
 }
 
 HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
-"""This platform; empty where it is none of them."""
+"""This platform; empty if it is not supported."""
 
 _FLAGS = ("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
-"""`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
+"""`-ffp-contract=off` prevents fused operations, so that compiled scenes give the same numbers."""
 
 _OFTEN = {
-    "adaptive.c",
     "adjoint.c",
-    "fixed.c",
     "function_adjoints.c",
     "function_tangents.c",
     "interpret.c",
     "linear.c",
     "tangent.c",
 }
-"""Files that run in every step; without tangents among them, one with derivatives takes three to six times as long."""
+"""Files that run in every step, without tangents, which would slow a run with derivatives three to six times."""
 
 _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
-"""Of what runs often, and of the rest: an FMU carries the library, which is 25 to 30 % smaller so, and as fast. Vectors
-are in the sources where they are worth it."""
+"""Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this
+way, and as fast. Vectorised loops are explicit in the sources."""
 
 _SMALLER = ("-mllvm", "-inline-threshold=0")
-"""Clang, which zig is, copies no function to where it is called: the library is 2 % smaller."""
+"""Prevents inlining in Clang, as used by zig: the library is 2 % smaller."""
 
 _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomit-frame-pointer")
-"""Nothing here is unwound: a tenth of the library."""
+"""Omits unwind tables, which nothing uses: a tenth of the library."""
 
 _WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
-"""The C library of Windows prints numbers by the standard; a second one would add a tenth."""
+"""The C library of Windows formats numbers correctly; a second one would add a tenth."""
 
 FOLDERS = ("core", "start", "derivatives", "step", "fmi", "binding")
 """Folders of the C files, from the bottom up: each calls only functions of itself and of those before it."""
 
 _LIBRARY = "library.c"
-"""The one file of `binding` and `fmi` that a page needs."""
+"""The only file of `binding` and `fmi` in a page."""
 
 _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
-"""A library that the page calls, with memory that the page may ask for."""
+"""Flags for a library called from a page, which also allocates memory in it."""
 
 _FOLDER = Path(__file__).parent
 _SOURCES = _FOLDER / "c"
 
 
 def sources(folders: Iterable[str] = FOLDERS) -> list[Path]:
-    """The C files and headers of the runtime, of these folders; their names differ, so that they may stand in one."""
+    """Return the C files and headers of the runtime in these folders; their names are unique."""
     return [path for folder in folders for path in sorted((_SOURCES / folder).glob("*.[ch]"))]
 
 
 def including() -> list[str]:
-    """Arguments with which a compiler finds the headers where they stand."""
+    """Return the compiler's include arguments."""
     return [f"-I{_SOURCES / folder}" for folder in FOLDERS]
 
 
 def file_name(name: str) -> str:
-    """The library of a platform or of browsers, beside this file."""
+    """Return the file name of the library of a platform or for browsers."""
     return f"alfmu-{name}{'.wasm' if name == WEB else PLATFORMS[name].suffix}"
 
 
 def compiler() -> list[str] | None:
-    """The command of a C compiler: CC of the environment, the system's, or ziglang's; None where there is none."""
+    """Return the command of a C compiler: CC of the environment, the system's, or ziglang's; None if there is none."""
     if chosen := os.environ.get("CC", "").strip():
         try:
             return shlex.split(chosen)
         except ValueError:
-            return [chosen]  # no command, which whoever runs it says
+            return [chosen]  # an invalid command fails when it runs
     for name in ("cc", "gcc", "clang"):
         if found := shutil.which(name):
             return [found]
@@ -141,14 +139,14 @@ def compiler() -> list[str] | None:
 
 
 def zig() -> list[str] | None:
-    """The command of ziglang's C compiler, where it is installed."""
+    """Return the command of ziglang's C compiler, if it is installed."""
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
 def build(name: str, path: Path, release: bool = False) -> None:
-    """Compile the library of a platform or of browsers; RuntimeError where there is no compiler, or where it fails.
+    """Compile the library of a platform or for browsers; raise RuntimeError without a compiler, or if it fails.
 
-    That of a release is by zig also for this machine, so that it runs on older systems than this one.
+    A release is compiled by zig also for this machine, so that it runs on older systems.
     """
     command = compiler() if name == HERE and not release else zig()
     if command is None:
@@ -176,14 +174,14 @@ def build(name: str, path: Path, release: bool = False) -> None:
 
 
 def _run(arguments: list[str]) -> None:
-    """Run a compiler; RuntimeError with what it says where it fails."""
+    """Run a compiler; raise RuntimeError with its output if it fails."""
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"the C compiler {arguments[0]} failed: {done.stderr.strip()[:2000]}")
 
 
 def needed(library: bytes) -> str:
-    """The newest version of glibc that a library for Linux of 64 bits asks for, such as 2.17; empty where none."""
+    """Return the newest version of glibc that a library for 64-bit Linux needs, such as 2.17; empty if none."""
     if library[:6] != b"\x7fELF\x02\x01":
         return ""
     (at,), (size, count) = struct.unpack_from("<Q", library, 40), struct.unpack_from("<HH", library, 58)
@@ -207,7 +205,7 @@ def needed(library: bytes) -> str:
 
 
 _VERSIONS_NEEDED = 0x6FFFFFFE
-"""SHT_GNU_verneed: the section of an ELF file with the versions of symbols that it asks for."""
+"""SHT_GNU_verneed: the section of an ELF file with the symbol versions it needs."""
 
 
 if __name__ == "__main__":

@@ -1,11 +1,7 @@
-"""Compile a scene's C into a shared library, kept in the user's cache folder.
-
-Its name there is the hash of what it is made of, and that of its content: one that was damaged is built again.
-"""
+"""Compile a scene's C into a shared library in the user's cache folder (`model.cache`)."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import subprocess
@@ -14,93 +10,63 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ..equations import Equations
-from ..kernel.tables import machine_code
+from ..kernel.form import Traced
+from ..kernel.tables import HEAD, machine_code
+from ..model.cache import keep, kept, whole
 from ..model.errors import ExportError
-from ..model.files import scratch, write
+from ..model.files import scratch
 from .build import compiler
+from .stored import software
 
-__all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verified", "version", "whole"]
+__all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
-"""`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
+"""`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
 
 _BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
-"""A header before all others, so that compiled scenes run where the runtime does."""
+"""Header included first, so that compiled scenes run wherever the runtime does."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-"""Of shared libraries here."""
+"""Suffix of shared libraries on this system."""
 
 
-def cache() -> Path:
-    """The folder where compiled kernels are kept."""
-    from platformdirs import user_cache_path
+def compiled_scene(equations: Traced, scene: bytes) -> Path:
+    """Return the compiled functions of a scene file of these equations, from the cache or built now.
 
-    return user_cache_path("alfmu", appauthor=False)
-
-
-def compiled_scene(equations: Equations, scene: bytes) -> Path:
-    """The functions of a scene file of these equations as a library, from the cache or built now.
-
-    Raises ExportError where there is no compiler, or where it fails.
+    Raises ExportError without a compiler, or if it fails.
     """
     if (command := compiler()) is None:
         raise ExportError(
             f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    return _library(equations.name, command, machine_code(equations, scene), "use --kernel vm")
+    # The C follows from the scene: it is written, and its functions traced, only where it has to be compiled.
+    digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
+    digest.update(scene[HEAD:])
+    name = f"kernel_{digest.hexdigest()[:32]}"
+    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(equations, scene), name)
 
 
-def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
-    """C of a scene as a library in the cache."""
+def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
+    """Return the library of a scene's C from the cache, or build it."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
-    baseline = _BASELINE.read_text(encoding="ascii")
-    identity = "\0".join([*files, baseline, *command, version(command), *flags])
-    name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
-    named = {_BASELINE.name: baseline, **{f"kernel{i}.c": text for i, text in enumerate(files)}}
-    return kept(name, SUFFIX) or build(scene, [*command, *flags], named, name, SUFFIX, otherwise)
-
-
-def kept(name: str, suffix: str) -> Path | None:
-    """The library of this name in the cache, if there is one that is whole; damaged ones are removed.
-
-    Behind its name stands the hash of its content.
-    """
-    for path in sorted(cache().glob(f"{name}_*{suffix}")):
-        if whole(path):
-            return path
-        with contextlib.suppress(OSError):
-            path.unlink()
-    return None
-
-
-def whole(path: Path) -> bytes | None:
-    """The content of a library in the cache; None where it is not what was written there."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    return content if path.stem.rpartition("_")[2] == _hash(content) else None
+    named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
+    named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
+    return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")
 
 
 def verified(scene: str, path: Path) -> bytes:
-    """The content of a library in the cache; ExportError where it is not what was written there."""
+    """Return the content of a library in the cache; raise ExportError if it was modified."""
     if (content := whole(path)) is None:
         raise ExportError(f"{scene}: the library {path} was damaged a moment ago; try again")
     return content
 
 
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:32]
-
-
 def build(scene: str, command: list[str], files: Mapping[str, str], name: str, suffix: str, otherwise: str) -> Path:
-    """Compile files (headers among them) into a shared library in the cache; `otherwise` says what else can be done."""
-    place = cache()
+    """Compile files, including headers, into a shared library in the cache; `otherwise` names the alternatives in an
+    error."""
     try:
-        place.mkdir(parents=True, exist_ok=True)
         with scratch() as folder:
             for each, text in files.items():
                 (folder / each).write_text(text, encoding="ascii")
@@ -111,17 +77,14 @@ def build(scene: str, command: list[str], files: Mapping[str, str], name: str, s
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = list(pool.map(compile_one, (each for each in files if each.endswith(".c"))))
             linked = _run(scene, [*command, "-shared", "-s", *objects, "-lm"], "kernel", folder, otherwise)
-            content = (folder / linked).read_bytes()
-            path = place / f"{name}_{_hash(content)}{suffix}"
-            write(path, content)
-            return path
+            return keep(name, suffix, (folder / linked).read_bytes())
     except OSError as error:
         why = error.strerror or error
-        raise ExportError(f"{scene}: cannot build the kernel in {place} ({why}); {otherwise}") from error
+        raise ExportError(f"{scene}: cannot build the kernel ({why}); {otherwise}") from error
 
 
 def _run(scene: str, command: list[str], made: str, folder: Path, otherwise: str) -> str:
-    """Compile or link in a folder; the name of the file that is made."""
+    """Compile or link in a folder; return the name of the output file."""
     done = subprocess.run([*command, "-o", made], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode or not (folder / made).is_file():
         said = done.stderr.strip().splitlines() or ["no message" if done.returncode else "it writes no file"]

@@ -22,6 +22,7 @@ from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, not_there, setting, variables_of
 from ..kernel import DEFAULT
+from ..kernel.form import Traced
 from ..kernel.kinks import jumps
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
@@ -31,7 +32,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
 from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
-from .pipeline import again, braked, derive, loaded, ready, retraced
+from .pipeline import derive, loaded, ready, retraced, with_brakes
 from .probe import mobility, shared
 
 __all__ = ["Instance"]
@@ -97,7 +98,7 @@ class Instance:
     def _take(self, equations: Equations) -> None:
         """Run these equations with the settings that are given."""
         e = retraced(equations, self._given)
-        self.equations: Equations = e
+        self.equations: Traced = e
         given = self._given
         self.name: str = e.name
         found = variables_of(e, given)
@@ -292,7 +293,7 @@ class Instance:
         self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
         if outcome == BRAKES:
-            self._rebuild(again(braked(self.equations)))
+            self._rebuild(with_brakes(self.equations))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise self._failure(outcome, moving=False)

@@ -1,6 +1,6 @@
-"""The C library of the runtime by ctypes: scenes, and units that run them. Needs Python alone.
+"""The C library of the runtime by ctypes: scenes, and units that run them. It needs Python alone.
 
-This module and the library beside it travel inside FMUs for Python.
+This module and the library beside it are packed into FMUs for Python.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ __all__ = [
 ]
 
 DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES, ENDED = range(7)
-"""What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
-nothing holds; redundant constraints that a scene must be traced for; no step leads on, as a law of time breaks."""
+"""Outcomes of a call: success; rejected, with nothing changed; constraints that cannot be closed; failure; a massless
+body that nothing holds; redundant constraints that the scene must be traced for; no further step, as a law of time
+breaks."""
 
 INTERRUPTED = -1
-"""What a run comes to that its callback ended."""
+"""Outcome of a run that its callback ended."""
 
 _KINDS = ("parameter", "choice", "input", "switch", "output")
 _TYPES = ("Real", "Integer", "Boolean", "String")
@@ -97,12 +98,12 @@ _SIGNATURES = {
     "arrange": (c_int, c_int, c_void_p, c_void_p, c_void_p, c_int, *[c_void_p] * 4),
     "in_runs": (c_int, c_int, c_int, *[c_void_p] * 7),
 }
-"""Result and arguments of each function."""
+"""Result and argument types of each function."""
 
 
 @cache
 def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
-    """The library for this machine among those in a folder; OSError where there is none."""
+    """Load the library for this machine from a folder; raise OSError if there is none."""
     suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
     there = sorted(folder.glob(f"alfmu-*{suffix}"))
     loaded, why = None, f"there is no alfmu-*{suffix} in {folder}"
@@ -110,7 +111,7 @@ def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
         try:
             loaded = ctypes.CDLL(str(path))
             break
-        except OSError as error:  # one for another processor
+        except OSError as error:  # built for another processor
             why = str(error)
     if loaded is None:
         source = folder.parent.parent
@@ -127,7 +128,7 @@ def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
 
 
 class Scene:
-    """A scene that has been loaded and checked; ValueError where its bytes are not a scene of this version."""
+    """A loaded and checked scene; ValueError if its bytes are not a scene of this version."""
 
     def __init__(self, data: bytes, folder: Path | None = None):
         self.library: ctypes.CDLL = library(folder) if folder else library()
@@ -149,14 +150,14 @@ class Scene:
         self.first_output: int = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
 
     def compiled_by(self, path: Path) -> None:
-        """Run compiled functions in place of interpreted ones; ValueError where they are of another scene."""
+        """Run compiled functions instead of interpreted ones; raise ValueError if they belong to another scene."""
         code = ctypes.CDLL(str(path))
         count, spare = (c_int.in_dll(code, f"alfmu_{name}").value for name in ("function_count", "spare"))
         table = (c_void_p * count).in_dll(code, "alfmu_functions")
         identity = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(code, "alfmu_scene")))
         if not self.library.alfmu_scene_compiled(self.address, ctypes.addressof(table), count, spare, identity):
             raise ValueError(f"{self.name}: {path.name} has the functions of another scene; export it again")
-        self.code = code  # as long as the scene calls into it
+        self.code = code  # keeps the library alive as long as the scene
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -171,7 +172,7 @@ _OF_PYTHON = (
 
 
 def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
-    """`alfmu_step` of an instance: as a built-in function of CPython, by ctypes elsewhere."""
+    """Return `alfmu_step` of an instance, as a built-in function in CPython, by ctypes elsewhere."""
     if sys.implementation.name != "cpython":
         return partial(c.alfmu_step, c_void_p(address))
     functions = (ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in _OF_PYTHON)
@@ -181,7 +182,7 @@ def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
 
 
 class Unit:
-    """One instance of a scene: calls by value reference, each with an outcome."""
+    """One instance of a scene, with calls by value reference that return an outcome."""
 
     def __init__(self, scene: Scene):
         c = scene.library
@@ -191,14 +192,14 @@ class Unit:
             raise MemoryError("there is no memory for an instance")
         address = self.address
         self.step: Callable[[float, float], int] = _step_of(c, address)
-        """A communication step from a start with a length [s]; its outcome."""
+        """Makes a communication step from a start with a length [s]; returns the outcome."""
         self._read, self._get = c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()
         self._place = ctypes.addressof(self._outputs)
         self._many: dict[tuple[int, ...], tuple[ctypes.Array[c_int], ctypes.Array[c_double]]] = {}
         self._address = address
         self.warns: c_int = c_int.from_address(c.alfmu_warns(address))
-        """Whether there is a warning that nobody has read yet."""
+        """Whether there is an unread warning."""
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -206,11 +207,11 @@ class Unit:
 
     @property
     def text(self) -> str:
-        """Why the last call was refused or failed."""
+        """Why the last call was rejected or failed."""
         return self.scene.library.alfmu_text(self.address).decode(errors="replace")
 
     def warning(self) -> str:
-        """What the host should know and nobody has read yet, empty where there is nothing."""
+        """Return the unread warning, empty if there is none."""
         if not self.warns.value:
             return ""
         self.warns.value = 0
@@ -222,7 +223,7 @@ class Unit:
 
     @property
     def time(self) -> float:
-        """[s]."""
+        """Time [s]."""
         return self.scene.library.alfmu_time(self.address)
 
     @time.setter
@@ -233,7 +234,7 @@ class Unit:
         self.scene.library.alfmu_reset(self.address)
 
     def _known(self, references: Sequence[int]) -> None:
-        """IndexError where no variable has one of these value references; the library would read beside its memory."""
+        """Raise IndexError for an unknown value reference, which the library would read out of bounds."""
         for each in references:
             if not 0 <= each < len(self.scene.kinds):
                 raise IndexError(f"{self.scene.name}: no variable has the value reference {each}")
@@ -252,7 +253,7 @@ class Unit:
         return self._get(self._address, reference)
 
     def get_many(self, references: Sequence[int]) -> tuple[int, list[float]]:
-        """The outcome of reading, and the values; NaN where outputs cannot be computed."""
+        """Return the outcome and the values; NaN if outputs cannot be computed."""
         key = tuple(references)
         if key not in self._many:
             self._known(key)
@@ -264,30 +265,30 @@ class Unit:
         return outcome, values[:]
 
     def slope(self, reference: int, value: float) -> int:
-        """How an input changes in the next communication step, per second."""
+        """Set the rate of change per second of an input in the next communication step."""
         return self.scene.library.alfmu_slope(self.address, reference, value)
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
 
     def begin(self, start: float, stop: float) -> int:
-        """Where a run begins, and the time past which no step leads."""
+        """Set the start time of a run, and the time that no step may exceed."""
         return self.scene.library.alfmu_begin(self.address, start, stop)
 
     def run_on(self, running: bool) -> None:
-        """Whether parameters are fixed."""
+        """Set whether parameters are fixed."""
         self.scene.library.alfmu_run_on(self.address, running)
 
     def initialize(self) -> int:
         return self.scene.library.alfmu_initialize(self.address)
 
     def read(self) -> int:
-        """Compute all outputs; `outputs` has them."""
+        """Compute all outputs into `outputs`."""
         return self._read(self._address, self._place)
 
     @property
     def outputs(self) -> ctypes.Array[c_double]:
-        """What `read` found last, overwritten by the next call."""
+        """Results of the last `read`, overwritten by the next call."""
         return self._outputs
 
     def save(self) -> bytes:
@@ -309,14 +310,15 @@ class Unit:
         values: int,
         progress: Callable[[int], int] | None = None,
     ) -> tuple[int, int]:
-        """Communication points, inputs and values by addresses; how many rows were made, and the outcome."""
+        """Run over communication points, with inputs and values by address; return the number of rows and
+        the outcome."""
         run, outcome = Run(times, count, inputs, table, wanted, values, progress), c_int()
         made = self.scene.library.alfmu_run(self.address, ctypes.byref(run.asked), ctypes.byref(outcome))
         return made, outcome.value
 
 
 class Run:
-    """What a run in one call is asked for: communication points, inputs and values by addresses, references."""
+    """Arguments of a run in one call: communication points, inputs and values by address, references."""
 
     def __init__(
         self,
@@ -336,4 +338,4 @@ class Run:
 
 
 _KEPT = 50
-"""Lists of references whose arrays a unit keeps."""
+"""Number of lists of references whose arrays a unit caches."""

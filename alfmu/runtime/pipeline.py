@@ -1,7 +1,8 @@
 """From a mechanism to a loaded scene: derive, configure, survey, trace, load.
 
-Each stage gives new equations and changes none, and keeps its results: runs of one mechanism that differ in numbers
-alone share them. One arrow points back: `survey` starts the runtime before the programs of a scene are traced.
+`Mechanism` - derive -> `Equations` - decided, surveyed -> `Configuration` - trace -> `Traced` - loaded -> `Scene`. No
+stage changes what it is given, and each keeps its results: runs of one mechanism that differ in numbers alone share
+them. One arrow points back: `survey` starts the runtime before the programs of a scene are traced.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from ..equations import Equations, derivation
+from ..equations import Configuration, Equations, derivation
 from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..equations.specialisation import ALL, specialised
-from ..equations.types import Decision
-from ..kernel import DEFAULT, KERNELS, controlled
+from ..equations.types import Decision, Survey
+from ..kernel import DEFAULT, KERNELS, controlled, tables
 from ..kernel.alternatives import formulations
+from ..kernel.form import Traced
 from ..kernel.kinks import kinks_of_rates
-from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..method.stepping import explicit_rule
@@ -36,10 +37,11 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
+from .stored import Start, stored_decision, stored_scene, stored_start
 
 __all__ = [
-    *("again", "braked", "chosen", "decided", "decision_of", "derive", "loaded", "prepared", "ready"),
-    *("retraced", "with_defaults"),
+    *("chosen", "decision_of", "derive", "loaded", "packed", "prepared", "ready", "retraced"),
+    *("with_brakes", "with_defaults"),
 ]
 
 
@@ -65,7 +67,7 @@ _TRACED = ("method", "input_order")
 
 _KEPT: OrderedDict[str, Equations] = OrderedDict()
 
-_SCENES: OrderedDict[tuple[object, ...], tuple[object, Equations]] = OrderedDict()
+_SCENES: OrderedDict[tuple[object, ...], tuple[object, Traced]] = OrderedDict()
 
 # Derive ---------------------------------------------------------------------------------------------------------------
 
@@ -123,8 +125,9 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
     if same:
         return e
-    e = replace(e, decision=None, survey=e.survey.elsewhere)
-    return untraced(e)
+    if not isinstance(e, Configuration):
+        return e
+    return Configuration.of(untraced(e), decision=None, survey=e.survey.elsewhere)
 
 
 def chosen(
@@ -141,11 +144,12 @@ def chosen(
     return equations.kept.latest(chosen, lambda: specialised(with_defaults(equations, values), outputs, freeze), key)
 
 
-def decided(equations: Equations) -> Equations:
-    """The same equations with their decision, and with the functions that its method needs."""
-    decision, stiffens = _decide(equations)
-    e = with_tangents(equations) if decision.method in RULES or stiffens else equations
-    return replace(e, decision=decision)
+def decided(equations: Equations) -> Configuration:
+    """The configuration of equations with their decision, and with the functions that its method needs."""
+    e = equations if isinstance(equations, Configuration) else Configuration.of(equations)
+    decision, stiffens = _decide(e)
+    e = with_tangents(e) if decision.method in RULES or stiffens else e
+    return e if decision == e.decision else replace(e, decision=decision)
 
 
 def decision_of(equations: Equations) -> Decision:
@@ -161,7 +165,7 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
         if equations.slips:
             limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
-    chosen, decision = integrator(equations), equations.decision
+    chosen, decision = integrator(equations), _known(equations)
     undecided = chosen == "auto"
     if undecided:
         decision = _automatic(equations)
@@ -179,6 +183,11 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
     return decision, stiffens
 
 
+def _known(equations: Equations) -> Decision | None:
+    """The decision of a configuration, if there is one."""
+    return equations.decision if isinstance(equations, Configuration) else None
+
+
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
     """Whether `auto` may go over to implicit steps on the way: contacts are stiff once they touch, and other values of
     its parameters make a damper stiff, or what has states."""
@@ -193,7 +202,7 @@ def _automatic(equations: Equations) -> Decision:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
         return Decision("explicit", f"explicit: more than {DENSE} coordinates")
-    probe = Probe.of(untraced(equations))
+    probe = Probe.of(equations)
     if probe is None:
         return Decision("explicit", "explicit: the defaults have no start")
     try:
@@ -215,7 +224,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
     """The method that `auto` stands for where these values are set, and why."""
 
     def choose() -> Decision:
-        return decision_of(with_defaults(equations, {**values, "solver.method": "auto"}))
+        e = with_defaults(equations, {**values, "solver.method": "auto"})
+        return stored_decision(e, lambda: decision_of(e))
 
     return equations.kept.latest(_decision, choose, tuple(sorted(values.items())), _DECISIONS)
 
@@ -223,9 +233,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
 # Survey ---------------------------------------------------------------------------------------------------------------
 
 
-def _surveyed(equations: Equations) -> Equations:
-    """The same equations with their survey; descriptions of outputs say where redundant constraints share a load."""
-    found = survey(equations)
+def _surveyed(equations: Configuration, found: Survey) -> Configuration:
+    """A configuration with its survey; descriptions of outputs say where redundant constraints share a load."""
     if equations.survey.shared is not None:
         return replace(equations, survey=found)
     note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
@@ -234,16 +243,12 @@ def _surveyed(equations: Equations) -> Equations:
     return replace(equations, outputs=outputs, survey=found)
 
 
-def braked(equations: Equations) -> Equations:
-    """The same equations, in which redundant constraints brake the motion."""
-    return replace(equations, survey=replace(equations.survey, brakes=True))
-
-
 # Trace ----------------------------------------------------------------------------------------------------------------
 
 
-def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs, traced once; InputError where there is no such kernel.
+def prepared(equations: Equations, kernel: str = DEFAULT) -> Traced:
+    """Equations with what the chosen kernel runs, traced once, or by the cache; InputError where there is no such
+    kernel. `alfmu.kernel.controlled.whole` has all steps of the programs.
 
     The oracle starts and keeps its values as `vm` does, so that it takes the same.
     """
@@ -252,24 +257,43 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
-    library = equations.library or compiled_scene(e, packed(e))
+    known = equations.library if isinstance(equations, Traced) else None
+    library = known or compiled_scene(e, packed(e))
     return equations.kept.latest(prepared, lambda: replace(e, library=library), library)
 
 
 @once
-def _interpreted(equations: Equations) -> Equations:
-    declared = equations.functions
+def _interpreted(equations: Equations) -> Traced:
     with getting_ready():
-        equations = decided(equations)
-        e = equations if equations.kernel else _traced(_surveyed(equations), declared)
-        return replace(e, library=None) if e.library else e
+        if not isinstance(equations, Traced):
+            return _started(equations)
+        decided(equations)  # which refuses settings that this scene has not
+        return replace(equations, library=None) if equations.library else equations
 
 
-def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
-    """The same equations traced; those of the same functions that differ in numbers alone share what is traced."""
-    settings = default_settings(equations)
+def _started(equations: Equations) -> Traced:
+    """Equations traced; with the heads of their programs alone where the cache knows them."""
+    made: list[Traced] = []
+
+    def start() -> Start:
+        e = decided(equations)
+        made.append(_traced(_surveyed(e, survey(e)), equations.functions))
+        return Start.of(made[0])
+
+    found = stored_start(equations, start)
+    if made:
+        return made[0]
+    e = _surveyed(Configuration.of(equations, decision=found.decision), found.survey)
+    signatures = {**e.signatures, "seen": {"inputs": [], "outputs": [[found.seen, 1]], "matrices": 0}}
+    if found.tangents:
+        signatures["tangents"] = {"inputs": [], "outputs": [], "matrices": 0}
+    return Traced.of(e, signatures=signatures, kernel=found.programs)
+
+
+def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced:
+    """A configuration traced; those of the same functions that differ in numbers alone share what is traced."""
+    e, settings = configuration, default_settings(configuration)
     rule = explicit_rule("explicit", settings.relative_tolerance)
-    e = equations
     key = (
         id(declared),
         integrator(e),
@@ -280,7 +304,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
         e.survey,
     )
 
-    def trace() -> tuple[object, Equations]:
+    def trace() -> tuple[object, Traced]:
         # The functions are kept, so that no others get their place.
         return declared, traced(e, controlled.programs)
 
@@ -288,7 +312,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
         return trace()[1]
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
     same = "functions", "signatures", "kernel", "order", "telling"
-    found = replace(e, **{field: getattr(scene, field) for field in same})
+    found = Traced.of(e, **{field: getattr(scene, field) for field in same})
     found.kept.scene = scene.kept
     return found
 
@@ -299,7 +323,7 @@ def ready(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str,
-) -> tuple[Equations, dict[str, float | str]]:
+) -> tuple[Traced, dict[str, float | str]]:
     """The equations traced for a run with these values, and those of them that are left to set on an instance.
 
     What a scene is traced with is in it: outputs, frozen parameters, the method of integration. All else is a number
@@ -309,37 +333,56 @@ def ready(
     method = own.pop("solver.method", equations.solver.get("method", Settings.method))
     frozen = {p.name for p in equations.parameters if freeze and (list(freeze) == [ALL] or p.name in freeze)}
     folded = {name: own.pop(name) for name in frozen & own.keys()}
-    e = with_defaults(equations, {**folded, "solver.method": method})
-    if method == "auto":
-        e = replace(e, decision=_decision(equations, own | folded))
-    asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
-    return equations.kept.latest(ready, lambda: prepared(specialised(e, outputs, freeze), kernel), key), own
+    e = chosen(equations, {**folded, "solver.method": method}, outputs, freeze)
+    if method != "auto":
+        return prepared(e, kernel), own
+    decision, known = _decision(e, own), _known(e)
+    if known is not None and known.method == decision.method:
+        return prepared(e, kernel), own
+
+    def by_decision() -> Traced:
+        return prepared(Configuration.of(untraced(e), decision=decision), kernel)
+
+    return e.kept.latest(ready, by_decision, (kernel, decision.method)), own
 
 
-def retraced(equations: Equations, settings: Settings) -> Equations:
-    """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
+def retraced(equations: Equations, settings: Settings) -> Traced:
+    """Equations traced with the method of integration and the order of inputs that settings ask for."""
     e, before = equations, default_settings(equations)
     wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
-    if e.kernel and not wanted:
+    if isinstance(e, Traced) and not wanted:
         return e
 
-    def trace() -> Equations:
-        return again(replace(e, solver={**e.solver, **wanted}, decision=None) if wanted else e)
+    def trace() -> Traced:
+        if not wanted:
+            return prepared(e)
+        return prepared(Configuration.of(untraced(e), solver={**e.solver, **wanted}, decision=None), _kernel(e))
 
     return e.kept.latest(retraced, trace, tuple(sorted(wanted.items())))
 
 
-def again(equations: Equations) -> Equations:
-    """The same equations traced again, for the kernel that they were prepared for."""
-    return prepared(untraced(equations), "compiled" if equations.library else DEFAULT)
+def with_brakes(equations: Traced) -> Traced:
+    """A scene traced again for its kernel, in which redundant constraints brake the motion."""
+    e = untraced(equations)
+    return prepared(replace(e, survey=replace(e.survey, brakes=True)), _kernel(equations))
+
+
+def _kernel(equations: Equations) -> str:
+    """The kernel that equations are prepared for."""
+    return "compiled" if isinstance(equations, Traced) and equations.library else DEFAULT
 
 
 # Load -----------------------------------------------------------------------------------------------------------------
 
 
 @once
-def loaded(equations: Equations) -> Scene:
+def packed(equations: Traced) -> bytes:
+    """The scene file of traced equations, written once."""
+    return stored_scene(equations, lambda: tables.packed(equations))
+
+
+@once
+def loaded(equations: Traced) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
     scene = Scene(packed(equations))
     if equations.library:

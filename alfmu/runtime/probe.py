@@ -1,4 +1,4 @@
-"""What the start of a scene tells, before the scene is traced or while it runs: freedoms, shared loads, iterations."""
+"""Survey of a scene at its start, before it is traced or while it runs: freedoms, shared loads, iterations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations, Mobility
+from ..equations import Configuration, Equations, Mobility
 from ..equations.evaluation import DENSE, tangents_once
 from ..equations.interface import default_settings
 from ..equations.types import Survey
@@ -22,28 +22,28 @@ from .library import DONE, Scene, Unit
 __all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared", "survey"]
 
 SINGULAR = (RuntimeError, np.linalg.LinAlgError)
-"""What SciPy and NumPy raise where the augmented mass cannot be factorised, as next to a motion of hardly any mass."""
+"""Exceptions of SciPy and NumPy for a singular augmented mass, as near a motion with almost no mass."""
 
 _RETURNS = 4
-"""Passes of (10) in derivatives by displacements that leave the constraints."""
+"""Number of corrections (10) in derivatives by displacements off the constraints."""
 
 _SHARED = 1e-7
-"""Change of an output by a unit of load that redundant constraints share, up to which it is none."""
+"""Change of an output per unit of a shared load, below which it is zero."""
 
 _STRAIN = 1e6
-"""Load that redundant constraints share, beside which others are small: friction follows from the size of a load, which
-a small share across it does not change."""
+"""Load shared by redundant constraints, large compared with others: friction follows from the magnitude of a load,
+which a small perpendicular share does not change."""
 
 
 COUNTED_ROWS = ("in force", "all", "without friction")
-"""Constraints of which degrees of freedom are told, as `Counted_rows` in alfmu.h; "without friction" leaves out of
-those in force what joints that stick by dry friction hold."""
+"""Sets of constraints for degrees of freedom, as `Counted_rows` in alfmu.h; "without friction" excludes constraints in
+force of joints that stick by dry friction."""
 
 
 def mobility(unit: Unit, n: int, rows: str = "in force") -> tuple[int, Mobility, NDArray[np.float64]]:
-    """The outcome, degrees of freedom and redundant constraints, and a place (n,) near the present one that tells them.
+    """Return the outcome, degrees of freedom and redundant constraints, and a nearby regular position (n,).
 
-    Of the constraints that a word of `COUNTED_ROWS` stands for.
+    `rows` is a word of `COUNTED_ROWS`.
     """
     found, place, which = [ctypes.c_int() for _ in range(3)], np.empty(n), COUNTED_ROWS.index(rows)
     outcome = unit.scene.library.alfmu_mobility(unit.address, which, *map(ctypes.byref, found), place.ctypes.data)
@@ -57,9 +57,9 @@ def shared(
     place: NDArray[np.float64],
     rank: int,
 ) -> list[str]:
-    """Outputs that are not unique, because redundant constraints share a load: joints carry the least.
+    """Return outputs that are not unique because redundant constraints share a load, with least loads of joints.
 
-    `numbers` are q, u, p and t by letter, `held` (l,) tells which constraints are in force, `place` (n,) is one near q
+    `numbers` are q, u, p and t by letter, `held` (l,) are the constraints in force, `place` (n,) is a position near q
     where they have this rank.
     """
     if held.sum() <= rank:
@@ -75,7 +75,7 @@ def shared(
         return np.array(e.functions["readings"](q, v, v, lam, u, p, t)).ravel()
 
     def limits(lam: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the frictions of joints, which follow from their loads."""
+        """Return the limits of friction, which follow from loads of joints."""
         q, u, p, t = (numbers[letter] for letter in "qupt")
         return np.array(e.functions["rubbing"](q, v, v, lam, u, p, t)).ravel()[count : 2 * count]
 
@@ -92,39 +92,41 @@ def shared(
 
 
 def row_units(e: Equations, k: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The unit of each row (l,) that the start found, of the field `k` of the memory."""
+    """Return the unit of each row (l,) at the start, from the field `k` of the memory."""
     return 1 / k[len(SETTINGS) + e.l : len(SETTINGS) + 2 * e.l]
 
 
 def row_shares(e: Equations, k: NDArray[np.float64], penalty: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (l,) by whose inverse redundant rows share a load: penalties (l,), or stiffnesses where there are any."""
+    """Return weights (l,) whose inverses are the compliances of redundant rows: penalties (l,), or stiffnesses if
+    given."""
     begin = len(SETTINGS) + 2 * e.l + e.n
     return k[0] * k[begin : begin + e.l] if e.compliances else penalty.copy()
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A scene at the start that its defaults give, by the runtime; it makes no step."""
+    """A scene at the start given by its defaults, in the runtime, without steps."""
 
     equations: Equations
     unit: Unit
     brakes: bool
-    """Whether redundant constraints would stop the motion beside the start."""
+    """Whether redundant constraints would brake the motion near the start."""
     numbers: dict[str, NDArray[np.float64]]
     """q, v, u, p, t by letter."""
     units: NDArray[np.float64]
-    """Of the rows (l,)."""
+    """Units of the rows (l,)."""
     penalty: NDArray[np.float64]
-    """alpha (l,) [kg or kg.m2 by row], zero where a constraint is not in force."""
+    """alpha (l,) [kg or kg.m2 by row], zero for constraints not in force."""
     shares: NDArray[np.float64]
-    """Weights (l,) by whose inverse redundant constraints share a load, see `row_shares`."""
+    """Weights (l,) whose inverses are compliances of redundant constraints, see `row_shares`."""
 
     @classmethod
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
-        """None where the defaults have no start at this time [s], so that nothing is known of it."""
+        """Return the probe, or None if the defaults have no start at this time [s]."""
         e = equations
         # With room for constraints that would brake, which are looked for where coordinates are few.
-        room = replace(e, kernel={}, survey=replace(e.survey, brakes=e.n <= DENSE))
+        room = Configuration.of(e)
+        room = replace(room, survey=replace(room.survey, brakes=e.n <= DENSE))
         unit = Unit(Scene(packed_start(room)))
         unit.time = time
         if unit.initialize() != DONE:
@@ -144,12 +146,12 @@ class Probe:
         return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty))
 
     def place(self, q: NDArray[np.float64]) -> None:
-        """Put the scene to q (n,), so that `mobility` tells of it; `numbers` stay."""
+        """Move the scene to q (n,) for `mobility`; `numbers` do not change."""
         address = self.unit.scene.library.alfmu_state(self.unit.address)
         np.ctypeslib.as_array((ctypes.c_double * self.equations.n).from_address(address))[:] = q
 
     def mobility(self, every: bool = False) -> Mobility:
-        """Of the constraints in force, or with `every` of all."""
+        """Return the mobility with the constraints in force, or with all if `every`."""
         return mobility(self.unit, self.equations.n, "all" if every else "in force")[1]
 
     def shared(self) -> list[str]:
@@ -158,9 +160,9 @@ class Probe:
 
     @np.errstate(all="ignore")
     def iterations_needed(self) -> int:
-        """Iterations of the residual form after which no more than a tenth of the tolerance is left.
+        """Return the iterations of the residual form after which the error is at most a tenth of the tolerance.
 
-        Each gains about the same factor, so a last change of limit^((m - 1) / m) after m of them leaves the limit.
+        Each gains about the same factor, so a last change of limit^((m - 1) / m) after m iterations leaves the limit.
         """
         settings, made = default_settings(self.equations), 0
 
@@ -177,7 +179,7 @@ class Probe:
 
     @np.errstate(all="ignore")
     def spectrum(self) -> NDArray[np.float64]:
-        """Eigenvalues [1/s] of small motions about the start and of its states, none where they are not finite."""
+        """Return eigenvalues [1/s] of small motions about the start and of its states, empty if they are not finite."""
         e, n, l, settings = self.equations, self.equations.n, self.equations.l, default_settings(self.equations)
         M, C, F, xi, alpha, solve = self._dynamics()
 
@@ -197,7 +199,7 @@ class Probe:
         T, S = implicit.return_map(C, alpha, solve, Xv, np.eye(n), _RETURNS)
         (aq, av), ax = implicit.on_branch(both[:, :n], both[:, n : 2 * n], T, S), both[:, 2 * n :]
         Gq, Gv = implicit.on_branch(Gq, Gv, T, S)
-        # Displacements that the constraints keep, alone: T projects on them. Time goes on by itself.
+        # T projects onto displacements that satisfy the constraints; time is excluded.
         d = e.dependent
         T, aq, av, ax, Gq, Gv = T[:d, :d], aq[:d, :d], av[:d, :d], ax[:d], Gq[:, :d], Gv[:, :d]
         motions = np.block(
@@ -210,7 +212,7 @@ class Probe:
         return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
     def _dynamics(self) -> tuple[Any, Any, NDArray[np.float64], NDArray[np.float64], Any, method.Solve]:
-        """M, C, F, xi, the penalties as a matrix, and what solves with H; matrices are sparse where they are large."""
+        """Return M, C, F, xi, the penalties as a matrix, and a solver with H; large matrices are sparse."""
         e = self.equations
         M, C, F, xi = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
         F, xi = (np.array(x).ravel() for x in (F, xi))
@@ -225,23 +227,24 @@ class Probe:
         return M, C, F, xi, alpha, splu(method.augmented_mass(M, C, alpha).tocsc()).solve
 
 
-def survey(equations: Equations) -> Survey:
-    """The survey of equations at the start of their defaults; what theirs has of all starts stays.
+def survey(equations: Configuration) -> Survey:
+    """Return the survey of equations at the start of their defaults, keeping their known properties of all starts.
 
-    Tracing needs it, and it needs the runtime: a scene with a start alone is traced, loaded and initialised.
+    Tracing needs the survey, and the survey needs the runtime, so a scene with a start alone is traced, loaded and
+    initialised.
     """
     e, known = equations, equations.survey
     probe = Probe.of(e)
     if probe is None:
         return known
     if known.shared is None:
-        # Constraints that come into force may be redundant, so that they would stop the motion beside it.
+        # Constraints that are switched on may be redundant, and so brake the motion.
         brakes = probe.brakes or (bool(e.switches) and probe.mobility(every=True).redundant > 0)
         known = replace(known, shared=tuple(probe.shared()), brakes=brakes, uneven=len(set(probe.units)) > 1)
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
-        return replace(known, mobility=mobility)  # a singular start says nothing of other positions
+        return replace(known, mobility=mobility)  # a singular start does not represent other positions
     try:
         return replace(known, mobility=mobility, iterations=probe.iterations_needed())
-    except SINGULAR:  # the first evaluation of a run says so
+    except SINGULAR:  # the first evaluation of a run reports it
         return replace(known, mobility=mobility)

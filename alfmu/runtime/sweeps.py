@@ -1,6 +1,6 @@
-"""Derivatives of a run, by tangents forward or by adjoints back: the binding of what the library differentiates.
+"""Derivatives of a run, by tangents forward or by adjoints backward: the binding of the library's derivatives.
 
-The run itself is that of `Instance.run`, to the same bits.
+The run is the same as that of `Instance.run`, to the bit.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from .library import INTERRUPTED, Run
 __all__ = ["Sweeps"]
 
 _NO_MEMORY = -2
-"""An outcome beside those of a run."""
+"""An additional outcome: out of memory."""
 
 TAPE = 32e6
-"""Bytes of a tape that is kept; what is longer is run again when it is swept back.
+"""Size of a tape in bytes; parts of longer runs are repeated for the adjoints.
 
-Measured on the five-bar over 20 s: a gradient takes 3.8 to 4.6 times a run with 16 MB; with 256 MB fresh memory costs
-as much as running again.
+Measured on the five-bar over 20 s: a gradient takes 3.8 to 4.6 times a run with 16 MB; with 256 MB the allocation of
+memory costs as much as repeating the run.
 """
 
 
 class Sweeps:
     """A run of an instance that is not yet initialised, with its derivatives.
 
-    `times` (k,) [s] are the communication points, `table` (k, inputs) has the inputs at each, `wanted` names what is
-    differentiated.
+    `times` (k,) [s] are the communication points, `table` (k, inputs) has the inputs at each, `wanted` names the
+    columns to differentiate.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Sweeps:
         self.unit = unit
         self._times, self._table = np.ascontiguousarray(times, float), np.ascontiguousarray(table, float)
         self.values: NDArray[np.float64] = np.zeros((len(times), len(wanted)))
-        """(k, wanted): what the run gave."""
+        """Values (k, wanted) of the run."""
         self._inputs = len(inputs)
         self._directions = directions
         self._library = unit._scene.library
@@ -81,8 +81,8 @@ class Sweeps:
     def tangents(
         self, seeds: NDArray[np.float64], input_seeds: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
-        """Make the run; (k, wanted, directions): what is wanted changes along directions of parameters (parameters,
-        directions) and of inputs at each communication point (k, inputs, directions)."""
+        """Run, and return changes (k, wanted, directions) along directions of parameters (parameters, directions) and
+        of inputs at each communication point (k, inputs, directions)."""
         seeds = np.ascontiguousarray(seeds, float)
         given = None if input_seeds is None else np.ascontiguousarray(input_seeds, float)
         found, outcome = np.empty((*self.values.shape, self._directions)), ctypes.c_int()
@@ -99,14 +99,14 @@ class Sweeps:
         return found
 
     def record(self, tape: float = TAPE) -> None:
-        """Make the run so that it can be swept back, with a tape of so many bytes."""
+        """Run and record a tape of this size for adjoints."""
         outcome = ctypes.c_int()
         self._library.alfmu_recorded_run(self._address, ctypes.byref(self._run.asked), tape, ctypes.byref(outcome))
         self._judge(outcome.value)
 
     def adjoints(self, weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What the sum of all values times `weights` (k, wanted) changes by each parameter (parameters,) and by each
-        input at each communication point (k, inputs); after `record`, as often as it is wanted."""
+        """Return the derivatives of the sum of all values times `weights` (k, wanted) by each parameter (parameters,)
+        and by each input at each communication point (k, inputs); repeatable after `record`."""
         weights = np.ascontiguousarray(weights, float)
         parameters, inputs = np.zeros(len(self.unit.parameters)), np.zeros((len(self._times), self._inputs))
         self._judge(
@@ -122,14 +122,14 @@ class Sweeps:
 
     @property
     def counters(self) -> Counters:
-        """What the run took, as that of the instance."""
+        """Counters of the run, as those of the instance."""
         return self.unit.counters
 
     def _no_memory(self) -> AlfmuError:
         return StepError(f"{self.unit.name}: there is no memory for the derivatives; ask for fewer at once")
 
     def _judge(self, outcome: int) -> None:
-        """Raise what ended the run early; tell what it warns of."""
+        """Raise the error that ended the run early; issue its warnings."""
         unit = self.unit
         unit._warn()
         if self._raised:

@@ -1,4 +1,4 @@
-"""Runs: their common driver (`run`), `Result` and its tables, and the oracle that verifies the kernel.
+"""Runs: their driver (`run`), `Result` and its tables, and the oracle that verifies the kernel.
 
 Other rooms import `oracle`, `result`.
 """

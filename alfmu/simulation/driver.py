@@ -1,4 +1,4 @@
-"""Run a mechanism from Python: the driver that tests, reports and the command line share."""
+"""Drive runs of a unit from Python, for tests, reports and the command line."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ __all__ = [
 ]
 
 MOST = 500_000_000
-"""Numbers in a result, at most: 4 GB."""
+"""Largest number of values in a result: 4 GB."""
 
 HIDDEN, NOTHING = 1e-3, 1e-12
-"""Largest values of a state over its nominal value [1]: below the first one a tolerance of 1e-6 leaves errors of a part
-in a thousand, and a run says so; below the second one the state is round-off."""
+"""Largest value of a state over its nominal value [1]: below the first limit a tolerance of 1e-6 leaves errors of a
+thousandth, which a run reports; below the second the state is round-off."""
 
 _LOGGER = logging.getLogger("alfmu")
 
 Progress = Callable[[Iterable[float]], Iterable[float]]
-"""Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
+"""Wraps the communication points of a run to show progress (`iter` shows none)."""
 
 
 class Unit(Protocol):
-    """The interface that the driver needs of an `Instance` or an FMU."""
+    """The interface of an `Instance` or an FMU for the driver."""
 
     name: str
 
@@ -57,16 +57,16 @@ class Unit(Protocol):
 
 
 def settings_of(unit: Instance) -> dict[str, float | str]:
-    """What a run that checks another one asks."""
+    """Return the settings of a unit that a check of its run may change."""
     return {name: unit.get(name) for name in ("solver.method", *FINER)}
 
 
 FINER = {"solver.relative_tolerance": 0.01, "solver.step_size": 0.5}
-"""What a run that checks another one makes of its settings [1]: of the tolerance, or of the length of all steps."""
+"""Factors on settings for a run that checks another one [1]: on the tolerance, or on the length of all steps."""
 
 
 def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
-    """Return the number of the solver that a run takes which checks another one with these; raise InputError if there
+    """Return the solver setting, and its value, for a run that checks another one; raise InputError if there
     is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
@@ -101,7 +101,7 @@ def run(
     facts: Mapping[str, Any] | None = None,
     declared: Mechanism | None = None,
 ) -> Result:
-    """Drive a unit that is not yet initialised as `simulate` does; the result has `facts` and the mechanism."""
+    """Run a unit that is not yet initialised as `simulate` does; the result has `facts` and the mechanism."""
     for name, value in (parameters or {}).items():
         unit.set(name, value)
     variables = [*unit.outputs, *unit.input_variables]
@@ -129,7 +129,7 @@ def values_of(unit: Unit, inputs: Mapping[str, Signal] | None) -> Callable[[str,
 
     def at(name: str, t: float) -> float:
         value = signals[name](t)
-        # A table switches half-way between 0 and 1, or two whole numbers.
+        # A table of values 0 and 1, or of integers, switches half-way between them.
         if kinds.get(name) == "Boolean" and 0 <= value <= 1:
             return value >= 0.5
         return math.floor(value + 0.5) if kinds.get(name) == "Integer" else value
@@ -165,7 +165,7 @@ def _in_one_call(
     names: list[str],
     progress: Progress,
 ) -> tuple[NDArray[np.float64], BaseException | None]:
-    """Return the values of a run that is one call of the runtime, and why it ended early."""
+    """Return the values of a run by one call of the runtime, and the error if it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
     table = table_of(inputs, at, times)
@@ -177,7 +177,7 @@ def _in_one_call(
         for _ in range(done - passed):
             next(shown, None)
         passed = done
-        if getattr(progress, "ended", bool)():  # within a long communication step
+        if getattr(progress, "ended", bool)():  # checked within a long communication step
             raise KeyboardInterrupt
         return True
 
@@ -198,8 +198,7 @@ def _step_by_step(
     progress: Progress,
     held: bool,
 ) -> tuple[NDArray[np.float64], BaseException | None]:
-    """Return the values of a run of a unit that makes one communication step after the other, and why it ended
-    early."""
+    """Return the values of a run by successive communication steps, and the error if it ended early."""
     table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
 
     def apply(t: float) -> None:
@@ -225,7 +224,8 @@ def _step_by_step(
 
 
 def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
-    """0, step, 2 step, ... and stop_time itself; raise InputError if a result of so many columns would be too large."""
+    """Return 0, step, 2 step, ... and stop_time; raise InputError if a result with this number of columns is
+    too large."""
     for what, given in (("step", step), ("stop time", stop_time)):
         if not (isinstance(given, float | int | np.number) and math.isfinite(given) and given > 0):
             raise InputError(f"{name}: the {what} is {given!r} s; it must be a finite number above zero")
@@ -242,7 +242,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
 
 
 def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return values by the names of what they are for; raise InputError if they are given in another way."""
+    """Return a mapping of values by name; raise InputError for any other type."""
     if given is not None and not isinstance(given, Mapping):
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
@@ -250,7 +250,7 @@ def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> di
 
 
 def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
-    """Return names in their order; raise InputError if they are given in another way, as one text above all."""
+    """Return a sequence of names; raise InputError for any other type, in particular a single text."""
     if isinstance(given, str) or not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a list of names")
@@ -258,7 +258,7 @@ def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
 
 
 def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[str, Callable[[float], float]]:
-    """Return inputs as functions of time [s], by name; raise InputError if one is no signal."""
+    """Return inputs as functions of time [s], by name; raise InputError if one is not a signal."""
     found: dict[str, Callable[[float], float]] = {}
     for name, signal in by_name(mechanism, "inputs", inputs).items():
         if callable(signal):
@@ -284,7 +284,7 @@ def _no_signal(mechanism: object, name: str) -> str:
 
 
 def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[[float], float]:
-    """Straight lines through the points of a table, which go on as they began and ended."""
+    """Return the piecewise linear function of a table, extrapolated linearly."""
     try:
         times, values = (np.array(each, float) for each in table)
     except (TypeError, ValueError):

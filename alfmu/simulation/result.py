@@ -1,7 +1,7 @@
 """Result of a run: columns over time by name, as a table in a file, a plot or a film; inputs from tables.
 
-Beside a table `run.csv` stands `run.json`, with what a table of plain columns cannot say: what was run, the units, the
-drawing. Importers of FMUs read the table as it is.
+A table `run.csv` has a companion `run.json` with data that columns cannot store: settings of the run, units, drawing.
+Importers of FMUs can read the table alone.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ Signal = float | Callable[[float], float] | tuple[Table, Table]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
 
 _ROWS = 25
-"""Rows of the table that a notebook shows."""
+"""Number of rows in a notebook."""
 
 
 OFF = 1e-3
-"""Error of a place over 1 rad, or over the largest length of a run [1], from which on it is warned of."""
+"""Error of a position over 1 rad, or over the largest length of a run [1], above which a warning is issued."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """How far the places of a run are from those of one with a finer setting, an estimate of its error."""
+    """Deviation of the positions of a run from one with a finer setting, which estimates its error."""
 
     setting: str
-    """The number of the solver that was finer."""
+    """The solver setting that was finer."""
     value: float
     errors: Mapping[str, float]
-    """Largest difference of each column [in its unit]: of angles and lengths, of all where there are none."""
+    """Largest difference of each column [in its unit]: of angles and lengths, or of all if there are none."""
     worst: str
-    """The column that is off most, angles over 1 rad, all else over the largest number in that unit."""
+    """The column with the largest error, angles relative to 1 rad, others to the largest value in their unit."""
     unit: str
     share: float
-    """How far that is off by this measure."""
+    """This largest relative error."""
     since: float | None
-    """The first time [s] at which it is off by more than `OFF`; None if it never is."""
+    """First time [s] at which it exceeds `OFF`; None if it never does."""
 
     @classmethod
     def of(cls, result: Result, finer: Result, setting: str, value: float) -> Check:
@@ -97,29 +97,29 @@ class Check:
 class Result:
     """Outputs and inputs over time: `result["link1.angle"]` is an array like `result.time`.
 
-    Patterns take several columns: `result["link*.angle"]` is an array (rows, columns), `result.select("link*.angle")` a
-    result with these columns alone. `time` (rows,) is in s, `values` (rows, columns) has one row per communication
-    point, `names` and `units` tell what its columns are. Names are iterated and counted as in a dictionary, without the
-    time: `"A.force.x" in result`, `len(result)`, `dict(result)`.
+    A pattern selects several columns: `result["link*.angle"]` is an array (rows, columns),
+    `result.select("link*.angle")` a result with these columns alone. `time` (rows,) is in s, `values` (rows, columns)
+    has one row per communication point, `names` and `units` describe its columns. A result behaves as a dictionary of
+    names, without the time: `"A.force.x" in result`, `len(result)`, `dict(result)`.
     """
 
     mechanism: str
     time: NDArray[np.float64]
-    """(rows,) [s]"""
+    """Communication points (rows,) [s]."""
     names: tuple[str, ...]
     units: Mapping[str, str]
-    """Unit of each column, as far as it is known: those of a table from elsewhere are not."""
+    """Unit of each column, if known; foreign tables have none."""
     values: NDArray[np.float64]
-    """(rows, columns): one row per communication point, one column per name."""
+    """Values (rows, columns): one row per communication point, one column per name."""
     counters: Counters | None = None
-    """Work and largest errors; None if the run was made by somebody else's solver."""
+    """Work and largest errors; None if another solver made the run."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Description of the run: `mechanism`, `options` and `parameters`; for a table from a file, all facts stored beside
     it."""
     declared: Mechanism | None = None
     """The mechanism, if it is known and not only its drawing."""
     check: Check | None = None
-    """Deviation from a run with a finer setting, if that was requested."""
+    """Deviation from a run with a finer setting, on request."""
     _ran: str | None = field(default=None, init=False)
     """Content of the declaration at the time of the run."""
 
@@ -144,10 +144,9 @@ class Result:
         return self.names
 
     def __getitem__(self, name: str | tuple[str, ...] | list[str]) -> NDArray[np.float64]:
-        """Return a column (rows,) by its name, `time` included, or those of a pattern or of several (rows, columns) in
-        their order.
+        """Return a column (rows,) by its name, including `time`, or the columns (rows, columns) of a pattern or list.
 
-        Raises InputError if nothing is called so, with the nearest names.
+        Raises InputError if no column matches, with the most similar names.
         """
         if not isinstance(name, str):
             return self.values[:, self._places(name)]
@@ -156,14 +155,14 @@ class Result:
         return self.time if name == "time" else self.values[:, self._places((name,))]
 
     def select(self, *patterns: str) -> Result:
-        """Return the same result with those columns alone that match a name or a pattern, in the order of these."""
+        """Return a result with only the columns that match a name or a pattern, in their order."""
         places = self._places(patterns)
         names = tuple(self.names[i] for i in places)
         units = {name: self.units[name] for name in names if name in self.units}
         return replace(self, names=names, units=units, values=self.values[:, places])
 
     def _places(self, patterns: Sequence[str]) -> list[int]:
-        """Return the columns called like the patterns, each once."""
+        """Return indices of columns that match the patterns, each once."""
         found: dict[int, None] = {}
         for pattern in patterns:
             fit = [i for i, name in enumerate(self.names) if name == pattern or fnmatchcase(name, pattern)]
@@ -175,10 +174,10 @@ class Result:
             found |= dict.fromkeys(fit)
         return list(found)
 
-    # To look at --------------------------------------------------------------------------------------------------
+    # Display -----------------------------------------------------------------------------------------------------
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a table of pandas over the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
+        """Return a pandas table with the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
         try:
             import pandas
         except ImportError:
@@ -190,27 +189,25 @@ class Result:
         return table
 
     def plot(self, names: Sequence[str] | str | None = None, *more: str) -> Figure:
-        """Return a figure of matplotlib over time, of names or patterns such as "link*.angle", in a list or one after
-        the other; see `alfmu.view.plot.figure`.
+        """Return a matplotlib figure over time, of names or patterns such as "link*.angle", as a list or as arguments.
 
-        It shows itself in a notebook, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
+        See `alfmu.view.plot.figure`. A notebook displays it, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
         """
         found = None if names is None else [*([names] if isinstance(names, str) else names), *more]
         figure: Figure = handed_in("plot")(self, found)
         return figure
 
     def animate(self, path: str | Path | None = None, *, fps: float = 25.0, speed: float = 1.0) -> Film | None:
-        """Return a film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a
-        notebook.
+        """Return a film of the motion for a notebook, or write it as `.gif` or `.html`.
 
-        `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError if it is not
-        known how the mechanism looks, as with a table or an FMU from elsewhere.
+        `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError if there is no
+        drawing of the mechanism, as with a foreign table or FMU.
         """
         film: Film | None = handed_in("animate")(self, path, fps, speed)
         return film
 
     def _repr_html_(self) -> str:
-        """For notebooks: the range of each column."""
+        """Return the range of each column as HTML for notebooks."""
         heads = ("", "unit", "start", "end", "least", "largest")
         rows = []
         for name, column in zip(self.names[:_ROWS], self.values.T, strict=False):
@@ -231,8 +228,8 @@ class Result:
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Result:
-        """Return a table with a column `time` and columns of numbers; with its units and its drawing, where alfmu wrote
-        them beside it. Nothing of what stands there is run."""
+        """Read a table with a column `time` and columns of numbers, with the units and drawing that alfmu wrote beside
+        it. Nothing in it is executed."""
         names, table = _table(path)
         facts = facts_in(facts_beside(path))
         name, units = facts.get("name"), facts.get("units")
@@ -247,10 +244,10 @@ class Result:
         )
 
     def to_csv(self, path: str | Path) -> None:
-        """Write time and all columns with 17 significant digits under a row of names, and beside it, in a file of the
-        same name with the suffix `.json`, the units and what was run.
+        """Write time and all columns with 17 significant digits under a row of names, and units and settings beside it.
 
-        Raises WriteError, and InputError if a file of that name is there that alfmu did not write.
+        The latter go to a file of the same name with the suffix `.json`. Raises WriteError, and InputError if that file
+        exists and alfmu did not write it.
         """
         beside = facts_beside(path)
         if beside.exists() and not facts_in(beside):
@@ -266,7 +263,7 @@ class Result:
         write(beside, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
     def shown(self) -> Mechanism | None:
-        """Return the mechanism as it ran; raise InputError if it was changed since."""
+        """Return the mechanism of the run; raise InputError if it was changed since."""
         if self.declared is not None and content(self.declared) != self._ran:
             raise InputError(
                 f"{self.mechanism} was changed since this run, so that its motion cannot be drawn any more"
@@ -276,7 +273,7 @@ class Result:
 
 @dataclass(frozen=True, repr=False)
 class Film:
-    """A film as a page that needs nothing else; it shows itself in a notebook."""
+    """A film as a self-contained page, which a notebook displays."""
 
     html: str
 
@@ -284,19 +281,19 @@ class Film:
         return f"Film({len(self.html) / 1000:.0f} kB of HTML)"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the page in a frame of its own."""
+        """Return the page in a frame as HTML for notebooks."""
         return f'<iframe srcdoc="{escape(self.html)}" width="100%" height="620" style="border:0"></iframe>'
 
 
 def _as_json(value: object) -> object:
-    """Return a value that JSON can store: mappings, numbers of NumPy as numbers, everything else as text."""
+    """Return a value for JSON: mappings, NumPy numbers as numbers, everything else as text."""
     if isinstance(value, Mapping):
         return dict(value)
     return value.item() if isinstance(value, np.generic) else str(value)
 
 
 def facts_beside(table: str | Path) -> Path:
-    """Return the file with what was run, beside a table."""
+    """Return the path of the facts beside a table."""
     return Path(table).with_suffix(".json")
 
 
@@ -320,8 +317,8 @@ def read_inputs(path: str | Path) -> dict[str, Signal]:
 
 
 def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Return names and numbers of a CSV file whose first column is time; InputError, with the line, where it is
-    none."""
+    """Return names and numbers of a CSV file whose first column is time; raise InputError with the line if it is
+    invalid."""
     line, numbers = 0, array("d")
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -355,7 +352,7 @@ def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _check_names(path: str | Path, names: list[str]) -> None:
-    """Raise InputError if a row of names cannot stand over a table."""
+    """Raise InputError if a row of names is not valid for a table."""
     if names[:1] != ["time"]:
         raise InputError(
             f"{path} is not a table of numbers under names: its first column is {(names or [''])[0][:40]!r}; it must "

@@ -1,4 +1,4 @@
-"""Judged runs of a mechanism: reports, maps of stability, the paper's study, other codes, what a step costs.
+"""Studies with a judgement of accuracy: reports, maps of stability, the paper's study, other codes, costs of steps.
 
 Other rooms import `about`, `page`, `plots`, `report`, `stability`.
 """

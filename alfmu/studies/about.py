@@ -1,4 +1,4 @@
-"""What there is to know of a mechanism before it runs: as data, in a few lines, or all of it."""
+"""Information on a mechanism before it runs: as data, in a few lines, or complete."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ from .cost import cost, described
 __all__ = ["About", "about", "gravity", "in_all", "in_short", "notes"]
 
 LINES = 20
-"""Lines of a mechanism in short, at most."""
+"""Largest number of lines of the short description."""
 
 _WIDE = 100
-"""Characters of a line in short, at most, but for what a user must know in full."""
+"""Largest width of its lines in characters, except for text that must not be cut."""
 
 _FEW = 3
-"""Outputs of a body or joint up to which they are named and not counted."""
+"""Number of outputs of a body or joint up to which they are named instead of counted."""
 
 _TURNED = 0.1
-"""Change of an angle [rad] from its guess from which on it is told; some 6 degrees."""
+"""Change of an angle [rad] from its guess above which it is reported; some 6 degrees."""
 
 _MOVED = 1e-6
-"""Way [m] up to which assembly has left a body where its guess has it."""
+"""Distance [m] from its guess below which a body counts as unmoved by assembly."""
 
 _MANY = 300
-"""Lines of one kind up to which each is shown."""
+"""Number of lines of one kind up to which each is shown."""
 
 _NUMBER = re.compile(r"(?<=[A-Za-z_\[])(\d+)")
-"""In a name."""
+"""Matches a number in a name."""
 
 
 @dataclass(frozen=True)
 class About:
-    """A mechanism with the scene that is made of it, at its start."""
+    """A mechanism with its scene, at its start."""
 
     mechanism: Mechanism
     options: dict[str, list[str]]
-    """The values that each option takes."""
+    """Values of each option."""
     everything: Equations
     equations: Equations
-    """Of the scene: what is left out of `everything` is not in it."""
+    """Equations of the scene: parts of `everything` may be left out."""
     mobility: Mobility
     notes: list[str]
     shared: list[str]
@@ -68,29 +68,29 @@ class About:
 
     @property
     def parameters(self) -> list[Variable]:
-        """Parameters, start values and what may be chosen of the solver."""
+        """Parameters, start values and solver variables that are text."""
         return variables_of(self.equations).causal("parameter")
 
     @property
     def coordinates(self) -> Sequence[Variable]:
-        """The coordinates that are declared."""
+        """The declared coordinates."""
         e = self.equations
         return () if e.resting else e.coordinates[: e.dependent]
 
     @property
     def method(self) -> str:
-        """The method of integration, and why where it was chosen."""
+        """The integrator, with the reason if it was chosen automatically."""
         decision = decision_of(self.equations)
         return decision.reason or decision.method
 
     @property
     def chosen(self) -> str:
-        """The method of integration, and what it stands for where it is `auto`."""
+        """The integrator, with the one that `auto` stands for."""
         given, stands_for = default_settings(self.equations).method, decision_of(self.equations).method
         return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """Return all of it as data for JSON."""
         m, e, size = self.mechanism, self.equations, self.mobility
         counted = cost(prepared(e))
         return {
@@ -118,9 +118,9 @@ class About:
 
 
 def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
-    """What there is to know of the mechanism of a recipe, whose equations with all in them are `everything`.
+    """Return the information on the mechanism of a recipe; `everything` are its complete equations.
 
-    Raises AlfmuError where it has no start.
+    Raises AlfmuError if it has no start.
     """
     equations = specialised(everything, recipe.outputs, recipe.freeze)
     instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
@@ -139,7 +139,7 @@ def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
 
 
 def notes(unit: Any) -> list[str]:
-    """What a user should know of a start: how far bodies are from their guesses, what nobody gave a start value."""
+    """Return remarks on a start: bodies far from their guesses, coordinates without a start value."""
     if not isinstance(unit, Instance):
         return []
     found, moved = [], {name: way for name, way in unit.moved.items() if way > _MOVED}
@@ -149,15 +149,18 @@ def notes(unit: Any) -> list[str]:
         what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
         turned = [f"{each} by {quantity(way, 'rad')}" for each, way in unit.turned.items() if abs(way) > _TURNED][:1]
         found.append("; ".join([f"assembly moved {what} from where the guesses have them{most}", *turned]))
-    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+    with contextlib.suppress(AlfmuError):  # freedoms may be undefined where a run has ended
         if forgotten := unit.forgotten():
             found.append(forgotten)
     return found
 
 
 def gravity(m: Mechanism, values: Mapping[str, float], result: Result | None = None) -> str:
-    """The gravity of a mechanism in a line, at values of its parameters by name: how strong and whereto, and how much
-    its potential varied in a run beside all else that did work, where the result has the places of all bodies."""
+    """Return a line on the gravity of a mechanism at parameters by name: its magnitude and direction.
+
+    If the result has the positions of all bodies, the line also compares the change of its potential with the other
+    work.
+    """
     x, y, z = evaluated(m, list(m.gravity_vector), values)
     if not (x or y or z):
         return f"gravity: {no_gravity(m).partition(': ')[2] or 'none'}"
@@ -183,7 +186,7 @@ def gravity(m: Mechanism, values: Mapping[str, float], result: Result | None = N
 
 
 def in_short(a: About) -> list[str]:
-    """The mechanism in LINES lines at most, notes apart: its picture where there is room."""
+    """Return the mechanism in at most LINES lines without notes, with its sketch if it fits."""
     e, parameters = a.equations, [v for v in a.parameters if not v.name.startswith("solver.")]
     starts = [v for v in parameters if v.name.startswith("start.")]
     own = [v for v in parameters if not v.name.startswith(("start.", *(f"{row.name}.compliance" for row in e.rows)))]
@@ -213,20 +216,20 @@ def in_short(a: About) -> list[str]:
 
 
 def _friction(a: About) -> list[str]:
-    """What is said of joints whose friction follows from a load that is not unique."""
+    """Return remarks on joints whose friction follows from a load that is not unique."""
     names = [x.name for x in a.equations.frictions if x.output in a.shared]
     return [_fitted("friction is not unique, nor is the motion, unless compliances settle it", names)] if names else []
 
 
 def _gravity(a: About) -> list[str]:
-    """What is said of gravity where there are bodies."""
+    """Return the remark on gravity if there are bodies."""
     m = a.mechanism
     values = {v.name: float(v.start) for v in a.everything.parameters}
     return [gravity(m, values)] if m.bodies or m.spatial_bodies else []
 
 
 def in_all(a: About) -> list[str]:
-    """All of it, in lines."""
+    """Return the complete information as lines of text."""
     m, e = a.mechanism, a.equations
     known = ([m.sketch.strip()], _options(a))
     lines = [f"{m.name}: {m.description}", "", *(line for part in known if any(part) for line in (*part, ""))]
@@ -268,17 +271,17 @@ def _start(v: Variable) -> str:
 
 
 def _in_degrees(v: Variable) -> str:
-    """The start of an angle as a person reads it."""
+    """Format the start of an angle in degrees."""
     return f"({math.degrees(v.start):.4g} deg)" if v.unit == "rad" and isinstance(v.start, float) and v.start else ""
 
 
 def _valued(v: Variable) -> str:
-    """Its start with its unit, an angle in degrees, too."""
+    """Format a start with its unit, an angle also in degrees."""
     return v.start if isinstance(v.start, str) else quantity(v.start, v.unit, 6)
 
 
 def _fitted(title: str, texts: Sequence[str], counts: Sequence[int] = (), between: str = ", ") -> str:
-    """A line of texts, as many as there is room for, and how many more there are, each as many as its count or one."""
+    """Return a line with as many texts as fit, and the number of the others, each counted once or by `counts`."""
     shown, line = 0, f"{title}: "
     for k, text in enumerate(texts):
         added = f"{between if k else ''}{text}"
@@ -290,9 +293,9 @@ def _fitted(title: str, texts: Sequence[str], counts: Sequence[int] = (), betwee
 
 
 def _owned(variables: Sequence[Variable]) -> tuple[list[str], list[int]]:
-    """Outputs by what they belong to: those that have the same ones together, a few by name and many by number.
+    """Return outputs by owner, owners with the same outputs together, a few by name and many by number.
 
-    Beside each text the number of outputs that it stands for.
+    The second list has the number of outputs that each text stands for.
     """
     parts: dict[str, list[str]] = {}
     for v in variables:
@@ -311,7 +314,7 @@ def _owned(variables: Sequence[Variable]) -> tuple[list[str], list[int]]:
 
 
 def _ranges(names: Sequence[str]) -> list[str]:
-    """Names, a few; of those that differ in numbers alone, one for all."""
+    """Return a few names, with those that differ in numbers alone merged."""
     if len(names) <= _FEW:
         return list(names)
     alike: dict[str, list[str]] = {}
@@ -321,7 +324,7 @@ def _ranges(names: Sequence[str]) -> list[str]:
 
 
 def _picture(sketch: str) -> list[str]:
-    """The drawing in a sketch: the first lines together that begin with blanks."""
+    """Return the drawing in a sketch: its first indented block."""
     lines: list[str] = []
     for line in sketch.strip("\n").splitlines():
         if line.startswith(" ") or (lines and not line.strip()):
@@ -334,7 +337,7 @@ def _picture(sketch: str) -> list[str]:
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Lines in columns; of many, one for all that differ in numbers of names alone, as `link{1..200}.x`."""
+    """Merge lines in columns that differ in numbers of names alone, if there are many, as `link{1..200}.x`."""
     lines = list(lines)
     if len(lines) <= _MANY:
         return lines
@@ -345,7 +348,7 @@ def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 
 def _range(texts: Sequence[str]) -> str:
-    """Texts that differ in numbers of names alone as one."""
+    """Merge texts that differ in numbers of names alone."""
     whole = ""
     for pieces in zip(*(_NUMBER.split(text) for text in texts), strict=True):
         same = len(set(pieces)) == 1

@@ -1,4 +1,4 @@
-"""What studies share: a case, which is a run with its errors, its cost and what went wrong; and the loop over them."""
+"""Common parts of studies: a case, its run with errors, cost and failure, and the loop over cases."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
+from ..equations.types import Configuration
 from ..model.errors import AlfmuError
 from ..model.files import write
 from ..model.mechanism import Mechanism
@@ -58,41 +59,41 @@ POSITION, REACTION = "position error [m, rad]", "reaction error [N, N.m]"
 PHI, PHI_DOT = "constraint error, Phi [m, rad]", "constraint error, Phi-dot [m/s, rad/s]"
 ENERGY = "energy error [J]"
 QUANTITIES = (POSITION, REACTION, PHI, PHI_DOT, ENERGY)
-"""What is measured of each run: largest values over the points where it was read."""
+"""Measured quantities of each run: largest values over the points where outputs are read."""
 
 STEP, TOLERANCE = "step [s]", "tolerance"
-"""What sets the error of a method."""
+"""Parameters that control the error of a method."""
 
 SMALL = 1000
-"""Operations in the equations that a study takes as long for as for all that does not depend on their number."""
+"""Number of operations in the equations that cost a study as much time as its fixed overhead."""
 
 REPEATED = 0.1
-"""Part of the limit of time that goes into repeating a run."""
+"""Share of the time limit for repetitions of a run."""
 
 AGREEING, AGREED = 3, 1.03
-"""The fastest of the repeats is believed where so many of them are within this factor of it: others only add to it."""
+"""The fastest repetition counts once this many are within this factor of it, since disturbances only add time."""
 
 ARITHMETIC = (AlfmuError, ArithmeticError, ValueError, np.linalg.LinAlgError)
-"""What ends a run and is a result of it."""
+"""Exceptions that end a run and count as its result."""
 
 
 def methods() -> dict[str, str]:
-    """Names of the methods of integration that there are to choose from, and what they are."""
+    """Return names and descriptions of the integrators that a user can choose."""
     return dict(CHOICES["solver.method"])
 
 
 def control(method: str) -> str:
-    """What sets the error of a method: STEP or TOLERANCE."""
+    """Return the parameter that controls the error of a method: STEP or TOLERANCE."""
     return STEP if method in FIXED else TOLERANCE
 
 
-def scene(equations: Equations, method: str, kernel: str) -> Equations:
-    """The scene of a mechanism that carries a method."""
+def scene(equations: Equations, method: str, kernel: str) -> Configuration:
+    """Return the scene of a mechanism for an integrator."""
     return prepared(with_defaults(equations, {"solver.method": method}), kernel)
 
 
 def exactness(method: str, value: float) -> dict[str, float | str]:
-    """Solver variables for the step [s] of a method, or its tolerance."""
+    """Return solver variables for the step [s] of a method, or its tolerance."""
     if control(method) == STEP:
         return {"solver.step_size": value}
     known = {v.name for v in SOLVER_VARIABLES}
@@ -100,24 +101,26 @@ def exactness(method: str, value: float) -> dict[str, float | str]:
 
 
 Progress = Callable[[Sequence[Any]], Iterable[Any]]
-"""Wraps the cases of a study, to show how far it is (`iter` shows nothing)."""
+"""Wraps the cases of a study to show progress (`iter` shows none)."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is run."""
+    """A case to run."""
 
     values: Mapping[str, float | str]
-    """Solver variables and parameters that are set before the start."""
+    """Solver variables and parameters set before the start."""
     times: NDArray
-    """Points at which the outputs are read [s]."""
+    """Times at which the outputs are read [s]."""
     limit: float
-    """Wall time after which a run is stopped [s]."""
+    """Wall time limit of a run [s]."""
     most: int = 1
-    """Times that it is run, as far as a part of the limit allows; fewer where the fastest agree."""
+    """Most repetitions, as far as a share of the limit allows; fewer if the fastest agree."""
+    compared: Sequence[str] = ()
+    """Outputs to keep of a run in one call, which evaluates all outputs; if empty, a run is made step by step."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
-        """Whether runs of this length measure the time well enough."""
+        """Return whether these durations determine the time well enough."""
         if len(seconds) >= self.most or sum(seconds) > REPEATED * self.limit:
             return True
         spread = _spread(seconds)
@@ -126,32 +129,32 @@ class Case:
 
 @dataclass
 class Run:
-    """What came of a case."""
+    """Result of a case."""
 
     names: list[str]
-    """Of the outputs."""
+    """Names of the outputs."""
     times: NDArray
-    """Points that were reached (k,)."""
+    """Times that were reached (k,)."""
     values: NDArray
     """Outputs there (k, outputs)."""
     seconds: list[float]
-    """Wall time of each repetition, for steps and reading."""
+    """Processor time [s] of each repetition, for steps and outputs."""
     counters: Counters | None = None
     failure: str = ""
     """Message of the error that ended it."""
     cut: bool = False
-    """Whether the limit of time ended it."""
+    """Whether the time limit ended it."""
 
     @property
     def complete(self) -> bool:
         return not (self.failure or self.cut)
 
     def __getitem__(self, name: str) -> NDArray | None:
-        """An output over time, None where it is not computed."""
+        """Return an output over time, None if it is not computed."""
         return self.values[:, self.names.index(name)] if name in self.names else None
 
     def cost(self) -> Row:
-        """Time and work, and what went wrong."""
+        """Return time, work and failure."""
         c = self.counters
         return {
             "median [s]": statistics.median(self.seconds) if self.complete else None,
@@ -166,17 +169,17 @@ class Run:
 
 
 def _spread(seconds: Sequence[float]) -> float | None:
-    """How many times as long as the fastest run the last of the AGREEING fastest took; None of fewer."""
+    """Return the ratio of the AGREEING-th fastest to the fastest run; None if there are fewer."""
     return sorted(seconds)[AGREEING - 1] / min(seconds) if len(seconds) >= AGREEING else None
 
 
 def restarting(unit: Unit) -> Callable[[], None]:
-    """What brings a unit that is not initialised yet back to where it is now."""
+    """Return a function that restores the current state of a unit that is not initialised yet."""
     return unit.reset if hasattr(unit, "reset") else partial(unit.restore, unit.save())
 
 
 def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
-    """Run a case, and again where it is short, to know its time better."""
+    """Run a case, with repetitions if it is short, for an accurate time."""
     found = _once(unit, restart, case)
     while found.complete and not case.enough(found.seconds):
         found.seconds += _once(unit, restart, case).seconds
@@ -186,14 +189,16 @@ def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
 @np.errstate(all="ignore")
 def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
     restart()
+    if case.compared:
+        return _in_one_call(unit, case)
     times, names = case.times.tolist(), [v.name for v in unit.outputs]
     table, reached, failure, cut = np.empty((len(times), len(names))), 0, "", False
-    begin = time.perf_counter()
+    begin, started = time.perf_counter(), time.process_time()
     try:
         for name, value in case.values.items():
             unit.set(name, value)
         unit.initialize()
-        begin = time.perf_counter()
+        begin, started = time.perf_counter(), time.process_time()
         table[0], reached = unit.read(), 1
         for i, t in enumerate(times[:-1], 1):
             if time.perf_counter() - begin > case.limit:
@@ -203,15 +208,32 @@ def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
             table[i], reached = unit.read(), i + 1
     except ARITHMETIC as error:
         failure = str(error) or type(error).__name__
-    seconds = [time.perf_counter() - begin]
+    seconds = [time.process_time() - started]
     counters = getattr(unit, "counters", None) if reached else None
     return Run(names, case.times[:reached], table[:reached], seconds, counters, failure, cut)
+
+
+def _in_one_call(unit: Unit, case: Case) -> Run:
+    """A run that the unit makes by itself; its start is part of the time."""
+    names = [v.name for v in unit.outputs]
+    for name, value in case.values.items():
+        unit.set(name, value)
+    started = time.process_time()
+    try:
+        table, ended = unit.run(case.times, (), np.empty((len(case.times), 0)), names)
+    except ARITHMETIC as error:
+        table, ended = np.empty((0, len(names))), error
+    seconds, reached = [time.process_time() - started], len(table)
+    columns = [names.index(name) for name in case.compared]
+    counters = getattr(unit, "counters", None) if reached else None
+    failure = "" if ended is None else str(ended) or type(ended).__name__
+    return Run(list(case.compared), case.times[:reached], table[:, columns], seconds, counters, failure)
 
 
 class Judge:
     """Errors of runs of one mechanism against a reference; without one, of constraints and energy alone."""
 
-    def __init__(self, equations: Equations, reference: Reference | None):
+    def __init__(self, equations: Configuration, reference: Reference | None):
         outputs, shared = equations.outputs, set(equations.survey.shared or ())
         self.reference = reference
         self.conserves = not equations.works
@@ -224,7 +246,7 @@ class Judge:
             self.conserves = reference.conserves()
 
     def errors(self, run: Run) -> Row:
-        """The quantities of a run."""
+        """Return the quantities of a run."""
         position, reaction = self.compared(run.names, run.times, run.values)
         return {
             POSITION: position,
@@ -236,7 +258,7 @@ class Judge:
 
     @np.errstate(all="ignore")
     def compared(self, names: list[str], times: NDArray, values: NDArray) -> tuple[float | None, float | None]:
-        """Largest errors of positions and of reactions; None where nothing can be compared."""
+        """Return the largest errors of positions and of reactions; None if nothing can be compared."""
         if self.reference is None or not len(times):
             return None, None
         exact, readable = self._exact(times)
@@ -252,13 +274,13 @@ class Judge:
         return _largest(gaps[np.ix_(known, at)]), _largest(gaps[np.ix_(readable, on)])
 
     def size(self, times: NDArray) -> float:
-        """Size of the mechanism: the largest output in m of the reference at some times; 1 where there is none."""
+        """Return the size of the mechanism: the largest output in m of the reference; 1 if there is none."""
         exact = self._exact(times)[0]
         metres = [name in self.positions and not turns for name, turns in zip(self.names, self.turning, strict=True)]
         return float(np.nanmax(np.abs(exact[:, metres]), initial=0.0)) or 1.0
 
     def errors_of_reference(self, times: NDArray) -> list[Row]:
-        """What the reference changes by where it is computed in other ways."""
+        """Return the differences of the reference from other computations of it."""
         rows = []
         for name, values in self.reference.checks(times):
             reached = ~np.isnan(values[:, 0])
@@ -267,14 +289,14 @@ class Judge:
         return rows
 
     def _exact(self, times: NDArray) -> tuple[NDArray, NDArray]:
-        """Outputs of the reference, and where reactions can be judged."""
+        """Return outputs of the reference, and the times at which reactions can be judged."""
         key = times.tobytes()
         if key not in self._known:
             self._known[key] = self.reference.outputs(times), self.reference.readable(times)
         return self._known[key]
 
     def _energy(self, run: Run) -> float | None:
-        """Energy less what was worked on the mechanism, over the run."""
+        """Return energy minus the work done on the mechanism, over the run."""
         energy = run["monitor.energy"]
         if self.conserves and energy is not None and len(energy):
             return _largest(energy - energy[0])
@@ -282,7 +304,7 @@ class Judge:
 
 
 def _largest(values: NDArray | None) -> float | None:
-    """The largest size, NaN where one is not a number, None of nothing."""
+    """Return the largest magnitude, NaN if any is NaN, None for no values."""
     return None if values is None or not values.size else float(np.abs(values).max())
 
 
@@ -290,7 +312,7 @@ def _largest(values: NDArray | None) -> float | None:
 
 
 class Effort(Protocol):
-    """How much is measured."""
+    """Extent of a study."""
 
     total: float
     """Wall time for all mechanisms together [s]."""
@@ -307,7 +329,7 @@ class Study(ABC):
 
     @abstractmethod
     def measure(self, deadline: float, progress: Progress) -> None:
-        """Run the cases, as far as time allows until `deadline` (of `time.perf_counter`)."""
+        """Run the cases until `deadline` (of `time.perf_counter`)."""
 
 
 AnyStudy = TypeVar("AnyStudy", bound=Study)
@@ -315,18 +337,18 @@ AnyStudy = TypeVar("AnyStudy", bound=Study)
 
 @dataclass(frozen=True)
 class Begun(Generic[AnyStudy]):
-    """Studies of mechanisms that are about to run."""
+    """Studies of mechanisms, ready to run."""
 
     studies: list[AnyStudy]
     folder: Path
-    """Where they are written."""
+    """Folder of their files."""
     environment: list[Row]
-    """Where they are made."""
+    """Machine and versions."""
     total: float
     """Wall time for all [s]."""
 
     def measured(self, progress: Callable[[str], Progress]) -> Iterator[AnyStudy]:
-        """The studies, each measured with its share of the time that is left: larger equations take longer."""
+        """Yield the studies, each measured with its share of the remaining time, larger equations with more."""
         end = time.perf_counter() + self.total
         sizes = [sum(f.n_nodes() for f in study.derived.functions.values()) for study in self.studies]
         weights = [SMALL + size for size in sizes]
@@ -336,11 +358,11 @@ class Begun(Generic[AnyStudy]):
             yield study
 
     def rows(self, of: Callable[[AnyStudy], Iterable[Row]]) -> list[Row]:
-        """Rows of all studies."""
+        """Return rows of all studies."""
         return [row for study in self.studies for row in of(study)]
 
     def write(self, name: str, text: str) -> Path:
-        """Write the report and where it was made; returns the path of the report."""
+        """Write the report and the description of the machine; return the path of the report."""
         write_csv(self.folder / "environment.csv", self.environment)
         path = self.folder / name
         write(path, text.encode())
@@ -357,15 +379,16 @@ def begin(
     bounds: Mapping[str, Cell],
     packages: Sequence[str],
 ) -> Begun[AnyStudy]:
-    """Studies of mechanisms by the command `alfmu KIND`, and the folder for them.
+    """Prepare studies of mechanisms for the command `alfmu KIND`, and their folder.
 
-    Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
+    Raises AlfmuError before any run if a name is unknown, a mechanism cannot start or matplotlib is missing.
     """
     require()
     studies = [study(name, effort) for name in names]
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     chosen = str(names[0]) if len(names) == 1 else "all"
-    command = shlex.join(["alfmu", kind, chosen, *["--quick"] * quick])
+    name, *profile = kind.split()
+    command = shlex.join(["alfmu", name, chosen, *profile, *["--quick"] * quick])
     bounds = {"wall time for all mechanisms [s]": effort.total, **bounds}
     return Begun(studies, folder, tables.where(command, packages, bounds), effort.total)

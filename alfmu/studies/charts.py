@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 __all__ = ["Line", "Look", "Map", "maps", "require", "save", "scatter", "slope"]
 
 PALE = 0.5
-"""How much paler cells with a note are."""
+"""Share by which cells with a note are paler."""
 
 LEAST = 1e-17
-"""Errors of zero are drawn here."""
+"""Value at which zero errors are drawn."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +34,19 @@ class Look:
     marker: str
     symbol: str
     filled: bool
-    """Integrators of alfmu have filled markers, those of other codes open ones."""
+    """Whether the marker is filled, for integrators of alfmu; those of other codes are open."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A kind of line by its names in matplotlib and in plotly."""
+    """A line style by its names in matplotlib and in plotly."""
 
     style: str
     dash: str
 
 
 def require() -> type[Figure]:
-    """The class of figures; InputError where matplotlib is missing."""
+    """Return the class of figures; raise InputError if matplotlib is missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -55,13 +55,13 @@ def require() -> type[Figure]:
 
 
 def save(drawn: Figure, path: Path, dpi: float) -> None:
-    """Write a figure as a PNG, the same bytes each time."""
+    """Write a figure as a PNG, reproducibly."""
     with atomic(path) as file:
         drawn.savefig(file, format="png", dpi=dpi, metadata={"Software": None})
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float | None:
-    """Slope of a straight line through points on log-log scales; None of less than two points."""
+    """Return the slope of a straight line through points on log-log scales; None for less than two points."""
     if len(set(x)) < 2:
         return None
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
@@ -76,9 +76,9 @@ def scatter(
     look: Callable[[Row], tuple[Look, Line]],
     floors: Mapping[str, float | None],
 ) -> Figure:
-    """Quantities against run time, a panel for each and a line for each label, which looks as `look` says.
+    """Plot quantities against run time, with a panel for each and a line for each label, styled by `look`.
 
-    `floors` are errors of what the quantities were judged by, drawn as dashed lines.
+    `floors` are errors of the reference, drawn as dashed lines.
     """
     drawn = require()(figsize=(13.5, 8.2), layout="constrained")
     drawn.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
@@ -119,7 +119,7 @@ def _tidy(axes: Axes) -> None:
 
 @dataclass(frozen=True)
 class Map:
-    """Cells in a rectangle: the class of each by the names of its row and column, and notes on some, which are pale."""
+    """A map of cells: the class of each by the names of its row and column, and notes on some, which are pale."""
 
     title: str
     across: str
@@ -131,7 +131,7 @@ class Map:
 
 
 def maps(title: str, each: Sequence[Map], colours: Mapping[str, str]) -> Figure:
-    """Maps under each other, two in a row, with one legend."""
+    """Plot maps in rows of two, with one legend."""
     width = 2 if len(each) > 1 else 1
     lines = [each[i : i + width] for i in range(0, len(each), width)]
     heights = [max(1.2 + 0.3 * len(m.rows) for m in line) for line in lines]

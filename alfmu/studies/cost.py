@@ -1,4 +1,4 @@
-"""What a scene costs, counted in operations of its generated functions: by part, and against what was left out."""
+"""Cost of a scene in operations of its generated functions: by part, and with parts left out added again."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from ..equations import Equations, Mobility, Variable
+from ..equations import Configuration, Equations, Mobility, Variable
 from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
 from ..equations.types import Survey
-from ..kernel.form import Plan, called
+from ..fmi import native
+from ..kernel.controlled import whole
+from ..kernel.form import Plan, Traced, called
 from ..kernel.joined import joined
 from ..kernel.symbolic import Scene, lengths_of
 from ..kernel.trace import traced
@@ -26,14 +28,15 @@ _FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
 
 @dataclass(frozen=True)
 class Cost:
-    """Operations of an internal step and of reading the outputs once."""
+    """Operations of an internal step and of one evaluation of the outputs."""
 
     step: int
-    """The quick step in all; what its parts share is counted once."""
+    """Operations of the quick step; parts that share operations count these once."""
     parts: dict[str, int]
-    """Of the step: model, factorisation, iterations, integration, projection; checks, less what the parts share."""
+    """Operations of the step by part: model, factorisation, iterations, integration, projection; checks, without shared
+    ones."""
     careful: int
-    """The step that is taken where the quick one says that it was not enough."""
+    """Operations of the step used if the quick one does not suffice."""
     outputs: int
     nonzeros: dict[str, int]
     """Structural nonzeros of M, C, H, and of its factor L without the diagonal."""
@@ -41,9 +44,9 @@ class Cost:
     corrections: int
 
 
-def cost(equations: Equations) -> Cost:
-    """Operations of a traced scene."""
-    e = equations
+def cost(equations: Traced) -> Cost:
+    """Return the operations of a traced scene."""
+    e = whole(equations)
     quick = e.kernel["quick"]
     step = _whole(e, "quick")
     evaluation, nonzeros = parts(e, quick.plan)
@@ -72,8 +75,8 @@ def cost(equations: Equations) -> Cost:
     )
 
 
-def parts(equations: Equations, plan: Plan) -> tuple[dict[str, ca.Function], dict[str, int]]:
-    """What an evaluation of a program comes to step by step, and the structural nonzeros on the way.
+def parts(equations: Configuration, plan: Plan) -> tuple[dict[str, ca.Function], dict[str, int]]:
+    """Return the functions of successive parts of an evaluation, and the structural nonzeros of its matrices.
 
     The functions give M, C, F, xi; then also the pivots of H; then the accelerations and the power.
     """
@@ -91,12 +94,12 @@ def parts(equations: Equations, plan: Plan) -> tuple[dict[str, ca.Function], dic
 
 
 def described(everything: Equations, scene: Equations, mobility: Mobility) -> list[str]:
-    """What a scene costs and what was left out of it, in lines for a reader.
+    """Return the cost of a scene and of its omitted parts as lines of text.
 
-    `everything` is the same mechanism with all outputs and parameters, `mobility` what is known of both. Each thing
-    left out is put back alone to see what that saves.
+    `everything` is the same mechanism with all outputs and parameters, `mobility` that of both. Each omitted part is
+    added alone to measure its cost.
     """
-    prepared_scene = prepared(scene)
+    prepared_scene = whole(prepared(scene))
     now, full = cost(prepared_scene), _with_all_passes(everything, mobility, prepared_scene)
     text = [
         f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
@@ -115,11 +118,12 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
     text.append(f"  {'in all':64} {_saved(full, now)}")
     text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
-    return text
+    absent = [native.FEATURES[name].what for name in native.left_out(prepared_scene)]
+    return [*text, "", "left out of the C of a native FMU", *(f"  {what}" for what in absent or ["nothing"])]
 
 
 def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> list[tuple[str, Cost | None]]:
-    """What a scene does without, and what it would cost with this put back; None where that cannot be."""
+    """Return the parts that a scene omits, with the cost if each is added; None if that is impossible."""
     outputs = _missing(everything.outputs, scene.outputs)
     frozen = _missing(everything.parameters, scene.parameters)
     kept, constants = None, None
@@ -146,14 +150,13 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     return lines
 
 
-def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
+def _with_all_passes(equations: Equations, mobility: Mobility, like: Traced) -> Cost:
     """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
-    return cost(
-        traced(replace(equations, survey=Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)))
-    )
+    found = Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)
+    return cost(traced(Configuration.of(equations, survey=found)))
 
 
-def _hard(e: Equations) -> dict[str, int]:
+def _hard(e: Traced) -> dict[str, int]:
     """Operations of what only hard scenes need, by what it is for."""
     return {
         "a step near a singular position, on the branch of the motion": _whole(e, "branch")
@@ -167,12 +170,12 @@ def _hard(e: Equations) -> dict[str, int]:
     }
 
 
-def _of(e: Equations, name: str) -> int:
+def _of(e: Traced, name: str) -> int:
     return operations(e.functions[name]) if name in e.signatures else 0
 
 
 def _missing(before: Sequence[Variable], after: Sequence[Variable]) -> list[str]:
-    """Names of variables that are there before alone."""
+    """Return names of variables in `before` that are not in `after`."""
     left = {v.name for v in after}
     return [v.name for v in before if v.name not in left]
 
@@ -182,15 +185,15 @@ def _saved(before: Cost | None, now: Cost) -> str:
 
 
 def operations(function: ca.Function) -> int:
-    """Arithmetic operations of a function, without moving numbers in and out."""
+    """Return the arithmetic operations of a function, without copies of inputs and outputs."""
     return sum(function.instruction_id(k) not in _FREE for k in range(function.n_instructions()))
 
 
-def _whole(e: Equations, program: str) -> int:
+def _whole(e: Traced, program: str) -> int:
     together = joined(e, [program])
     return _together(together, called(together.kernel[program]))
 
 
-def _together(e: Equations, names: Iterable[str]) -> int:
-    """Operations of some functions, which may be there more than once."""
+def _together(e: Traced, names: Iterable[str]) -> int:
+    """Return the operations of several functions, some of which may be missing."""
     return sum(count * operations(e.functions[name]) for name, count in Counter(names).items())

@@ -1,4 +1,4 @@
-"""How integrators look in every picture of a study: one colour and one marker each; lines tell what else differs."""
+"""Styles in all figures of a study: one colour and marker for each integrator; line styles for other differences."""
 
 from __future__ import annotations
 
@@ -13,19 +13,8 @@ __all__ = ["LINES", "LOOKS", "integrator", "line_of"]
 
 COLOURS = (
     *("#c0523a", "#d98c1f", "#3f9268", "#7a66b0", "#b0608c", "#8a6d3b", "#1f5fae"),
-    *(
-        "#6b7680",
-        "#a4acb3",
-        "#222222",
-        "#1f8f96",
-        "#5aa9d6",
-        "#93a83a",
-        "#d0709a",
-        "#55618a",
-        "#a35d1f",
-        "#4d7d6a",
-        "#7d2f4f",
-    ),
+    *("#6b7680", "#a4acb3", "#222222", "#1f8f96", "#5aa9d6", "#93a83a", "#d0709a"),
+    *("#55618a", "#a35d1f", "#4d7d6a", "#7d2f4f", "#b8a13c", "#2e3f8f", "#7fb5a0"),
 )
 MARKERS = (
     *(("o", "circle"), ("s", "square"), ("^", "triangle-up"), ("D", "diamond"), ("v", "triangle-down")),
@@ -38,12 +27,12 @@ LINES += tuple(Line(*each) for each in (((0, (8, 3)), "longdash"), ((0, (8, 2, 2
 
 
 def integrator(row: Row) -> str:
-    """The integrator of a run: a method of alfmu, or another code and its method."""
+    """Return the integrator of a run: a method of alfmu, or another code and its method."""
     return str(row["method"]) if row["code"] == "alfmu" else f"{row['code']}, {row['method']}"
 
 
 def line_of(value: object, values: Sequence[object]) -> Line:
-    """The line of one of some values, which are told apart by lines."""
+    """Return the line style of a value among several."""
     return LINES[list(values).index(value) % len(LINES)]
 
 
@@ -56,4 +45,4 @@ def _looks() -> dict[str, Look]:
 
 
 LOOKS = _looks()
-"""The look of every integrator that a report may run, by the name that `integrator` gives it."""
+"""Styles of all integrators in a report, by the name that `integrator` returns."""

@@ -1,7 +1,6 @@
-"""A study as one page that needs no network: text, tables, interactive plots, maps, pictures and films in one file.
+"""A study as one self-contained page: text, tables, interactive plots, maps, pictures and films in one file.
 
-plotly's script stands in the page once, packed with gzip, and so does each film; a plot is drawn when it comes into
-view.
+plotly's script is in the page once, compressed, as is each film; a plot is drawn when it scrolls into view.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ __all__ = ["Page", "library"]
 
 
 _NUMBER = re.compile(r"<td([^>]*>-?[\d.]+e[-+]?\d+</td>)")
-"""A cell with a number that a line would end within."""
+"""Matches a cell with a number that must not wrap."""
 
 
 def library() -> str:
-    """plotly's script; InputError where plotly is missing."""
+    """Return plotly's script; raise InputError if plotly is missing."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
@@ -44,7 +43,7 @@ def library() -> str:
 
 @dataclass
 class Page:
-    """A page that is put together from its top to its end."""
+    """A page assembled from top to bottom."""
 
     title: str
     _parts: list[str] = field(default_factory=list)
@@ -52,26 +51,26 @@ class Page:
     _count: int = 0
 
     def head(self, level: int, text: str) -> None:
-        """A heading of a level from 2 on, which the list of contents has down to level 3."""
+        """Add a heading of level 2 or more, listed in the contents down to level 3."""
         name = f"{re.sub(r'[^a-z0-9]+', '-', text.lower()).strip('-')}-{len(self._heads)}"
         self._heads.append((level, name, text))
         self._parts.append(f'<h{level} id="{name}">{escape(text)}</h{level}>')
 
     def text(self, markdown: str, note: bool = False) -> None:
-        """Text and tables in Markdown; a note stands out."""
+        """Add text and tables in Markdown, highlighted if a note."""
         html = to_html(markdown, extensions=["tables"]).replace("<table>", '<div class="table"><table>')
         html = html.replace("</table>", "</table></div>")
         html = _NUMBER.sub(r'<td class="number"\1', html)
         self._parts.append(f'<aside class="note">{html}</aside>' if note else html)
 
     def fold(self, title: str, markdown: str) -> None:
-        """Text and tables that open at a click."""
+        """Add text and tables that unfold at a click."""
         self._parts.append(f"<details><summary>{escape(title)}</summary>")
         self.text(markdown)
         self._parts.append("</details>")
 
     def plot(self, figure: Figure, caption: str) -> None:
-        """An interactive plot; the caption says what it shows."""
+        """Add an interactive plot with a caption."""
         data = json.dumps(figure, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
         height = figure["layout"]["height"]
         self._parts.append(
@@ -80,7 +79,7 @@ class Page:
         )
 
     def pictures(self, drawn: Sequence[Picture], caption: str) -> None:
-        """Figures of matplotlib, as they are."""
+        """Add figures of matplotlib."""
         for each in drawn:
             file = BytesIO()
             each.savefig(file, format="png", dpi=110, metadata={"Software": None})
@@ -91,14 +90,14 @@ class Page:
             )
 
     def film(self, html: str, caption: str) -> None:
-        """A page with a film, in a frame of its own."""
+        """Add a page with a film, in its own frame."""
         self._parts.append(
             f'<figure><iframe class="film" title="{escape(caption)}" data-film="{_packed(html)}"></iframe>'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
 
     def legend(self, colours: Mapping[str, str], meanings: Mapping[str, str]) -> None:
-        """All classes of maps: colour, name and what it means."""
+        """Add a legend of all classes of maps: colour, name and meaning."""
         each = "".join(
             f'<div><dt><i style="background:{colour}"></i>{escape(name)}</dt><dd>{escape(meanings[name])}</dd></div>'
             for name, colour in colours.items()
@@ -106,26 +105,26 @@ class Page:
         self._parts.append(f'<dl class="legend">{each}</dl>')
 
     def maps(self, each: Sequence[Map], colours: Mapping[str, str], about: Mapping[tuple[str, str, str], str]) -> None:
-        """Maps beside each other; `about` says more of a cell by the title of its map, its row and its column."""
+        """Add maps side by side; `about` describes a cell by the title of its map, its row and its column."""
         self._parts.append('<div class="maps">')
         for one in each:
             self._parts.append(_map(one, colours, about))
         self._parts.append("</div>")
 
     def beside(self) -> None:
-        """What follows stands in two columns on a wide screen, up to `together`."""
+        """Begin two columns, on wide screens, up to `together`."""
         self._parts.append('<div class="beside"><div>')
 
     def next(self) -> None:
-        """The second column begins."""
+        """Begin the second column."""
         self._parts.append("</div><div>")
 
     def together(self) -> None:
-        """One column again."""
+        """End the columns."""
         self._parts.append("</div></div>")
 
     def html(self) -> str:
-        """The whole page."""
+        """Return the whole page."""
         contents = "".join(
             f'<a class="level{level}" href="#{name}">{escape(text)}</a>'
             for level, name, text in self._heads
@@ -143,7 +142,7 @@ class Page:
 
 
 def _map(one: Map, colours: Mapping[str, str], about: Mapping[tuple[str, str, str], str]) -> str:
-    """A map as a table of coloured cells, each of which says what it is to those who point at it or cannot see it."""
+    """Return a map as a table of coloured cells, each with a tooltip and text for screen readers."""
     heads = "".join(f"<th>{escape(x).replace(', ', '<br>')}</th>" for x in one.columns)
     lines = []
     for row in one.rows:
@@ -167,7 +166,7 @@ def _map(one: Map, colours: Mapping[str, str], about: Mapping[tuple[str, str, st
 
 
 def _packed(text: str) -> str:
-    """Text as gzip in base64, the same each time."""
+    """Return text as gzip in base64, reproducibly."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
 
 

@@ -1,4 +1,4 @@
-"""The study of Blajer (2002) remade: what the paper reports beside what is measured, as chapters of a report.
+"""Reproduction of the study of Blajer (2002): results of the paper and of alfmu, as chapters of a report.
 
 W. Blajer, "Augmented Lagrangian Formulation: Geometrical Interpretation and Application to Systems with Singularities
 and Redundancy", Multibody System Dynamics 8 (2002) 141-159. Equation numbers are the paper's.
@@ -39,19 +39,19 @@ RATE = 2.0
 """Start of all linkages: th = 0, a singular position, with this rate [rad/s]."""
 
 DT, ALPHA = 0.02, 1e6
-"""The paper's five-bar run: step [s], penalty [kg]."""
+"""Settings of the paper's five-bar run: step [s], penalty [kg]."""
 
 TORQUE, DRIVEN_STEPS, PAPER_MOST = 4.0, (0.02, 0.01, 0.005), 5
-"""The four-bar run: torque on link 1 [N m], steps [s], the paper's limit of iterations (8)."""
+"""Settings of the four-bar run: torque on link 1 [N m], steps [s], the paper's limit of iterations (8)."""
 
 LUCK = 0.1
-"""Start angles of the four-bar [rad], either way, over which the luck of hitting a singular position is spread."""
+"""Range of start angles of the four-bar [rad], either way, that average whether steps hit a singular position."""
 
 TOLERANCES, LIMIT = (1e-8, 1e-12, 1e-15), 50
-"""Tolerances of (8) whose iterations are counted, and where counting ends."""
+"""Tolerances of (8) whose iterations are counted, and the limit of the count."""
 
 RATIOS = tuple(10.0**k for k in range(2, 15, 2))
-"""Penalty over mass in the accuracy study."""
+"""Penalties over mass in the accuracy study."""
 
 DIGITS = 60
 
@@ -69,25 +69,26 @@ ACCELERATIONS = (
     "link4.ay",
     "link4.angular_acceleration",
 )
-"""The accelerations of q = [th1 x2 y2 th2 th3 x4 y4 th4]."""
+"""Accelerations of q = [th1 x2 y2 th2 th3 x4 y4 th4]."""
 
 COLOURS = {"reference": "0.25", "classic": "C1", "residual": "C0"}
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured."""
+    """Extent of the study."""
 
     stop: float = 20.0
-    """Simulated time of the five-bar [s]; the paper's, as a default."""
+    """Simulated time of the five-bar [s]; the default is the paper's."""
     counted: float = 20.0
-    """The same where iterations are counted."""
+    """Simulated time in which iterations are counted [s]."""
     driven: float = 5.0
-    """Of the four-bar [s]."""
+    """Simulated time of the four-bar [s]."""
     phases: int = 40
-    """Start angles of the four-bar, evenly spread over LUCK."""
+    """Number of start angles of the four-bar, evenly distributed over LUCK."""
     states: int = 20
-    """Of the accuracy study, evenly spread over th from -pi to 0, away from the singular positions."""
+    """Number of states of the accuracy study, evenly distributed over th from -pi to 0, away from
+    singular positions."""
     ratios: Sequence[float] = RATIOS
     """Penalties over mass of the accuracy study."""
 
@@ -102,7 +103,7 @@ QUICK = Effort(stop=2.0, counted=1.0, driven=2.0, phases=4, states=2, ratios=RAT
 
 @dataclass
 class Table:
-    """Rows of one CSV file; `title` is None where the report names the file but does not list its rows."""
+    """Rows of one CSV file; if `title` is None, the report names the file without listing its rows."""
 
     name: str
     title: str | None
@@ -116,11 +117,11 @@ class Table:
 
     @property
     def rows(self) -> list[Row]:
-        """The lines with their columns."""
+        """Return the rows with their columns."""
         return [dict(zip(self.columns, line, strict=True)) for line in self.lines]
 
     def markdown(self) -> str:
-        """The rows, rounded, with their source; the source alone where there is no title."""
+        """Return the rounded rows with their source; the source alone if there is no title."""
         if self.title is None:
             return f"All values: `{self.name}.csv`."
         return shown(self.title, self.name, self.columns, self.rows, self.digits)
@@ -128,7 +129,7 @@ class Table:
 
 @dataclass
 class Chapter:
-    """One part of the study: text without numbers of its own, tables, pictures by file name."""
+    """One part of the study: text without numbers, tables, pictures by file name."""
 
     title: str
     text: str
@@ -136,14 +137,14 @@ class Chapter:
     pictures: dict[str, Figure] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        """The CSV files and the pictures."""
+        """Write the CSV files and the pictures."""
         for table in self.tables:
             write_csv(folder / f"{table.name}.csv", table.rows, table.columns)
         for name, figure in self.pictures.items():
             save(figure, folder / name, 110)
 
     def markdown(self, level: str) -> Iterator[str]:
-        """Its parts in Markdown under a heading of a level, as `##`."""
+        """Yield its parts in Markdown under a heading of a level, as `##`."""
         yield f"{level} {self.title}"
         yield paragraph(self.text)
         yield from (table.markdown() for table in self.tables)
@@ -151,7 +152,7 @@ class Chapter:
 
 
 def _figure(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
-    """A figure of a size [inch] with panels in rows and columns."""
+    """Return a figure of a size [inch] with panels in rows and columns."""
     figure = require()(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, **shared)
 
@@ -182,7 +183,7 @@ class Parallelogram:
         return (self.torque - self.weight * np.cos(th)) / self.inertia
 
     def motion(self, times: NDArray, start: float = 0.0, largest: float = 0.01) -> tuple[NDArray, NDArray]:
-        """Angle and rate at `times` by DOP853; steps of at most `largest` [s] keep its interpolation exact."""
+        """Return angle and rate at `times` by DOP853; steps of at most `largest` [s] keep its interpolation exact."""
         solution = solve_ivp(
             lambda _, y: (y[1], self.acceleration(y[0])),
             (0.0, times[-1]),
@@ -196,14 +197,14 @@ class Parallelogram:
         return solution.y[0], solution.y[1]
 
     def energy(self, th: NDArray, w: NDArray) -> NDArray:
-        """Kinetic and potential energy less the work of the torque [J]."""
+        """Return kinetic and potential energy minus the work of the torque [J]."""
         return self.inertia * w**2 / 2 + self.weight * np.sin(th) - self.torque * th
 
     def multipliers(self, th: NDArray, w: NDArray) -> NDArray:
-        """The eight multipliers of least norm (8, len(th)) under gravity alone.
+        """Return the eight multipliers of least norm (8, len(th)) under gravity alone.
 
-        Links 2 and 4 move in translation, so each end carries half of what moves them: by moments for the forces along
-        y, by symmetry (m1 = m3) and least norm for those along x.
+        Links 2 and 4 translate, so each end carries half of their load: by moments for the forces along y, by symmetry
+        (m1 = m3) and least norm for those along x.
         """
         e = self.acceleration(th)
         ax = -np.sin(th) * e - np.cos(th) * w**2
@@ -214,10 +215,10 @@ class Parallelogram:
 
 
 def exact_state(th: float, w: float, m2: float) -> tuple[NDArray, NDArray]:
-    """Accelerations (8,) and least-norm multipliers (8,) of the five-bar in DIGITS digits, by (9).
+    """Return accelerations (8,) and least-norm multipliers (8,) of the five-bar with DIGITS digits, by (9).
 
-    The constraint matrix has the null space [1 0 -1 0 -2 0 2 0] away from singular positions; bordering (9) with it
-    makes the system regular, and its solution the one of least norm.
+    The constraint matrix has the null space [1 0 -1 0 -2 0 2 0] away from singular positions; (9) bordered with it is
+    regular, and its solution has least norm.
     """
     try:
         import mpmath
@@ -255,15 +256,15 @@ def exact_state(th: float, w: float, m2: float) -> tuple[NDArray, NDArray]:
 
 @dataclass
 class Run:
-    """What one run gave up to where it ended; `failure` says why it ended early."""
+    """Results of a run up to its end; `failure` is the reason if it ended early."""
 
     times: NDArray
     values: NDArray
-    """One row per time, one column per output asked for."""
+    """One row per time, one column per requested output."""
     states: list[tuple[NDArray, NDArray]]
     """q and v at each time."""
     corrections: list[int]
-    """Corrections (10) after each step, of positions and velocities together."""
+    """Number of corrections (10) after each step, of positions and velocities together."""
     counters: object
     seconds: float
     failure: str = ""
@@ -277,9 +278,9 @@ def run(
     parameters: dict[str, float] | None = None,
     inputs: dict[str, float] | None = None,
 ) -> Run:
-    """Step a mechanism with the internal step as communication step, counting corrections step by step.
+    """Run a mechanism with the internal step as communication step, counting corrections step by step.
 
-    A step that cannot be taken ends the run and leaves what was reached.
+    A failed step ends the run; the results up to it are kept.
     """
     instance = Instance(equations, settings)
     for name, value in {"start.angular_velocity": RATE, "g": GRAVITY, **(parameters or {}), **(inputs or {})}.items():
@@ -318,7 +319,7 @@ def run(
 
 
 def table_1(effort: Effort) -> Chapter:
-    """Case 1: the particle at (rho, 0), iterates of (8) against their closed forms."""
+    """Compare iterates of (8) with their closed forms in case 1, the particle at (rho, 0)."""
     equations = derive(load("particle_on_circle"))
     m, rho, vy, fx, fy = 2.0, 0.5, 3.0, 5.0, 7.0
     limit = fx + m * vy**2 / rho
@@ -329,7 +330,7 @@ def table_1(effort: Effort) -> Chapter:
         for i in (1, 2, 3):
             left = (m / (m + ratio * m)) ** i
             closed = np.array([-(vy**2) / rho + left * limit / m, limit * (1 - left), fy / m])
-            # Without projection, a multiplier is read as (8) left it.
+            # Without projection, multipliers are read exactly as (8) left them.
             settings = replace(CLASSIC, penalty=ratio * m, max_iterations=i, tolerance=1e-16, projection=False)
             computed = run(equations, settings, 0.0, names, values).values[0]
             rows.append((ratio, i, *_beside(closed, computed)))
@@ -352,7 +353,7 @@ def table_1(effort: Effort) -> Chapter:
 
 
 def _beside(closed: NDArray, computed: NDArray) -> list[float]:
-    """Closed form, computed value and relative difference, quantity by quantity."""
+    """Return closed form, computed value and relative difference of each quantity."""
     differences = np.abs(computed - closed) / np.abs(closed)
     return np.column_stack([closed, computed, differences]).ravel().tolist()
 
@@ -361,7 +362,7 @@ def _beside(closed: NDArray, computed: NDArray) -> list[float]:
 
 
 def figure_7(effort: Effort) -> Chapter:
-    """Cases 4 and 5: angle and eight reactions of the five-bar over the paper's run."""
+    """Plot angle and eight reactions of the five-bar over the paper's run, cases 4 and 5."""
     equations = derive(load("five_bar"))
     outputs = ["link1.angle", "link1.angular_velocity", *(f"multiplier[{i}]" for i in ROWS)]
     figure, axes = _figure((13, 15), 5, 2, sharex=True)
@@ -446,7 +447,8 @@ def _multipliers_row(equations: Equations, m2: float, name: str, r: Run, in_time
 
 
 def least_norm(equations: Equations, parameters: dict[str, float], r: Run) -> NDArray:
-    """Multipliers (l, steps) by which joints carry the least at the states of a run, by (9) without redundant rows."""
+    """Return multipliers (l, steps) with least loads of joints at the states of a run, by (9) without
+    redundant rows."""
     p = [parameters.get(v.name, v.start) for v in equations.parameters]
     u = [v.start for v in equations.inputs]
     columns = []
@@ -479,7 +481,7 @@ def _figure_7_series(m2: float, times: NDArray, th: NDArray, lam: NDArray, runs:
 
 
 def _only(r: Run, length: int) -> NDArray:
-    """Angle and multipliers of a run, with NaN from where it ended early."""
+    """Return angle and multipliers of a run, with NaN after an early end."""
     values = np.full((length, 9), np.nan)
     values[: len(r.times)] = np.delete(r.values, 1, axis=1)
     return values
@@ -497,7 +499,7 @@ def _figure_7_plot(
     for turns in (0, -np.pi):
         axes[0].axhline(turns, color="0.3", lw=0.8, ls=":")
     axes[0].set_ylabel("angle th [rad]\n(dotted: singular)")
-    # Rows 1 and 3, 2 and 4, 5 and 7, 6 and 8 coincide; the second of a pair is dashed over the first.
+    # Rows 1 and 3, 2 and 4, 5 and 7, 6 and 8 coincide, so the second of a pair is dashed.
     for axis, rows in ((axes[1], (1, 3, 5, 7)), (axes[2], (2, 4, 6, 8))):
         for i, (row, colour) in enumerate(zip(rows, ("C0", "C3", "C2", "C1"), strict=True)):
             axis.plot(
@@ -527,7 +529,7 @@ def _figure_7_plot(
 
 
 def iterations(effort: Effort) -> Chapter:
-    """What (8) and (10) need in double precision, beside what the paper reports."""
+    """Compare iterations of (8) and (10) in double precision with those reported in the paper."""
     equations = derive(load("five_bar"))
     cases = [(replace(CLASSIC, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
     cases += [(replace(DEFAULT, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
@@ -641,7 +643,7 @@ def _iterations_plot(counts: list[Sequence[Cell]]) -> Figure:
 
 
 def accuracy(effort: Effort) -> Chapter:
-    """Errors of (8) as printed and in residual form against a reference in many digits, over decades of penalty."""
+    """Compare (8) as printed and in residual form with a reference in many digits, over decades of penalty."""
     equations = derive(load("five_bar"))
     rows = []
     for m2 in (1.0, 0.0):
@@ -693,7 +695,7 @@ def _errors(
     w: float,
     reference: tuple[NDArray, NDArray],
 ) -> tuple[float, float, float, float]:
-    """Relative errors of a, lam, lam as iterated, and the iterations used, at one state."""
+    """Return relative errors of a, lam, lam as iterated, and the number of iterations, at one state."""
     settings = Settings(
         penalty=ratio, formulation=formulation, tolerance=min(TOLERANCES), max_iterations=LIMIT, projection=True
     )
@@ -744,7 +746,7 @@ PROCEDURES = {
 
 
 def four_bar(effort: Effort) -> Chapter:
-    """Case 6: the driven four-bar, where another degree of freedom opens at each singular position."""
+    """Run the driven four-bar, case 6, in which another degree of freedom opens at each singular position."""
     equations = prepared(derive(load("four_bar")), "auto")
     exact = Parallelogram(m4=0.0, torque=TORQUE)
     rows, curves = [], {}
@@ -833,7 +835,7 @@ def _angle_error(r: Run, exact: Parallelogram, start: float = 0.0) -> float:
 def _phases(
     equations: Equations, exact: Parallelogram, effort: Effort
 ) -> tuple[list[Sequence[Cell]], list[Sequence[Cell]]]:
-    """Errors over many starts: a summary by procedure, and every run."""
+    """Return errors over many starts: a summary by procedure, and every run."""
     summary, samples = [], []
     for name, settings in PROCEDURES.items():
         errors, stopped = [], 0
@@ -869,7 +871,7 @@ def _four_bar_plot(
         width = 3 if name == "classic" else 1.2
         axes[1].semilogy(r.times, error, styles[dt], color=COLOURS[name], lw=width, alpha=0.8, label=label)
     axes[1].set(title="start at th = 0, three steps", xlabel="time [s]", ylabel="angle error [rad]", ylim=(1e-9, 30))
-    axes[1].legend(fontsize=8, loc="upper left", ncols=2)  # above all errors
+    axes[1].legend(fontsize=8, loc="upper left", ncols=2)  # above the curves
     marks = {"classic": "s", "residual": "o"}
     for name in PROCEDURES:
         done = [s for s in samples if s[0] == name and s[2] > effort.driven - DT / 2]
@@ -912,7 +914,7 @@ STUDIES: dict[str, tuple[str, Callable[[Effort], Chapter]]] = {
     "accuracy": ("five_bar", accuracy),
     "four-bar": ("four_bar", four_bar),
 }
-"""Chapters by name: the mechanism that each is about, and what makes it."""
+"""Chapters by name: the mechanism of each, and the function that makes it."""
 
 LIMITS = """\
 - The reference of the linkages is the motion on the parallelogram branch with one degree of freedom. It judges how
@@ -932,7 +934,7 @@ LIMITS = """\
 
 
 def settings(effort: Effort) -> Table:
-    """The numbers that the study chose."""
+    """Return the settings of the study."""
     rows = [
         ("gravity [m/s2]", GRAVITY),
         ("start rate [rad/s]", RATE),

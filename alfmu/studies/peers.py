@@ -1,11 +1,11 @@
-"""Pinocchio, Exudyn and MuJoCo on mechanisms that are built for them by hand, where they are installed.
+"""Models of two mechanisms in Pinocchio, Exudyn, MuJoCo and SciPy, coded by hand; each runs if it is installed.
 
 five_bar      links of 1 m and 1 kg; one constraint is redundant
 slider_crank  crank 0.5 m, rod 1 m, 1 kg each and for the slider
 
-Both under gravity alone, from an angle and a rate of the first link. Reactions are forces on the second body from the
+Gravity alone acts on both, from an angle and a rate of the first link. Reactions are forces on the second body from the
 first in ground axes [N], named as in alfmu: A to F (x and y) of the five-bar, A, B, C (x and y) and the guide of the
-slider-crank. A run delivers the angle of the first link and all of them at times that are equally spaced.
+slider-crank. A run returns the angle of the first link and all reactions at equidistant times.
 """
 
 from __future__ import annotations
@@ -21,9 +21,15 @@ from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.linalg.lapack import dgelsy
+
+from ..catalogue.registry import load
+from ..equations.derivation import derive
+from ..runtime import Instance
 
 __all__ = [
     "ANGLE",
@@ -33,10 +39,12 @@ __all__ = [
     "REACTIONS",
     "ROD",
     "TUNED",
+    "USAGE",
     "Exudyn",
     "MuJoCo",
     "Peer",
     "Pinocchio",
+    "SciPy",
     "Simulation",
     "Start",
     "Trajectory",
@@ -46,10 +54,10 @@ __all__ = [
 GRAVITY = 9.81
 
 EVALUATIONS = 100_000
-"""Evaluations after which an adaptive integrator is stopped."""
+"""Number of evaluations after which an adaptive integrator is stopped."""
 
 PART = 0.02
-"""Steps are parts of it [s]; times are apart by a multiple of it."""
+"""Steps divide this interval [s], and intervals of times are multiples of it."""
 
 CRANK, ROD = 0.5, 1.0
 """Lengths of the slider-crank [m]."""
@@ -70,23 +78,24 @@ class Start(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """What one run delivers at the samples."""
+    """Results of one run at its sample times."""
 
     times: NDArray
-    """(k,) s"""
+    """Times (k,) [s]."""
     angle: NDArray
-    """(k,) of link 1 or crank, rad"""
+    """Angles (k,) of link 1 or crank [rad]."""
     reactions: NDArray
-    """(k, number of REACTIONS), N"""
+    """Reactions (k, number of REACTIONS) [N]."""
     note: str = ""
 
 
 Simulation = Callable[[], Trajectory]
-"""One run from the start; may be called again and again."""
+"""A run from the start, which can be called repeatedly."""
 
 
 def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times: NDArray) -> NDArray:
-    """States at the times by `solve_ivp`, (k, 2 n); fewer where it gives up, TimeoutError where it does not end."""
+    """Return states at the times by `solve_ivp`, (k, 2 n); fewer if it fails; raise TimeoutError if it takes
+    too long."""
     count = itertools.count()
 
     def counted(t: float, y: NDArray) -> NDArray:
@@ -99,9 +108,9 @@ def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times:
 
 @dataclass(frozen=True)
 class Peer(ABC):
-    """One way to simulate: `build` makes a simulation of a mechanism with a step [s] or tolerance, for those times.
+    """A simulation code: `build` prepares a mechanism with a step [s] or tolerance, for given times.
 
-    Times are equally spaced; a step divides their distance.
+    Times are equidistant; a step divides their distance.
     """
 
     package: str
@@ -111,13 +120,13 @@ class Peer(ABC):
     steps: Mapping[str, Sequence[float]]
     """Steps [s], or tolerances, by mechanism; the coarsest first."""
     control: str = "step"
-    """What the step is: `step` [s] or `rtol`."""
+    """Meaning of the step: `step` [s] or `rtol`."""
     quick: int = 2
-    """How many of the steps a quick study takes."""
+    """Number of steps in a quick study."""
 
     @abstractmethod
     def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
-        """A mechanism from a start, with a step or tolerance, to be run over these times [s]."""
+        """Prepare a mechanism at a start, with a step or tolerance, for a run over these times [s]."""
 
     @property
     def installed(self) -> bool:
@@ -128,18 +137,18 @@ class Peer(ABC):
 
 
 def _each(times: NDArray, step: float) -> int:
-    """Steps from one time to the next."""
+    """Return the number of steps from one time to the next."""
     return round((times[1] - times[0]) / step)
 
 
 def _rod(start: Start) -> tuple[float, float]:
-    """Angle and rate of the rod of the slider-crank."""
+    """Return angle and rate of the rod of the slider-crank."""
     angle = math.asin(-CRANK / ROD * math.sin(start.angle))
     return angle, -CRANK * math.cos(start.angle) * start.rate / (ROD * math.cos(angle))
 
 
 def _joints(mechanism: str, start: Start) -> tuple[NDArray, NDArray]:
-    """Coordinates of the tree of joints (A, B, E, D of the five-bar; A, B and the slider) and their rates."""
+    """Return coordinates of the tree of joints (A, B, E, D of the five-bar; A, B and the slider) and their rates."""
     th, w = start
     if mechanism == "five_bar":
         signs = np.array([1.0, -1.0, -1.0, 1.0])
@@ -177,7 +186,7 @@ class Pinocchio(Peer):
         felt, inner = np.empty((len(times), n, 3)), [force.linear for force in data.f][1:]  # views
 
         def record(k: int, y: NDArray, a: NDArray) -> None:
-            """Forces without those of the closures in the frames of the joints, where y gave a just now."""
+            """Store forces without those of the closures in the frames of the joints, right after y gave a."""
             states[k], contacts[k] = y, data.lambda_c
             rnea(model, data, y[:n], y[n:], a)
             felt[k] = inner
@@ -215,7 +224,8 @@ class Pinocchio(Peer):
 
 
 def _pinocchio_model(pin: ModuleType, mechanism: str, start: Start) -> tuple:
-    """Model, loop closures, q and v at the start; joints turn about z or slide along x, and are added depth first."""
+    """Return model, loop closures, q and v at the start; joints turn about z or slide along x, and are added depth
+    first."""
 
     def at(x: float) -> object:
         return pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
@@ -246,7 +256,8 @@ def _pinocchio_model(pin: ModuleType, mechanism: str, start: Start) -> tuple:
 
 
 def _pinocchio_reactions(mechanism: str, q: NDArray, felt: NDArray, contacts: NDArray) -> NDArray:
-    """REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own frames."""
+    """Return REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own
+    frames."""
 
     def ground(angle: NDArray, force: NDArray) -> NDArray:
         c, s, x, y = np.cos(angle), np.sin(angle), force[:, 0], force[:, 1]
@@ -318,11 +329,11 @@ class Exudyn(Peer):
 
 
 def _exudyn_model(mbs: Any, mechanism: str, start: Start) -> tuple[object, list[tuple[object, float]]]:
-    """Node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
+    """Return node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
     from exudyn import itemInterface as item
 
     def bar(length: float, along: float, begin: tuple = (0.0, 0.0), drift: tuple = (0.0, 0.0), w: float = 0.0) -> tuple:
-        """A bar at an angle that begins at a point with a velocity."""
+        """Add a bar at an angle, with one end at a point with a velocity."""
         half = length / 2 * np.array([math.cos(along), math.sin(along)])
         speed = np.add(drift, w * np.array([-half[1], half[0]]))
         places = {"referenceCoordinates": [*np.add(begin, half), 0], "initialCoordinates": [0, 0, along]}
@@ -375,7 +386,7 @@ def _exudyn_model(mbs: Any, mechanism: str, start: Start) -> tuple[object, list[
 
 @dataclass(frozen=True)
 class MuJoCo(Peer):
-    """MuJoCo on the tree of joints that Pinocchio has, closed by `connect`; reactions by `mj_rnePostConstraint`."""
+    """MuJoCo on the same tree of joints as Pinocchio, closed by `connect`; reactions by `mj_rnePostConstraint`."""
 
     integrator: str = "RK4"
     hardness: Mapping[str, float] = field(default_factory=dict)
@@ -385,7 +396,7 @@ class MuJoCo(Peer):
         import mujoco
 
         warnings: list[str] = []
-        mujoco.set_mju_user_warning(warnings.append)  # otherwise it writes a file into the working folder
+        mujoco.set_mju_user_warning(warnings.append)  # by default it writes a file into the working folder
         text = _mujoco_model(mechanism, step, self.integrator, self.hardness[mechanism] / step**2)
         q_0, v_0 = _joints(mechanism, start)
         model = mujoco.MjModel.from_xml_string(text)
@@ -413,7 +424,7 @@ class MuJoCo(Peer):
 
 
 def _mujoco_model(mechanism: str, step: float, integrator: str, stiffness: float) -> str:
-    """MJCF text, all links along the x axis."""
+    """Return MJCF text, with all links along the x axis."""
 
     def bar(name: str, x: float, length: float, children: str = "") -> str:
         moment = length**2 / 12
@@ -441,14 +452,75 @@ def _mujoco_model(mechanism: str, step: float, integrator: str, stiffness: float
 <worldbody>{bodies}</worldbody><equality>{loops}</equality></mujoco>"""
 
 
+@dataclass(frozen=True)
+class SciPy(Peer):
+    """`solve_ivp` on alfmu's M, C, f, xi, Phi in the index-1 form (9), by elimination of a and least squares."""
+
+    method: str = "DOP853"
+
+    def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
+        five = mechanism == "five_bar"
+        omega, cut, options = (15.0, 1e-4, {}) if five else (6.0, 1e-12, {"coordinates": "joint"})
+        e = derive(load(mechanism, **options))
+        instance, n, l = Instance(e), e.n, e.l
+        instance.set("start.angle", start.angle)
+        instance.set("start.angular_velocity", start.rate)
+        instance.initialize()
+        begin, p, u = np.concatenate([instance.q, instance.v]), instance.values[: len(e.parameters)], instance.inputs
+        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        C, inverse = e.C(q, p), ca.inv(e.M(q, p))
+        falling, pulled = inverse @ (e.f(q, v, u, p, 0) - e.d(q, v, p)), inverse @ C.T
+        xi = e.xi(q, v, p) - 2 * omega * C @ v - omega**2 * e.Phi(q, p)
+        results = [ca.densify(x) for x in (C @ pulled, C @ falling - xi, falling, pulled)]
+        terms = _Terms(ca.Function("terms", [q, v], results, {"cse": True}))
+        (y_q, y_v), (S, r, free, pull) = terms.arguments, terms.results
+        r, free, work = r[:, 0], free[:, 0], 16 * l + 64
+
+        def solve(y: NDArray) -> tuple[NDArray, NDArray]:
+            """(9): C M^-1 C' lambda = C M^-1 (f - d) - xi of least norm, a = M^-1 (f - d - C' lambda)."""
+            y_q[:, 0], y_v[:, 0] = y[:n], y[n:]
+            terms.evaluate()
+            lam = dgelsy(S, r, np.zeros(l, np.int32), cut, work)[1]
+            return free - pull @ lam, lam
+
+        def rate(y: NDArray) -> NDArray:
+            return np.concatenate([y[n:], solve(y)[0]])
+
+        names = [variable.name for variable in e.outputs]
+        columns = [names.index(name) for name in (ANGLE[mechanism], *REACTIONS[mechanism])]
+
+        def simulate() -> Trajectory:
+            states = solved(rate, begin, self.method, step, times)
+            a, lam = (np.array(x).T for x in zip(*map(solve, states), strict=True))
+            Q, V, P, U = states[:, :n].T, states[:, n:].T, *(np.tile(x[:, None], len(states)) for x in (p, u))
+            seen = np.array(e.readings(Q, V, a, lam, U, P, np.zeros((1, len(states)))))[columns].T
+            return Trajectory(times[: len(states)], seen[:, 0], seen[:, 1:])
+
+        return simulate
+
+
+class _Terms:
+    """A CasADi function whose arguments and results are arrays that stay where they are."""
+
+    def __init__(self, f: ca.Function):
+        self.buffer, self.evaluate = f.buffer()  # the memory of evaluate lives as long as the buffer
+        self.arguments = [np.zeros(f.size_in(i), order="F") for i in range(f.n_in())]
+        self.results = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
+        for tie, arrays in ((self.buffer.set_arg, self.arguments), (self.buffer.set_res, self.results)):
+            for i, x in enumerate(arrays):
+                tie(i, memoryview(x.reshape(-1, order="F")))  # type: ignore[arg-type,call-arg]
+
+
 def _tuned() -> tuple[Peer, ...]:
-    steps = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (1, 2, 3, 4, 8, 16)))
-    loop = {"five_bar": (1e-6, 1e-8, 1e-10), "slider_crank": (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)}
+    steps = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (1, 2, 3, 4, 8, 16, 32, 64)))
+    loop = {"five_bar": (1e-6, 1e-8, 1e-10, 1e-11, 1e-12), "slider_crank": (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-11, 1e-12)}
     stabilised = {"five_bar": 60.0, "slider_crank": 5.0}
     alpha = {"five_bar": (5e-3, 1e-3, 2e-4, 1e-4, 4e-5), "slider_crank": (5e-3, 1e-3)}
     trapezoidal = {"five_bar": (5e-3, 1e-3), "slider_crank": (5e-3, 1e-3, 2e-4, 5e-5)}
     soft = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (2, 4, 5, 8, 10, 20, 40)))
     softer = dict.fromkeys(MECHANISMS, tuple(PART / k for k in (10, 40)))
+    rtols = dict.fromkeys(MECHANISMS, (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11))
+    tight = {"five_bar": (1e-7, 1e-8, 1e-9, 1e-11), "slider_crank": (1e-6, 1e-7, 1e-8, 1e-9, 1e-11)}
     first, second = {"five_bar": 2.0, "slider_crank": 0.2}, {"five_bar": 0.1, "slider_crank": 0.5}
     return (
         Pinocchio("pin", "Pinocchio", "RK4, Baumgarte", steps, quick=5, omega=stabilised),
@@ -459,8 +531,29 @@ def _tuned() -> tuple[Peer, ...]:
         Exudyn("exudyn", "Exudyn", "trapezoidal, index 2", trapezoidal, solver="TrapezoidalIndex2"),
         MuJoCo("mujoco", "MuJoCo", "RK4", soft, quick=3, hardness=first),
         MuJoCo("mujoco", "MuJoCo", "implicitfast", softer, quick=1, integrator="implicitfast", hardness=second),
+        SciPy("scipy", "SciPy stabilised", "DOP853", rtols, "rtol", 3),
+        SciPy("scipy", "SciPy stabilised", "RK45", tight, "rtol", 0, method="RK45"),
+        SciPy("scipy", "SciPy stabilised", "LSODA", tight, "rtol", 0, method="LSODA"),
     )
 
 
 TUNED = _tuned()
-"""All of them, each in the best of the settings that were tried on these mechanisms (`scripts/peers.py` says which)."""
+"""All codes, each with the best settings of those tried on these mechanisms (USAGE)."""
+
+USAGE = {
+    "alfmu": "Library `Instance`, a whole run in one call of its method `run`; all outputs are read at each point. "
+    "`joint`: the coordinates are those of the joints and parameters are frozen (defaults: mixed and absolute, none). "
+    "`lean`: outputs are those that are compared.",
+    "Pinocchio": "Minimal tree and two (one) loop closures, `constraintDynamics` with mu = 1e-8 and 3 proximal "
+    "iterations on preallocated data; RK4 in NumPy or `solve_ivp`. Tried: mu 1e-4 to 1e-12, 1 to 50 iterations, "
+    "Baumgarte from 0 to 200 1/s (five-bar 60, slider-crank 5), projection instead (slower), `lcaba` (slower).",
+    "Exudyn": "Its solvers on rigid bodies with joints, files off, build without range checks. Tried: spectral radius "
+    "0.5 to 1, index 2 and 3, all linear solvers, Newton tolerances 1e-6 to 1e-10. The redundant constraint needs "
+    "EigenDense with `ignoreSingularJacobian`. Explicit solvers refuse joints; all methods used are of order 2.",
+    "MuJoCo": "Pinocchio's tree with `connect`; constraints are soft by design, here as hard as possible: solimp "
+    "0.9999, solref with stiffness c / step^2 and critical damping, refsafe off. Tried: c from 0.01 to 4 (RK4: "
+    "five-bar 2, slider-crank 0.2), 1 to 50 iterations, implicit integrators (order 1).",
+    "SciPy stabilised": "alfmu's terms in one CasADi function, a eliminated from (9), multipliers of least norm by "
+    "LAPACK gelsy (cut-off 1e-4 on the five-bar), Baumgarte with 15 and 6 1/s (from 0 to 200 tried), joint "
+    "coordinates of the slider-crank.",
+}

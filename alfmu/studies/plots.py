@@ -1,6 +1,6 @@
-"""Interactive figures of studies as data for plotly: errors against run time, steps and tolerances.
+"""Interactive figures of studies as plotly data: errors against run time, steps and tolerances.
 
-A figure is a dictionary of JSON with `data` and `layout`; nothing here needs plotly.
+A figure is a dictionary for JSON with `data` and `layout`; this module does not need plotly.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ __all__ = ["Figure", "against_time", "convergence"]
 Figure = dict[str, Any]
 
 GAP = 0.1
-"""Part of the width and of the height of a figure between its panels."""
+"""Share of the width and height of a figure between its panels."""
 
 MOST = 1e4
-"""Errors above it lie outside a panel, until one zooms out: of a run that is lost, they say nothing more."""
+"""Errors above this limit are outside a panel until one zooms out: they belong to runs that lost the motion."""
 
 DECADES = 2
-"""Least of a scale of errors."""
+"""Smallest range of an error axis in decades."""
 
 ABOVE = 40
-"""Between the panels and the buttons above them [px]."""
+"""Space between the panels and the buttons above them [px]."""
 
 BAR = 30
-"""Of the bar with the tools of a plot, below which its buttons stand [px]."""
+"""Height of the plotly toolbar, below which the buttons are [px]."""
 
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1c2733"}
 GRID, FAINT = "#e3e8ee", "#6b7680"
@@ -40,28 +40,27 @@ def against_time(
     rows: Sequence[Row],
     quantities: Sequence[str],
     time: str,
-    told: str,
+    style_by: str,
     group: str,
     floors: Mapping[str, float | None],
 ) -> Figure:
-    """Quantities against run time, a panel for each; values of the column `told` have a kind of line each.
+    """Plot quantities against run time, with a panel for each, and a line style for each value of `style_by`.
 
-    Buttons choose among values of the column `group`; other codes are always there. `floors` are errors of what the
-    quantities were judged by.
+    Buttons select a value of the column `group`; other codes are always visible. `floors` are errors of the reference.
     """
     own = [r for r in rows if r["code"] == "alfmu"]
-    kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (told, group))
+    kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (style_by, group))
     figure = _panels(quantities, 2, f"run time, {time}")
     data = figure["data"]
     of: list[str | None] = []
-    """The group of each trace."""
+    """Group of each trace."""
     lines: dict[tuple, list[Row]] = {}
     for row in sorted(rows, key=lambda r: r["code"] != "alfmu"):
         lines.setdefault((integrator(row), *(row[x] for x in ("code", "formulation", "way"))), []).append(row)
     for key, line in lines.items():
         mine = line[0]["code"] == "alfmu"
-        name = f"{key[0]}, {line[0][told]}" if mine else f"{key[0]} ({line[0]['language']})"
-        kind = line_of(str(line[0][told]), kinds) if mine else LINE_OF_OTHERS
+        name = f"{key[0]}, {line[0][style_by]}" if mine else f"{key[0]} ({line[0]['language']})"
+        kind = line_of(str(line[0][style_by]), kinds) if mine else LINE_OF_OTHERS
         first = True
         for i, quantity in enumerate(quantities):
             known = [r for r in line if _drawn(r.get(quantity)) and _drawn(r.get(time))]
@@ -94,9 +93,9 @@ def against_time(
 
 
 def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float], equal: str, quantity: str) -> Figure:
-    """A quantity over what sets it: rows by the name of the axis, and orders by integrator, where they were measured.
+    """Plot a quantity over the step or tolerance: rows by the name of the axis, and measured orders by integrator.
 
-    In the panel of the axis `equal`, a dashed line shows where the quantity is what sets it.
+    In the panel of the axis `equal`, a dashed line marks equality with the tolerance.
     """
     figure = _panels([f"{quantity} over {axis.split(' ')[0]}" for axis in panels], len(panels), None)
     for i, (axis, rows) in enumerate(panels.items()):
@@ -115,7 +114,7 @@ def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float]
 
 
 def _equal(figure: Figure, i: int) -> None:
-    """A faint line where the error of panel i is what sets it."""
+    """Add a faint line on which the error of panel i equals the tolerance."""
     x = sorted({value for trace in figure["data"] if trace["xaxis"] == f"x{_number(i)}" for value in trace["x"]})
     if x:
         line = {"color": FAINT, "dash": "dash", "width": 1}
@@ -124,7 +123,7 @@ def _equal(figure: Figure, i: int) -> None:
 
 
 def _scaled(figure: Figure) -> None:
-    """Whole decades for the errors of each panel, without what is above MOST."""
+    """Set the error axes of each panel to whole decades, ignoring values above MOST."""
     for i in range(sum(key.startswith("yaxis") for key in figure["layout"])):
         values = [y for trace in figure["data"] if trace["yaxis"] == f"y{_number(i)}" for y in trace["y"] if y <= MOST]
         if values:
@@ -152,7 +151,7 @@ def _number(i: int) -> str:
 def _trace(
     i: int, x: list[Any], y: list[Any], name: str, who: str, kind: Line, about: list[str], legend: bool
 ) -> dict[str, Any]:
-    """A line of an integrator in panel i."""
+    """Return a line of an integrator in panel i."""
     look = LOOKS[who]
     return {
         "type": "scatter",
@@ -176,7 +175,7 @@ def _trace(
 
 
 def _panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
-    """A figure with empty panels, so many in a row, on log scales."""
+    """Return a figure with empty log-log panels, `across` in a row."""
     down = math.ceil(len(titles) / across)
     width, height = (1 - GAP * (across - 1)) / across, (1 - GAP * (down - 1)) / down
     layout: dict[str, Any] = {
@@ -213,7 +212,7 @@ def _panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
 
 
 def _floor(layout: dict[str, Any], i: int, value: float) -> None:
-    """A dashed line at the error of the reference."""
+    """Add a dashed line at the error of the reference."""
     n = _number(i)
     at = {"xref": f"x{n} domain", "yref": f"y{n}"}
     line = {"color": FAINT, "dash": "dash", "width": 1}

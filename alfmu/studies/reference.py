@@ -1,14 +1,14 @@
-"""The motion of a mechanism by an unrelated method, as exact as double precision makes it: what studies judge by.
+"""Reference motion of a mechanism by an unrelated method at the accuracy of double precision, to judge studies.
 
 The equations of motion (4) under the constraints (1) are reduced to independent coordinates y, in which they are
-ordinary differential equations, and given to SciPy with tolerances near round-off. Nothing of the augmented-Lagrangian
-method, of its penalties or of its projections takes part. There are two ways to reduce them:
+ordinary differential equations, and solved by SciPy with tolerances near round-off. Nothing of the augmented-Lagrangian
+method, of its penalties or of its projections is used. There are two reductions:
 
 NullSpace  y are components along the null space of C at some position, q(y) closes the constraints by Newton's method
-           to round-off at every evaluation (coordinate partitioning by singular values). Where the basis gets oblique
-           another is taken. It ends before a singular position, where the null space leaves the direction open.
-Placement  q(y) is the guess that the declaration computes from its start values, where it closes the constraints
-           everywhere: then it is the motion's branch in closed form, and goes through singular positions.
+           to round-off at every evaluation (coordinate partitioning by singular values). If the basis becomes oblique
+           it is replaced. The motion ends before a singular position, where the null space is ambiguous.
+Placement  q(y) is the guess that the declaration computes from its start values, if it satisfies the constraints
+           everywhere: then it is the branch of the motion in closed form, and passes singular positions.
 """
 
 from __future__ import annotations
@@ -35,60 +35,60 @@ SINGULAR = 0.02
 """Smallest singular value of the independent constraints, over the largest, below which a null space is ambiguous."""
 
 READABLE = 0.03
-"""The same, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
+"""The same ratio, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
 
 NOTHING = 1e-12
-"""The same, of what is zero at a singular position itself."""
+"""The same ratio, below which a singular value counts as zero."""
 
 OBLIQUE = 1.5
-"""Growth of what the basis makes of unit displacements, along the motion or across, above which another is taken."""
+"""Growth of unit displacements by the basis, along or across the motion, above which it is replaced."""
 
 NEWTON = 12
 """Most corrections that close the constraints at an evaluation."""
 
 CLOSED = 1e-11
-"""Residue [m, rad] that a placement may leave."""
+"""Largest constraint residual [m, rad] of a placement."""
 
 LITTLE = 1e-4
-"""Displacement of lengths [m] to a place beside the start, where C is as large as usual."""
+"""Displacement of lengths [m] to a position near the start, where C has its typical magnitude."""
 
 BESIDE = 1e-9
-"""Distance [m, rad; per s] of a start from its placement that round-off and the assembly make."""
+"""Distance [m, rad; per s] of a start from its placement due to round-off and assembly."""
 
 POINTS, CONSERVED = 30, 1e-9
-"""Places at which the energy is looked at, and the relative change up to which it is conserved."""
+"""Number of positions at which the energy is checked, and the relative change up to which it is conserved."""
 
 TURN = 2 * np.pi
 
 
 METHODS = {DOP853: 1.0, Radau: 1e3}
-"""Of SciPy in the order in which they are tried, and by how much their tolerances are larger."""
+"""Integrators of SciPy in the order of use, and factors on their tolerances."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How exact a reference is wanted, and how long it may take."""
+    """Accuracy of a reference, and its time limit."""
 
     fine: float = 1e-13
     """Relative and absolute tolerance of the reference."""
     coarse: float | None = 1e-12
-    """The same of the run it is compared with; None where nothing is."""
+    """Tolerance of the run for comparison; None for none."""
     parts: int = 200
-    """Least number of steps, which keeps the interpolation between them as exact as the steps."""
+    """Least number of steps, so that interpolation is as accurate as the steps."""
     seconds: float = 15.0
-    """Wall time of one integration."""
+    """Wall time limit of one integration."""
 
 
 class _Stopped(Exception):
-    """An integration cannot go on, for the reason given."""
+    """An integration cannot continue, for the given reason."""
 
 
 class _Far(_Stopped):
-    """A trial of a step is too far off to close the constraints: a shorter one is wanted."""
+    """A trial step is too long to close the constraints, and must be shortened."""
 
 
 class _Model:
-    """The equations of a started instance, with its parameters and inputs: arrays of q, v and t."""
+    """The equations of a started instance, with its parameters and inputs, as arrays in q, v and t."""
 
     def __init__(self, instance: Instance):
         e = instance.equations
@@ -112,35 +112,38 @@ class _Model:
 
     @property
     def rank(self) -> int:
-        """Independent constraints at regular positions."""
+        """Number of independent constraints at regular positions."""
         return len(self.q) - self.freedom
 
     def constraints(self, q: NDArray) -> tuple[NDArray, NDArray]:
-        """C and Phi of the constraints in force."""
+        """Return C and Phi of the constraints in force."""
         _, C, Phi, _ = self._constraints(q, np.zeros_like(q), self.p)
         return _dense(C)[self.held], Phi[self.held]
 
     def dynamics(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """M, C, F, xi of (3) and (4)."""
+        """Return M, C, F, xi of (3) and (4)."""
         M, C, F, xi = self._dynamics(q, v, self.u, self.p, t)
         return _dense(M), _dense(C)[self.held], F, xi[self.held]
 
     def placement(self, x: NDArray, rate: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """q of the independent start values x, its derivative J, and the part of its acceleration that rates make."""
+        """Return q for independent start values x, its derivative J, and the part of its acceleration due to rates."""
         starts, rates = self.starts.copy(), np.zeros_like(self.starts)
         starts[self.tied], rates[self.tied] = x, rate
         J, q, bend = self._placement(self.p, starts, rates)
         return q.copy(), J.reshape((len(q), -1), order="F")[:, self.tied], bend.copy()
 
     def narrowness(self, q: NDArray) -> float:
-        """Smallest singular value of the independent constraints over the largest beside the start; 1 without any."""
+        """Return the smallest singular value of the independent constraints over the largest near the start; 1 without
+        any."""
         if not self.rank:
             return 1.0
         return float(np.linalg.svd(self.constraints(q)[0], compute_uv=False)[self.rank - 1] / self.largest)
 
     def readings(self, q: NDArray, v: NDArray, a: NDArray, t: float) -> NDArray:
-        """All outputs at a state of the motion, with the multipliers that make C' lam = F - M a and loads of joints
-        least; of least norm where compliances share loads."""
+        """Return all outputs at a state of the motion.
+
+        Multipliers satisfy C' lam = F - M a with least loads of joints, or have least norm if compliances share loads.
+        """
         M, C, F, _ = self.dynamics(q, v, t)
         lam = np.zeros(self._readings.x[3].size)
         if len(self.held):
@@ -159,18 +162,18 @@ class _Model:
         return self._readings(q, v, a, lam, self.u, self.p, t)[0].copy()
 
     def energy(self, q: NDArray, v: NDArray) -> float:
-        """Kinetic and potential energy [J]."""
+        """Return kinetic and potential energy [J]."""
         return float(self._energy(q, v, self.p)[0][0])
 
 
 class _Reduction(Protocol):
-    """A mechanism in independent coordinates; y holds them and their rates."""
+    """A mechanism in independent coordinates; y contains them and their rates."""
 
     def reduced(self, t: float, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """q, v, a, and the accelerations of the independent coordinates."""
+        """Return q, v, a, and the accelerations of the independent coordinates."""
 
     def spent(self, y: NDArray) -> bool:
-        """Whether another reduction must go on from here."""
+        """Return whether another reduction must replace this one."""
 
 
 class _NullSpace:
@@ -190,7 +193,7 @@ class _NullSpace:
 
     @classmethod
     def begun(cls, model: _Model, q: NDArray, v: NDArray) -> tuple[_Reduction, NDArray]:
-        """The reduction at a state, and its y."""
+        """Return the reduction at a state, and its y."""
         chart = cls(model, q)
         return chart, np.concatenate([np.zeros(len(chart.along)), chart.along @ v])
 
@@ -210,11 +213,13 @@ class _NullSpace:
         return tangent > OBLIQUE or inward > OBLIQUE * self.usual or self.model.narrowness(q) < SINGULAR
 
     def _matrix(self, C: NDArray) -> NDArray:
-        """What Newton's method inverts; its determinant changes sign at singular positions, which steps may leap."""
+        """Return the matrix of Newton's method; its determinant changes sign at singular positions, even if a step
+        jumps over one."""
         return np.vstack([self.rows @ C, self.along])
 
     def _closed(self, place: NDArray) -> tuple[NDArray, NDArray]:
-        """q with these components that closes the constraints, by Newton's method, and the inverse of its matrix."""
+        """Return q with these components that closes the constraints, by Newton's method, and the inverse of its
+        matrix."""
         q = self.center + place @ self.along
         for _ in range(NEWTON):
             C, Phi = self.model.constraints(q)
@@ -229,7 +234,7 @@ class _NullSpace:
 
 
 class _Placement:
-    """The coordinates in closed form of the start values, as the declaration places them."""
+    """The coordinates in closed form of the start values, as given by the declaration."""
 
     name = "placement of the declaration"
 
@@ -240,7 +245,7 @@ class _Placement:
 
     @classmethod
     def begun(cls, model: _Model, q: NDArray, v: NDArray) -> tuple[_Reduction, NDArray]:
-        """The reduction at the start, and its y."""
+        """Return the reduction at the start, and its y."""
         placed = cls(model)
         x, rate = model.starts[model.tied], model.rates[model.tied]
         there, J, _ = model.placement(x, rate)
@@ -275,7 +280,7 @@ class _Motion:
     ends: list[float]
     pieces: list[tuple[Callable[[float], NDArray], _Reduction]]
     why: str = ""
-    """What ended it before its time."""
+    """Reason for an early end."""
 
     @property
     def until(self) -> float:
@@ -287,18 +292,18 @@ class _Motion:
         return self.method == Radau.__name__
 
     def knows(self, t: float) -> bool:
-        """Whether a time is in the motion, but for its round-off."""
+        """Return whether a time is in the motion, up to round-off."""
         return bool(self.ends) and t <= self.until * (1 + 1e-12)
 
     def at(self, t: float) -> tuple[NDArray, NDArray, NDArray]:
-        """q, v, a at a time that is in the motion."""
+        """Return q, v, a at a time in the motion."""
         interpolated, reduction = self.pieces[min(bisect_left(self.ends, t), len(self.ends) - 1)]
         return reduction.reduced(t, interpolated(t))[:3]
 
 
 @dataclass
 class Reference:
-    """The motion and what can be read on it, with the error of both: the largest change to other ways to compute it."""
+    """A motion and its outputs, with the errors of both: the largest difference to other computations."""
 
     motion: _Motion
     others: list[_Motion]
@@ -310,40 +315,41 @@ class Reference:
         return self.motion.until
 
     def outputs(self, times: NDArray) -> NDArray:
-        """All outputs (k, outputs) at times; NaN after `until`."""
+        """Return all outputs (k, outputs) at times; NaN after `until`."""
         return _outputs(self.motion, times)
 
     def readable(self, times: NDArray) -> NDArray:
-        """Whether reactions can be judged at times (k,): not near singular positions."""
+        """Return at which times (k,) reactions can be judged: not near singular positions."""
         known = [t for t in times if self.motion.knows(t)]
         near = [self.motion.model.narrowness(self.motion.at(t)[0]) < READABLE for t in known]
         return np.array([not x for x in near] + [False] * (len(times) - len(known)))
 
     def checks(self, times: NDArray) -> Iterator[tuple[str, NDArray]]:
-        """Outputs (k, outputs) by the other ways, and what each was."""
+        """Yield names and outputs (k, outputs) of the other computations."""
         for other in self.others:
             yield f"{other.way.name}, {other.method} {other.tolerance:.0e}", _outputs(other, times)
 
     def energies(self, times: NDArray) -> NDArray:
-        """Kinetic and potential energy [J] at times up to `until`."""
+        """Return kinetic and potential energy [J] at times up to `until`."""
         return np.array([self.motion.model.energy(*self.motion.at(t)[:2]) for t in times if self.motion.knows(t)])
 
     def kinetic(self, times: NDArray) -> float:
-        """The largest kinetic energy [J] at times up to `until`."""
+        """Return the largest kinetic energy [J] at times up to `until`."""
         states = [(t, *self.motion.at(t)[:2]) for t in times if self.motion.knows(t)]
         return max(float(v @ self.motion.model.dynamics(q, v, t)[0] @ v) / 2 for t, q, v in states)
 
     def conserves(self) -> bool:
-        """Whether nothing works on the mechanism, as it is run."""
+        """Return whether no work is done on the mechanism in this run."""
         energies = self.energies(np.linspace(0.0, self.until, POINTS))
         return bool(np.ptp(energies) <= CONSERVED * (1 + np.abs(energies).max()))
 
 
 def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Reference | str:
-    """The motion of an initialised instance from its state to `stop` [s] with inputs held; or why there is none.
+    """Return the motion of an initialised instance from its state to `stop` [s] with constant inputs, or why there is
+    none.
 
-    Of the two reductions that counts which reaches further, or where both arrive the placement; the other one, and
-    a run of larger tolerance, tell its error.
+    The reduction that reaches further is used, or the placement if both reach the end; the other one, and a run with a
+    larger tolerance, estimate its error.
     """
     e = instance.equations
     if e.states:
@@ -374,7 +380,7 @@ def _followed(
     effort: Effort,
     stiff: bool = False,
 ) -> _Motion:
-    """The motion by DOP853; by Radau with larger tolerances where that takes too long, as it does on stiff systems."""
+    """Return the motion by DOP853, or by Radau with larger tolerances if that takes too long, as in stiff systems."""
     for method, looser in list(METHODS.items())[stiff:]:
         motion = _Motion(model, way, method.__name__, tolerance * looser, [], [])
         try:
@@ -390,7 +396,7 @@ def _followed(
 
 @np.errstate(all="ignore")
 def _integrate(motion: _Motion, method: type, stop: float, effort: Effort) -> None:
-    """Steps of `method` from the start of the model, with a fresh reduction where one is spent."""
+    """Integrate with `method` from the start of the model, and renew the reduction when necessary."""
     t, q, v = 0.0, motion.model.q, motion.model.v
     longest, patience, first = stop / effort.parts, time.perf_counter() + effort.seconds, None
     while t < stop:
@@ -418,7 +424,7 @@ def _integrate(motion: _Motion, method: type, stop: float, effort: Effort) -> No
 
 
 def _outputs(motion: _Motion, times: NDArray) -> NDArray:
-    """All outputs of a motion at times, NaN where it is over."""
+    """Return all outputs of a motion at times, NaN after its end."""
     table = np.full((len(times), motion.model.outputs), np.nan)
     for row, t in zip(table, times, strict=True):
         if motion.knows(t):
@@ -427,7 +433,7 @@ def _outputs(motion: _Motion, times: NDArray) -> NDArray:
 
 
 def _with_placement(equations: Equations) -> Equations:
-    """The equations with q of the start values as a function, and its derivatives: what a model calls beside others."""
+    """Return the equations with q as a function of the start values, and its derivatives."""
     e, x = equations, symbols(equations)
     p, s, sdot = (x[k] for k in ("p", "s", "sdot"))
     q = e.guess(p, s)
@@ -437,7 +443,7 @@ def _with_placement(equations: Equations) -> Equations:
 
 
 def _size(matrix: NDArray) -> float:
-    """The largest singular value; 0 of a matrix without entries."""
+    """Return the largest singular value; 0 for an empty matrix."""
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 

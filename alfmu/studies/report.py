@@ -1,18 +1,19 @@
 """Error against run time: every formulation, method and way to run a mechanism, judged by a reference.
 
-Beside them other codes, the study of Blajer (2002) where it is about the mechanism, and maps of stability. `report`
-writes `report.html`, one page that needs nothing else; `report.md`, CSV files with every number in them, and pictures
-of each mechanism beside it.
+The report adds other codes, the study of Blajer (2002) for its mechanisms, and maps of stability. `report` writes
+`report.html`, a self-contained page; `report.md`, CSV files with every number, and pictures of each mechanism.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..api import export, simulate
+from ..catalogue.registry import load
 from ..equations import Equations
+from ..equations.derivation import derive
 from ..equations.specialisation import specialised
 from ..fmi.drive import Fmu
 from ..model.errors import AlfmuError, InputError
@@ -29,9 +32,9 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..runtime.build import compiler
-from ..simulation import Unit, communication_points, instance, prepared
+from ..simulation import Unit, communication_points, instance, prepared, with_defaults
 from ..view.picture import animate
-from . import cases, paper
+from . import cases, paper, peers
 from . import reference as exact
 from . import stability as maps
 from .cases import (
@@ -61,81 +64,93 @@ from .cost import cost, left_out
 from .looks import LOOKS, integrator, line_of
 from .page import Page, library
 from .plots import against_time, convergence
-from .rivals import COMPILED, PYTHON, RIVALS, Rival
+from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, TUNED, Rival
 from .tables import Row, markdown, paragraph, shown, write_csv
 
-__all__ = ["Effort", "report"]
+__all__ = ["PROFILES", "Effort", "report"]
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
 TIME = "least [s]"
-"""Of enough repeats (`cases.Case.enough`): what else a machine does only adds to a time."""
+"""Name of the run time: the fastest of enough repetitions (`cases.Case.enough`), since disturbances only add time."""
 
 LEVELS = (1e-3, 1e-6, 1e-9)
 """Position errors [m, rad] at which run times are compared."""
 
 LOST = 0.1
-"""Position error [m, rad] of a run that has lost the motion; it says nothing about an order."""
+"""Position error [m, rad] above which a run has lost the motion and does not count for an order."""
 
 ABOVE = 10.0
-"""Errors count towards an order as far as they are so many times that of the reference."""
+"""Errors count for an order if they exceed this multiple of the error of the reference."""
 
 LATE = "the time for this mechanism was used up"
 
 FITTING, STRAIGHT = 3, 1.5
-"""An order is the slope of a straight line through so many errors at least, each within this factor of the line."""
+"""Least number of errors in the line fit of an order, and the factor within which each must lie from the line."""
 
 FILMED, FRAME = 10.0, 0.02
-"""Longest time of a film, and between its poses [s]."""
+"""Longest duration of a film, and interval of its frames [s]."""
 
 CLEARLY = 2.0
 """Errors and times that differ by less than this factor are called equal."""
 
 ROUNDOFF = 1e-11
-"""Errors up to it are called equal."""
+"""Errors up to this value are called equal."""
 
 POINTS = 40
-"""About how many times a run is read: few, as methods that control their error have to land on each."""
+"""Approximate number of output times of a run: few, as methods with error control must end a step at each."""
 
 HELD = 10.0
-"""Error of a run over its tolerance up to which the tolerance counts as held."""
+"""Error of a run over its tolerance up to which it meets the tolerance."""
 
 MAPPED = 0.15
-"""Part of the time of a mechanism that is kept for its maps of stability."""
+"""Share of the time of a mechanism for its maps of stability."""
 
-PAPER = 0.2
-"""The same for the chapters of the paper's study, where some are about the mechanism."""
+FOR_PAPER = 0.2
+"""Share for the chapters of the paper's study, if some treat the mechanism."""
+
+ABOUT = tuple(dict.fromkeys(name for name, _ in paper.STUDIES.values()))
+"""Mechanisms that the paper's study is about."""
 
 OWN = Settings.formulation
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured."""
+    """Extent of a report."""
 
     total: float
     """Wall time for all mechanisms together [s]."""
     each: float
-    """The same of one mechanism, at most [s]."""
+    """Time limit per mechanism [s]."""
     horizon: float
     """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
     steps: int
-    """Most of the mechanism's own steps in it."""
+    """Largest number of the mechanism's own steps in it."""
     factors: tuple[float, ...]
     """Steps over the mechanism's own, the longest first."""
     tolerances: tuple[float, ...]
-    """Of methods with tolerances, the largest first."""
+    """Tolerances of methods with error control, the largest first."""
     limit: float
-    """Wall time of one run [s]."""
+    """Wall time limit of one run [s]."""
     repeats: int
-    """Most runs of a case; fewer where they are long."""
+    """Most repetitions of a case; fewer if it is long."""
     reference: exact.Effort
     paper: paper.Effort
     stability: maps.Effort
-    """Its `total` does not count here."""
+    """Extent of the maps; its `total` is ignored."""
     wide: bool = True
     """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
     interpreter, which takes no compiler."""
+    parts: tuple[str, ...] = ("film", "runs", "scenes", "paper", "maps")
+    """Parts of the report that are made."""
+    methods: tuple[str, ...] = ()
+    """Integrators that run by the fastest kernel, beside SciPy's; all of them in every way where it is empty."""
+    points: int = POINTS
+    ways: tuple[str, ...] = ()
+    """In which those integrators run, as far as there are such; the fastest where it is empty."""
+    given: Mapping[str, float] = field(default_factory=dict)
+    """Defaults in place of the mechanism's own; then its stop time does not count either."""
 
 
 USUAL = Effort(
@@ -165,11 +180,49 @@ QUICK = Effort(
     replace(maps.QUICK, horizon=0.5, limit=0.01),
     wide=False,
 )
+TOLERANCES = replace(
+    USUAL,
+    total=7200.0,
+    each=1800.0,
+    horizon=math.inf,
+    steps=10**9,
+    tolerances=(1e-4, 1e-6, 1e-9, 1e-11),
+    limit=120.0,
+    repeats=5,
+    reference=exact.Effort(parts=100, seconds=120.0),
+    parts=("runs",),
+    methods=("explicit", "stiff", "auto"),
+    points=10,  # So few that the error control decides on the steps.
+)
+PAPER = replace(USUAL, total=1800.0, each=900.0, paper=paper.USUAL, parts=("paper",))
+PEERS = replace(
+    TOLERANCES,
+    horizon=20.0,
+    factors=(1, 1 / 2, 1 / 3, 1 / 4, 1 / 8, 1 / 16, 1 / 32),
+    tolerances=tuple(10.0**-k for k in range(5, 12)),
+    limit=30.0,
+    repeats=12,
+    methods=("rk4", "order8", "auto"),
+    points=1000,
+    ways=tuple(f"{kernel}{form}" for kernel in ("compiled", "vm") for form in ("", ", joint", ", joint, lean")),
+    given={"start.angle": 0.0, "start.angular_velocity": 2.0, "solver.step_size": 0.02},
+)
+PROFILES = {
+    "usual": (USUAL, QUICK),
+    "tolerances": (
+        TOLERANCES,
+        replace(TOLERANCES, each=60.0, horizon=1.0, limit=10.0, reference=exact.Effort(parts=20, seconds=20.0)),
+    ),
+    "paper": (PAPER, replace(PAPER, paper=paper.QUICK)),
+    "peers": (PEERS, replace(PEERS, factors=PEERS.factors[:4], tolerances=PEERS.tolerances[:3], limit=3.0, repeats=3)),
+}
+"""Profiles of a report, with their quick forms: all of it; tolerances over whole runs; the complete study of the paper;
+run times at equal error against codes tuned to a mechanism."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A line in the pictures: what runs, and the steps [s] or tolerances with which it runs."""
+    """A line in the plots: the configuration to run, and its steps [s] or tolerances."""
 
     code: str
     formulation: str
@@ -178,18 +231,18 @@ class Setting:
     control: str
     values: tuple[float, ...]
     default: float
-    """The value whose errors stand in the report."""
+    """The value whose errors are in the report."""
     run: Callable[[float, Case], Run]
     language: str
-    """What it runs in."""
+    """Programming language that it runs in."""
 
     def row(self, value: float) -> Row:
-        """What tells a run of it from others."""
+        """Return the columns that identify a run of it."""
         names = ("code", "formulation", "method", "way", "language", "control")
         return {name: getattr(self, name) for name in names} | {"value": value}
 
     def growth(self, before: float, value: float) -> float:
-        """How much longer a run will take than the one before: guessed for tolerances with an order of 4."""
+        """Return the expected ratio of its run times; an order of 4 is assumed for tolerances."""
         return (before / value) ** (1.0 if self.control == STEP else 0.25)
 
 
@@ -197,49 +250,66 @@ class Setting:
 
 
 class Study(cases.Study):
-    """Everything that is measured of one mechanism, as rows of CSV files."""
+    """All measurements of one mechanism, as rows of CSV files."""
 
     def __init__(self, name: str | Path | Mechanism, effort: Effort):
         super().__init__(name, effort)
+        if effort.given:
+            self.derived = with_defaults(self.derived, effort.given)
+        self.compared: Sequence[str] = ()
+        if effort.ways:
+            self.compared = [peers.ANGLE[self.name], *peers.REACTIONS[self.name]]
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
         self.chapters: list[paper.Chapter] = []
-        """Of the paper."""
+        """Chapters of the paper's study."""
         self.film = ""
-        """A page with the motion; none where there is nothing to draw."""
+        """Page with a film of the motion; empty if nothing can be drawn."""
         self.maps = maps.Study(self.mechanism, effort.stability)
         self._before: dict[Setting, tuple[float, float]] = {}
         self._traced: dict[str, Equations] = {}
 
     def measure(self, deadline: float, progress: Progress) -> None:
-        """Run all cases, as far as time allows until `deadline`."""
-        logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
+        """Run all cases until `deadline`."""
+        logging.getLogger("alfmu").addHandler(logging.NullHandler())  # messages of a failing FMU are in its row
         self.equations = prepared(self.derived, "oracle")
-        left = deadline - time.perf_counter()
-        mapped = deadline - MAPPED * left
-        judged = mapped - PAPER * left * any(name == self.mechanism.name for name, _ in paper.STUDIES.values())
-        self._film()
-        self.times = self._points()
-        self._judge(float(self.times[-1]))
-        self._scenes()
+        parts, left = self.effort.parts, deadline - time.perf_counter()
+        mapped = deadline - MAPPED * left * ("maps" in parts)
+        judged = mapped - FOR_PAPER * left * ("paper" in parts and self.mechanism.name in ABOUT)
+        if "film" in parts:
+            self._film()
+        if "runs" in parts:
+            self.times = self._points()
+            self._judge(float(self.times[-1]))
+            if "scenes" in parts:
+                self._scenes()
+            self._runs(judged, progress)
+        if "paper" in parts:
+            self._paper(mapped)
+        if "maps" in parts:
+            self.maps.measure(deadline, progress)
+
+    def _runs(self, deadline: float, progress: Progress) -> None:
+        """Run all settings until `deadline`, and compare them."""
         with ExitStack() as self._stack, scratch() as folder:
             self._ways, self._units = self._makers(folder), {}
             for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
-                self._run(setting, value, judged)
+                self._run(setting, value, deadline)
         self._summarise()
         self._tolerances()
         self._compare()
-        self._paper(mapped)
-        self.maps.measure(deadline, progress)
+        if self.effort.ways:
+            self._reach()
 
     def _points(self) -> NDArray:
-        """Times at which all runs are read: as far apart as the longest step, or a multiple of it."""
+        """Return the output times of all runs: their interval is the longest step, or a multiple of it."""
         e, longest = self.equations, max(self.effort.factors) * self.equations.step_size
-        horizon = min(e.stop_time, self.effort.horizon, self.effort.steps * e.step_size)
-        apart = max(1, round(horizon / (POINTS * longest))) * longest
+        stop = math.inf if self.effort.given else e.stop_time
+        horizon = min(stop, self.effort.horizon, self.effort.steps * e.step_size)
+        apart = max(1, round(horizon / (self.effort.points * longest))) * longest
         return communication_points(e.name, max(1, int(horizon / apart * (1 + 1e-12))) * apart, apart)
 
     def _paper(self, deadline: float) -> None:
-        """The chapters of the paper's study that are about this mechanism as it comes."""
+        """Run the chapters of the paper's study on this mechanism with its defaults."""
         for name, (mechanism, chapter) in paper.STUDIES.items():
             if mechanism != self.mechanism.name:
                 continue
@@ -251,7 +321,7 @@ class Study(cases.Study):
                 self._keep("skipped", {"code": "the paper's study", "method": name, "reason": str(error)})
 
     def _film(self) -> None:
-        """The motion of the mechanism as it comes."""
+        """Film the motion of the mechanism with its defaults."""
         try:
             with scratch() as folder:
                 animate(self.mechanism, simulate(self.mechanism, self._filmed(), FRAME), folder / "film.html")
@@ -260,14 +330,14 @@ class Study(cases.Study):
             self._keep("skipped", {"code": "the film", "reason": str(error)})
 
     def _filmed(self) -> float:
-        """Time that a film shows [s], a whole number of frames."""
+        """Return the duration of a film [s], a whole number of frames."""
         return FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
 
     def _keep(self, file: str, row: Row) -> None:
         self.files[file].append({"mechanism": self.name} | row)
 
     def _judge(self, horizon: float) -> None:
-        """The reference, and its error."""
+        """Compute the reference, and its error."""
         instance = Instance(self.equations)
         instance.initialize()
         self.mobility = instance.mobility()
@@ -297,7 +367,7 @@ class Study(cases.Study):
         }
 
     def _scenes(self) -> None:
-        """What scenes leave out, and the operations that this saves."""
+        """Collect parts that scenes leave out, and the operations that this saves."""
         everything = self.derived
         motion = [v.name for v in everything.outputs if not v.instant]
         scenes = {
@@ -313,9 +383,13 @@ class Study(cases.Study):
                 self._keep("scenes", {"scene": name, "left out": what} | saved)
 
     def _makers(self, folder: Path) -> dict[str, Callable[[str], Any]]:
-        """Every way to run that there is: what makes a unit of it that carries a method."""
+        """Return all ways to run: functions that make a unit for a method."""
         kernels = ["compiled"] * bool(compiler()) + ["vm", "oracle"]
         makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
+        if self.effort.ways:
+            for kernel, lean in product(kernels[:-1], (False, True)):
+                makers[f"{kernel}, joint{', lean' * lean}"] = partial(self._joint, kernel, lean)
+            return makers
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
     def _instance(self, kernel: str, method: str) -> Instance:
@@ -323,24 +397,36 @@ class Study(cases.Study):
             self._traced[method] = scene(self.derived, method, "vm")
         return instance(self._traced[method], kernel)
 
+    def _joint(self, kernel: str, lean: bool, method: str) -> Instance:
+        """The mechanism in the coordinates of its joints with constant parameters, as other codes have it."""
+        equations = with_defaults(derive(load(self.name, coordinates="joint")), self.effort.given)
+        return instance(
+            scene(specialised(equations, list(self.compared) if lean else None, ["all"]), method, kernel), kernel
+        )
+
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
-        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given))
+        return Fmu(export(self.mechanism, path, kind="python", kernel=kernel, parameters=given))
 
     def _unit(self, way: str, method: str) -> _Open:
-        """A unit of a way to run that carries a method, made when it is first wanted."""
+        """Return a unit of a way to run for a method, created on first use."""
         if (way, method) not in self._units:
             self._units[way, method] = self._stack.enter_context(closing(_Open(self._ways[way](method))))
         return self._units[way, method]
 
     def _settings(self) -> list[list[Setting]]:
-        """All settings in groups, those first whose rows are needed most."""
+        """Return all settings in groups, the most important first."""
+        if self.effort.methods:
+            ways = [way for way in self.effort.ways if way in self._ways] or [next(iter(self._ways))]
+            own = [self._setting(OWN, method, way) for way in ways for method in self.effort.methods]
+            beside = TUNED if self.effort.ways else SCIPY
+            return [own + [rival for rival in map(self._rival, beside) if rival]]
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
         more.sort(key=lambda method: method != Settings.method)
         every = "vm" if not self.effort.wide and "vm" in self._ways else next(iter(self._ways), None)
         fastest, slower = [way for way in self._ways if way == every], [way for way in self._ways if way != every]
         told = [method for method in more if self.effort.wide or method == Settings.method]
-        # The oracle integrates by the first method alone.
+        # The oracle supports the first method only.
         again = [way for way in self._ways if way != "oracle"]
         pairs = [
             [(OWN, m, way) for m in (first, *more) for way in fastest],
@@ -361,7 +447,7 @@ class Study(cases.Study):
         def once(value: float, case: Case) -> Run:
             opened = self._unit(way, method)
             case = replace(case, values={"solver.formulation": formulation} | exactness(method, value))
-            if not opened.warm:  # What is made when it is first wanted has no part in the time.
+            if not opened.warm:  # exclude initialisation on first use from the time
                 run(opened.unit, opened.restart, replace(case, most=1))
                 opened.warm = True
             return run(opened.unit, opened.restart, case)
@@ -371,7 +457,7 @@ class Study(cases.Study):
         return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once, language)
 
     def _rival(self, rival: Rival) -> Setting | None:
-        """Another code, None where it does not know the mechanism; as many values as alfmu gets."""
+        """Return the setting of another code with as many values as alfmu, None if it has no model of the mechanism."""
         values = tuple(rival.values(self.name))
         if rival.control == TOLERANCE:
             values = tuple(x for x in values if x >= min(self.effort.tolerances))
@@ -388,7 +474,7 @@ class Study(cases.Study):
         return Setting(rival.name, "dae", rival.method, way, rival.control, values, middle, once, rival.language)
 
     def _run(self, setting: Setting, value: float, deadline: float) -> None:
-        """A run of a setting; what would take too long is listed with its estimate."""
+        """Run a setting; if it would take too long, list it with its estimate."""
         before = self._before.get(setting)
         estimate = before[1] * setting.growth(before[0], value) if before else None
         late = time.perf_counter() > deadline
@@ -397,7 +483,8 @@ class Study(cases.Study):
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": reason})
             return
         try:
-            found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats))
+            compared = self.compared if setting.code == "alfmu" else ()
+            found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats, compared))
         except AlfmuError as error:
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": str(error)})
             return
@@ -407,7 +494,7 @@ class Study(cases.Study):
         self._keep("errors", about | self.judge.errors(found) | found.cost())
 
     def _summarise(self) -> None:
-        """The row at the default step or tolerance of each setting, with its order and its slope over run time."""
+        """Add the row at the default step or tolerance of each setting, with its order and its slope over run time."""
         lines: dict[tuple, list[Row]] = {}
         for row in self.files["errors"]:
             lines.setdefault(_line(row), []).append(row)
@@ -425,7 +512,7 @@ class Study(cases.Study):
                     )
 
     def _order(self, rows: Sequence[Row]) -> tuple[float | None, str]:
-        """The order that errors of one setting over its steps show, or why they show none."""
+        """Return the order in the errors of one setting over its steps, or why there is none."""
         if rows[0]["control"] != STEP:
             return None, "a tolerance chooses the steps"
         fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
@@ -441,7 +528,7 @@ class Study(cases.Study):
         return order, ""
 
     def _tolerances(self) -> None:
-        """Errors over the tolerances that were asked for."""
+        """Compare errors with the requested tolerances."""
         for row in self.files["errors"]:
             if row["code"] == "alfmu" and row["formulation"] == OWN and row["control"] == TOLERANCE:
                 told = {"method": row["method"], "way": row["way"], TOLERANCE: row["value"], POSITION: row[POSITION]}
@@ -451,24 +538,25 @@ class Study(cases.Study):
                 self._keep("tolerances", told)
 
     def _tells(self, error: float | None) -> bool:
-        """Whether an error says something about an order."""
+        """Return whether an error counts for an order."""
         return error is not None and max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF) < error < LOST
 
     # Comparisons -------------------------------------------------------------------------------------------------
 
     def _compare(self) -> None:
-        """alfmu as it comes against all else: run times at equal error, errors at equal step; also where it loses."""
+        """Compare the defaults of alfmu with all others, also where alfmu is worse: run times at equal error, errors at
+        equal step."""
         rows = [r for r in self.files["errors"] if r[TIME] is not None]
         own = [r for r in rows if (r["code"], r["formulation"]) == ("alfmu", OWN)]
+        in_python = [r for r in own if r["language"] == PYTHON]
         for level in LEVELS:
             mine = _fastest(own, level)
             for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
                 what = {"what": "run time to a position error of", "level or step": level, "other": code}
                 theirs = [r for r in rows if r["code"] == code]
                 self._versus(what, TIME, mine, _fastest(theirs, level))
-                if all(r["language"] == PYTHON for r in theirs):
-                    python = _fastest([r for r in own if r["language"] == PYTHON], level)
-                    self._versus(what, TIME, python, _fastest(theirs, level))
+                if in_python and all(r["language"] == PYTHON for r in theirs):
+                    self._versus(what, TIME, _fastest(in_python, level), _fastest(theirs, level))
         for theirs in rows:
             if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
                 for mine in own:
@@ -476,6 +564,22 @@ class Study(cases.Study):
                         for quantity in (*QUANTITIES, TIME):
                             what = "run time at equal step" if quantity == TIME else f"{quantity} at equal step"
                             self._versus({"what": what, "level or step": theirs["value"]}, quantity, mine, theirs)
+
+    def _reach(self) -> None:
+        """Run times at equal errors, interpolated between the runs of a setting, beside the fastest of alfmu."""
+        lines: dict[tuple, list[Row]] = {}
+        for row in self.files["errors"]:
+            if row[TIME] is not None and row[POSITION] is not None:
+                lines.setdefault(_line(row), []).append(row)
+        for level in LEVELS[1:]:
+            spent = {x: time_at(level, [(r[POSITION], r[TIME]) for r in rows]) for x, rows in lines.items()}
+            own = [x for x in spent if x[0] == "alfmu" and spent[x] and "lean" not in x[3]]
+            best = {way: [spent[x] for x in own if x[3].startswith(way)] for way in ("compiled", "vm")}
+            for line, seconds in spent.items():
+                row = dict(zip(LINE, line, strict=True)) | {"position error": level, "run time [s]": seconds}
+                for way, times in best.items():
+                    row[f"over alfmu's fastest, {way}"] = seconds / min(times) if seconds and times else None
+                self._keep("reach", row)
 
     def _versus(self, about: Row, quantity: str, mine: Row | None, theirs: Row | None) -> None:
         a, b = (None if row is None else row[quantity] for row in (mine, theirs))
@@ -487,9 +591,21 @@ class Study(cases.Study):
         self._keep("comparisons", row | {"ratio": b / a if a and b else None, "result": _verdict(quantity, a, b)})
 
 
+def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
+    """Run time at an error, of runs with their errors and times, interpolated in logarithms and never beyond them."""
+    reached = sorted(runs)
+    if not reached or error < reached[0][0]:
+        return None
+    cheap = [t for e, t in reached if e <= error]
+    if error >= reached[-1][0]:
+        return min(cheap)
+    x, y = np.log([max(e, 1e-16) for e, _ in reached]), np.log([t for _, t in reached])
+    return min(*cheap, float(np.exp(np.interp(np.log(max(error, 1e-16)), x, y))))
+
+
 @dataclass
 class _Open:
-    """A unit that can be run again and again."""
+    """A unit that can be run repeatedly."""
 
     unit: Unit
     warm: bool = False
@@ -503,7 +619,7 @@ class _Open:
 
 
 def _passes(settings: Sequence[Setting]) -> list[tuple[Setting, float]]:
-    """All settings with the largest step or tolerance each, then with the next one: nothing is left without a run."""
+    """Return all settings with their largest step or tolerance, then with the next: each runs at least once."""
     most = max((len(setting.values) for setting in settings), default=0)
     return [(setting, setting.values[i]) for i in range(most) for setting in settings if i < len(setting.values)]
 
@@ -513,7 +629,7 @@ def _middle(values: Sequence[float]) -> float:
 
 
 LINE = ("code", "formulation", "method", "way")
-"""Columns that tell settings apart."""
+"""Columns that distinguish settings."""
 
 
 def _line(row: Row) -> tuple:
@@ -529,7 +645,7 @@ def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
 
 
 def _fastest(rows: Sequence[Row], level: float) -> Row | None:
-    """The run that takes least among those with a position error up to a level."""
+    """Return the fastest run with a position error up to a level."""
     reached = [r for r in rows if r[POSITION] is not None and r[POSITION] <= level]
     return min(reached, key=lambda r: r[TIME], default=None)
 
@@ -545,7 +661,7 @@ def _verdict(quantity: str, mine: float | None, theirs: float | None) -> str:
 
 # Report ------------------------------------------------------------------------------------------------------------
 
-FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "scenes", "skipped")
+FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "reach", "scenes", "skipped")
 
 SHOWN = {
     "reference": (
@@ -570,6 +686,10 @@ SHOWN = {
         "Run times at equal error, and lost comparisons",
         ("what", "level or step", "alfmu", "its value", "other", "other's value", "ratio", "ran in", "result"),
     ),
+    "reach": (
+        "Run times at equal error, interpolated between runs",
+        (*LINE, "position error", "run time [s]", *(f"over alfmu's fastest, {way}" for way in ("compiled", "vm"))),
+    ),
     "scenes": (
         "Operations of scenes, and what is saved by what they leave out",
         ("scene", "left out", "step", "outputs"),
@@ -583,9 +703,9 @@ with the constraints closed to round-off, integrated with tolerances near round-
 the change to other ways to compute it: the other reduction, a larger tolerance. {POSITION} and {REACTION} are the
 largest differences of outputs with these units at the points of the run; reactions are compared where they are unique
 and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are what the run itself leaves at these points.
-Run time is that of all steps and of reading all outputs at each point, without set-up: the fastest of so many repeats
-that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where there are
-enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
+Run time is the processor's, of all steps and of reading all outputs at each point, without set-up: the fastest of so
+many repeats that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where
+there are enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
 """
 
 LIMITS = """
@@ -597,8 +717,8 @@ process, in the order of `errors.csv`; small ratios of times are not to be trust
 the run, positions and reactions are judged up to there.
 Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
 with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
-Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that
-of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
+Python. Longer runs beside them, the study of the paper in full and tolerances over whole runs are those of `--profile`,
+maps with all their cells those of `alfmu stability`.
 """
 
 
@@ -608,14 +728,23 @@ def report(
     quick: bool = False,
     progress: Callable[[str], Progress] = lambda what: iter,
     effort: Effort | None = None,
+    profile: str = "usual",
 ) -> Path:
-    """Measure mechanisms and write the report into a folder; returns the path of its page.
+    """Measure mechanisms and write the report into a folder; return the path of its page.
 
-    Raises AlfmuError where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any
-    run.
+    `profile` is one of PROFILES; of mechanisms only those that it is about are measured. Raises AlfmuError
+    where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any run.
     """
     library()
-    effort = effort or (QUICK if quick else USUAL)
+    effort = effort or PROFILES[profile][quick]
+    if effort.parts == ("paper",):
+        names = [name for name in names if name in ABOUT]
+        if not names:
+            raise InputError(f"the paper's study is about {', '.join(ABOUT)}; name one of them")
+    if effort.ways:
+        names = [name for name in names if name in peers.MECHANISMS]
+        if not names:
+            raise InputError(f"other codes are tuned to {', '.join(peers.MECHANISMS)}; name one of them")
     effort = replace(effort, total=min(effort.total, effort.each * len(names)))
     bounds = {
         "longest simulated time [s]": effort.horizon,
@@ -623,13 +752,17 @@ def report(
         "repeats of a run, at most": effort.repeats,
         "wall time of a cell of a map [s]": effort.stability.limit,
     }
-    begun = begin("report", Study, names, folder, effort, quick, bounds, PACKAGES)
+    kind = "report" if profile == "usual" else f"report --profile {profile}"
+    begun = begin(kind, Study, names, folder, effort, quick, bounds, PACKAGES)
     for study in begun.measured(progress):
         _pictures(study, begun.folder)
-    for file in FILES:
+    for file in FILES if "runs" in effort.parts else ("skipped",):
         write_csv(begun.folder / f"{file}.csv", begun.rows(lambda study, file=file: study.files[file]))
-    maps.write(begun.folder, [study.maps for study in begun.studies])
+    if "maps" in effort.parts:
+        maps.write(begun.folder, [study.maps for study in begun.studies])
     summary = _skipped(begun.studies)
+    if "runs" in effort.parts:
+        write_csv(begun.folder / "rivalry.csv", _rivalry(begun.studies))
     write_csv(begun.folder / "skipped_summary.csv", summary, SKIPPED)
     if any(study.chapters for study in begun.studies):
         about = paper.settings(effort.paper)
@@ -643,11 +776,11 @@ def report(
 SKIPPED = ("mechanism", "reason", "runs", "what")
 
 NAMED = 6
-"""Runs that a line of the summary of what was skipped names; of more it says how many."""
+"""Number of runs that a line on skipped runs names; of more it gives the number."""
 
 
 def _skipped(studies: Sequence[Study]) -> list[Row]:
-    """What did not run, a line for each reason of each mechanism."""
+    """Return the skipped runs, a row for each reason of each mechanism."""
     found = []
     for study in studies:
         why: dict[str, list[Row]] = {}
@@ -662,64 +795,75 @@ def _skipped(studies: Sequence[Study]) -> list[Row]:
 
 def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
     where = shown("Where this was measured", "environment", ("what", "value"), begun.environment)
-    parts = ["# Error against run time"]
+    parts, rivalry = ["# Error against run time"], _rivalry(begun.studies)
+    if numbered(rivalry):
+        parts += [paragraph(RIVALRY), shown("All mechanisms", "rivalry", _columns(rivalry), rivalry)]
     for study in begun.studies:
         parts += _chapter(study)
     parts += ["## How it was measured", where, paragraph(METHOD)]
+    if begun.studies[0].effort.ways:
+        parts += ["## How each is used", markdown(("code", "use"), list(peers.USAGE.items()))]
     if any(study.chapters for study in begun.studies):
         parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
-    parts += ["## Maps of stability", *maps.explained(), "## What did not run"]
+    if "maps" in begun.studies[0].effort.parts:
+        parts += ["## Maps of stability", *maps.explained()]
+    parts += ["## What did not run"]
     parts.append(shown("Skipped", "skipped_summary", SKIPPED, summary) if summary else "All runs were made.")
     return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
 
 
 def _chapter(study: Study) -> Iterator[str]:
-    """One mechanism."""
+    """Yield the chapter of one mechanism."""
     yield f"## {study.name}"
-    yield study.mechanism.description + ". Lower and further left is better."
-    yield f"![{OWN}: errors against run time]({study.name}.png)"
-    for file in SHOWN:
-        yield from _table(study, file)
-        if file == "reference":
-            yield f"![formulations: errors against run time]({study.name}_formulations.png)"
-            yield "All runs: `errors.csv`."
+    yield study.mechanism.description + "."
+    if "runs" in study.effort.parts:
+        yield f"Lower and further left is better.\n\n![{OWN}: errors against run time]({study.name}.png)"
+        for file in SHOWN:
+            yield from _table(study, file)
+            if file == "reference":
+                yield f"![formulations: errors against run time]({study.name}_formulations.png)"
+                yield "All runs: `errors.csv`."
     for chapter in study.chapters:
         yield from chapter.markdown("###")
-    yield "### Stability"
-    yield from maps.chapter(study.maps)
+    if "maps" in study.effort.parts:
+        yield "### Stability"
+        yield from maps.chapter(study.maps)
 
 
 def _table(study: Study, file: str) -> list[str]:
-    """A table of a mechanism in Markdown, none where it has no rows."""
+    """Return a table of a mechanism in Markdown, empty if it has no rows."""
     rows, (title, columns) = study.files[file], SHOWN[file]
     if file == "comparisons":
         rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
-    if file == "reference" and "note" in rows[0]:
+    if file == "reference" and any("note" in row for row in rows):
         columns = ("horizon [s]", "note")
-    return [shown(title, file, columns, rows)] if numbered(rows) or file == "reference" else []
+    return [shown(title, file, columns, rows)] if numbered(rows) else []
 
 
 SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
-"""Quantities that pictures show, each in a panel of its own."""
+"""Quantities in plots, with a panel each."""
 
 
 def _own(study: Study) -> list[Row]:
-    """Runs of the default formulation in every way, and of other codes."""
+    """Return runs of the default formulation in every way, and of other codes."""
     return [r for r in study.files["errors"] if r["formulation"] == OWN or r["code"] != "alfmu"]
 
 
 def _one_way(study: Study) -> list[Row]:
-    """Runs of every formulation in the way that runs all integrators, and of other codes."""
+    """Return runs of every formulation in the way that runs all integrators, and of other codes."""
     rows = study.files["errors"]
     first = next((r["way"] for r in rows if r["code"] == "alfmu"), "")
     return [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
 
 
 def _pictures(study: Study, folder: Path) -> None:
-    """The default formulation in every way, and every formulation in one way; those of the paper, and maps."""
+    """Draw the default formulation in every way, every formulation in one way, the plots of the paper, and maps."""
     for chapter in study.chapters:
         chapter.write(folder)
-    maps.draw(study.maps, folder)
+    if "maps" in study.effort.parts:
+        maps.draw(study.maps, folder)
+    if "runs" not in study.effort.parts:
+        return
     for name, title, chosen, told in (
         (study.name, f"{study.name}: {OWN}", _own(study), "way"),
         (f"{study.name}_formulations", f"{study.name}: formulations", _one_way(study), "formulation"),
@@ -751,16 +895,17 @@ line, double-click to see it alone; errors far above a motion that is lost lie o
 
 
 def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
-    """The picture of the first mechanism and a sentence on each, then all else behind folds and in chapters."""
+    """Return the page: the plot of the first mechanism and a sentence on each, then details in folds and chapters."""
     page = Page("Error against run time")
     rows = _rivalry(begun.studies)
-    for study, row in zip(begun.studies, rows, strict=True):
-        page.text(_sentence(study, row))
+    if "runs" in begun.studies[0].effort.parts:
+        for study, row in zip(begun.studies, rows, strict=True):
+            page.text(_sentence(study, row))
     first = begun.studies[:1]
     for study in first:
         _against_time(page, study)
     if numbered(rows):
-        columns = [name for name in dict.fromkeys(x for row in rows for x in row) if any(r.get(name) for r in rows)]
+        columns = _columns(rows)
         page.fold(
             "All mechanisms, beside other codes",
             f"{paragraph(RIVALRY)}\n\n{markdown(columns, [[row.get(x) for x in columns] for row in rows])}",
@@ -776,7 +921,7 @@ def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
 
 
 def _sentence(study: Study, row: Row) -> str:
-    """What the measurements of a mechanism come to."""
+    """Return a sentence on the results of a mechanism."""
     time = row["its run time [ms]"]
     if time is not None:
         which, level = row[fastest(LEVELS[1])], f"{LEVELS[1]:g} m, rad"
@@ -792,24 +937,24 @@ def _sentence(study: Study, row: Row) -> str:
 
 
 def fastest(level: float) -> str:
-    """The column of what comes below a position error in the least time."""
+    """Return the column of the fastest run below a position error."""
     return f"fastest to {level:g} m, rad"
 
 
 def _against_time(page: Page, study: Study) -> None:
-    """The picture of a mechanism that the page is about: errors of all ways to run it, and of other codes."""
+    """Add the main plot of a mechanism: errors of all ways to run it, and of other codes."""
     if any(r["code"] == "alfmu" for r in study.files["errors"]):
         plotted = against_time(_own(study), SHOWN_ERRORS, TIME, "way", "way", study.floors)
         page.plot(plotted, " ".join(BY_TIME.format(what=f"formulation {OWN}", lines="ways to run").split()))
 
 
 def numbered(rows: Sequence[Row]) -> bool:
-    """Whether a table of these rows has a number."""
+    """Return whether any row contains a number."""
     return any(isinstance(x, int | float) and not isinstance(x, bool) for row in rows for x in row.values())
 
 
 def _rivalry(studies: Sequence[Study]) -> list[Row]:
-    """Run times of other codes over that of alfmu in the same language as far as there is one, at a middle level."""
+    """Return run times of other codes over that of alfmu, in the same language if possible, at a middle level."""
     level, rows = LEVELS[1], []
     for study in studies:
         found = [r for r in study.files["comparisons"] if "run time to" in r["what"] and r["level or step"] == level]
@@ -824,14 +969,20 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
     return rows
 
 
+def _columns(rows: Sequence[Row]) -> list[str]:
+    """Columns of which some row has a value."""
+    return [name for name in dict.fromkeys(x for row in rows for x in row) if any(row.get(name) for row in rows)]
+
+
 def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
-    """One mechanism; `opened` says that the page began with its picture."""
+    """Add the chapter of one mechanism; `opened` if the page began with its plot."""
     name = study.name
     page.head(2, name)
     page.text(study.mechanism.description + ".")
     if study.film:
         page.film(study.film, f"The motion of {name}.")
-    page.head(3, f"Errors of {name}")
+    if "runs" in study.effort.parts:
+        page.head(3, f"Errors of {name}")
     for row in study.files["reference"]:
         if "note" in row:
             page.text(
@@ -861,11 +1012,12 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
     for file in SHOWN:
         for table in _table(study, file):
             page.fold(SHOWN[file][0], table)
-    page.head(3, f"Where {name} runs")
-    if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
-        page.text("No cell of a map was run, as the time for this mechanism was used up before.", note=True)
-    else:
-        _maps_of_page(page, study)
+    if "maps" in study.effort.parts:
+        page.head(3, f"Where {name} runs")
+        if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
+            page.text("No cell of a map was run, as the time for this mechanism was used up before.", note=True)
+        else:
+            _maps_of_page(page, study)
     for chapter in study.chapters:
         page.head(3, f"The paper: {chapter.title}")
         page.text(paragraph(chapter.text))
@@ -880,7 +1032,7 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
 
 
 def _maps_of_page(page: Page, study: Study) -> None:
-    """Maps of stability under their legend."""
+    """Add maps of stability under their legend."""
     meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
     page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
     page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
@@ -890,13 +1042,13 @@ def _maps_of_page(page: Page, study: Study) -> None:
 
 
 def _criterion(row: Row) -> str:
-    """What puts a cell of a map into a class."""
+    """Return the criterion that determines the class of a cell of a map."""
     bounds = [f"{word} {row[word]:g}" for word in ("at most", "above") if word in row]
     return " ".join([str(row["measure"]), *bounds])
 
 
 def _said(rows: Sequence[Row]) -> dict[tuple[str, str, str], str]:
-    """What a cell of a map says of itself beside its class."""
+    """Return the tooltips of cells of maps, beside their class."""
     found = {}
     for r in rows:
         error = r.get(POSITION)

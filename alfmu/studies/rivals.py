@@ -1,7 +1,7 @@
-"""Other ways to compute the motion of a mechanism, for comparison.
+"""Other codes that compute the motion of a mechanism, for comparison.
 
-SciPy's integrators run any mechanism, on the index-1 DAE (9); Pinocchio, Exudyn and MuJoCo those that `peers` has
-models of, where they are installed. Whoever has another code adds a `Rival` to RIVALS.
+SciPy's integrators run any mechanism, on the index-1 DAE (9); Pinocchio, Exudyn and MuJoCo run those with models in
+`peers`, if they are installed. To compare another code, add a `Rival` to RIVALS.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from . import peers
 from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
 from .peers import Peer, Start
 
-__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "Rival"]
+__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "TUNED", "Rival"]
 
 PYTHON, COMPILED = "Python", "compiled code"
-LANGUAGES = {"Pinocchio": "compiled code, stepped in Python"}
-"""Of codes that are not compiled code throughout."""
+LANGUAGES = {"Pinocchio": "compiled code, stepped in Python", "SciPy stabilised": PYTHON}
+"""Languages of codes that are not entirely compiled."""
 
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.energy")
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A code with a step or a tolerance: `build` prepares a mechanism, what it returns runs it once over a case."""
+    """A code with a step or a tolerance: `build` prepares a mechanism and returns a function that runs a case once."""
 
     name: str
     method: str
     control: str
     """STEP or TOLERANCE."""
     values: Callable[[str], Sequence[float]]
-    """Steps [s] or tolerances for a mechanism by its name, the largest first; none where it is not known."""
+    """Steps [s] or tolerances for a mechanism by its name, the largest first; none without a model."""
     build: Callable[[Equations, float, Case], Callable[[], Run]]
     language: str
-    """What its steps and its evaluations run in."""
+    """Language of its steps and evaluations."""
     missing: str = ""
-    """Why it cannot be run here."""
+    """Reason why it cannot be run here; empty if it can."""
 
     def run(self, equations: Equations, value: float, case: Case) -> Run:
-        """A case, and again where it is short, to know its time better."""
+        """Run a case, with repetitions if it is short, for an accurate time."""
         once = self.build(equations, value, case)
         found = once()
         while found.complete and not case.enough(found.seconds):
@@ -57,7 +57,7 @@ class Rival:
 
 
 def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> Callable[[], Run]:
-    """(9) by least squares in every evaluation, integrated as it stands: constraints may drift."""
+    """Integrate (9), solved by least squares in every evaluation, without stabilisation: constraints may drift."""
     e = equations
     instance = Instance(e, Settings(step_size=e.step_size, formulation="dae"))
     instance.initialize()
@@ -76,7 +76,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
 
     @np.errstate(all="ignore")
     def once() -> Run:
-        begin = time.perf_counter()
+        begin, started = time.perf_counter(), time.process_time()
 
         def rate(t: float, y: NDArray) -> NDArray:
             if time.perf_counter() - begin > case.limit:
@@ -93,7 +93,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
             cut = True
         except ARITHMETIC as error:
             failure = str(error) or type(error).__name__
-        seconds = [time.perf_counter() - begin]
+        seconds = [time.process_time() - started]
         used = instance.counters.evaluations - before
         counters = replace(instance.counters, steps=0, evaluations=used, energy_error=np.nan)
         return Run(names, case.times[:reached], table, seconds, counters if reached else None, failure, cut)
@@ -102,7 +102,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
 
 
 def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callable[[], Run]:
-    """A model of the same mechanism, from the same start; its angle and its reactions are what is judged."""
+    """Run a model of the same mechanism from the same start; its angle and its reactions are judged."""
     starts = [float(v.start) for v in (*equations.starts, *equations.start_rates)]
     names = [peers.ANGLE[equations.name], *peers.REACTIONS[equations.name]]
     empty = case.times[:0], np.empty((0, len(names)))
@@ -118,12 +118,12 @@ def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callabl
 
     @np.errstate(all="ignore")
     def once() -> Run:
-        begin = time.perf_counter()
+        started = time.process_time()
         try:
             found = simulate()
         except Exception as error:
-            return failed(error, time.perf_counter() - begin)
-        seconds, k = [time.perf_counter() - begin], len(found.times)
+            return failed(error, time.process_time() - started)
+        seconds, k = [time.process_time() - started], len(found.times)
         short = "" if k == len(case.times) else found.note or f"stopped after {k} of {len(case.times)} points"
         table = np.column_stack([found.angle, found.reactions]) if k else empty[1]
         return Run(names, case.times[:k], table, seconds, failure=short)
@@ -146,5 +146,8 @@ SCIPY = tuple(
 )
 """SciPy's integrators."""
 
-RIVALS = (*SCIPY, *map(_model, peers.TUNED))
-"""What every report runs beside alfmu."""
+TUNED = tuple(map(_model, peers.TUNED))
+"""Codes that are tuned to a mechanism."""
+
+RIVALS = (*SCIPY, *TUNED)
+"""Codes that every report runs beside alfmu."""

@@ -1,7 +1,7 @@
-"""Where a mechanism can be run, where it gets inexact, and how it fails: maps over steps, penalties and parameters.
+"""Maps of stability over steps, penalties and parameters: where a run is accurate, inaccurate, or fails, and how.
 
-`stability` writes `stability.md`, CSV files with every number in it, and a picture of the maps of each mechanism into
-one folder.
+`stability` writes `stability.md`, CSV files with every number, and a picture of the maps of each mechanism into one
+folder.
 """
 
 from __future__ import annotations
@@ -46,18 +46,19 @@ __all__ = ["CLASSES", "CRITERIA", "Effort", "left_out", "maps_of", "stability"]
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
 GROWTH = 0.1
-"""Energy error over the largest kinetic energy, above which energy grows."""
+"""Energy error over the largest kinetic energy, above which energy counts as growing."""
 
 DRIFT = 1e-3
-"""Constraint error over the scale of positions, above which constraints drift."""
+"""Constraint error over the scale of positions, above which constraints count as drifting."""
 
 LOST, INEXACT = 0.1, 1e-3
 """Position errors over the scale of positions, above which the motion is lost, or inexact.
 
-The scale is the size of the mechanism [m], the largest place that is read on its motion, and at most 1 [m, rad]."""
+The scale is the size of the mechanism [m], the largest position output on its motion, and at most 1 [m, rad].
+"""
 
 POINTS = 20
-"""At which a run is looked at, at least; and more at its start."""
+"""Least number of output times of a run, with more at its start."""
 
 KINDS = {
     "not finite": "not finite",
@@ -69,14 +70,14 @@ KINDS = {
     "is singular": "singular mass",
     "outside [": "value out of bounds",
 }
-"""Kinds of refusal by what their messages say; the rest is "something else"."""
+"""Kinds of failure by the text of their messages; others are "something else"."""
 
 OTHER = "something else"
 
 REFUSED = "refused: "
 
 NOT_RUN = "not run"
-"""What there was no time for."""
+"""Class of cells skipped for lack of time."""
 
 SHADES = ("#8fb3d9", "#5f8fc4", "#3b6ea5", "#27507e", "#16335a", "#a9a4c9", "#7f78ad")
 
@@ -115,22 +116,22 @@ SPRINGS = ("N/m", "N.m/rad")
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is run."""
+    """Extent of the maps."""
 
     total: float
     """Wall time for all mechanisms together [s]."""
     horizon: float
     """Simulated time [s]; a mechanism's own stop time where that is shorter."""
     limit: float
-    """Wall time of a cell [s]; where it does not reach the horizon, the cell is cut short."""
+    """Wall time limit of a cell [s]; a cell that exceeds it ends before the horizon."""
     steps: tuple[float, ...]
-    """Over the mechanism's own step."""
+    """Steps over the mechanism's own."""
     penalties: tuple[float, ...]
-    """Over the largest entry of M."""
+    """Penalties over the largest entry of M."""
     scales: tuple[float, ...]
-    """Of masses and of springs."""
+    """Factors on masses and on springs."""
     masses: int
-    """How many masses take part in the corners."""
+    """Number of masses that vary in the corners."""
     reference: exact.Effort
 
 
@@ -158,7 +159,7 @@ QUICK = Effort(
 
 @dataclass(frozen=True)
 class Cell:
-    """A run and its place in a map."""
+    """A run and its position in a map."""
 
     map: str
     across: str
@@ -168,9 +169,9 @@ class Cell:
     formulation: str
     method: str
     step: float = 1.0
-    """Over the mechanism's own."""
+    """Step over the mechanism's own."""
     penalty: float = 0.0
-    """Over the largest entry of M; 0 for the default."""
+    """Penalty over the largest entry of M; 0 for the default."""
     scaled: Mapping[str, float] = ()
     """Factors of parameters."""
 
@@ -184,7 +185,7 @@ class Study(cases.Study):
         self._judges: dict[tuple, tuple[Judge, float, float]] = {}
 
     def measure(self, deadline: float, progress: Progress) -> None:
-        """Run all cells, as far as time allows until `deadline`."""
+        """Run all cells until `deadline`."""
         self.equations = e = prepared(self.derived, "auto")
         self.horizon = min(e.stop_time, self.effort.horizon)
         self.instance = Instance(e)
@@ -200,7 +201,7 @@ class Study(cases.Study):
     # Cells -------------------------------------------------------------------------------------------------------
 
     def cells(self) -> Iterator[Cell]:
-        """All cells, the corners first."""
+        """Yield all cells, the corners first."""
         yield from self._corners()
         yield from self._formulations()
         yield from self._masses()
@@ -208,7 +209,7 @@ class Study(cases.Study):
         yield from self._penalties()
 
     def _corners(self) -> Iterator[Cell]:
-        """Every combination of the least and the largest of everything."""
+        """Yield every combination of the extremes of all factors."""
         effort, method = self.effort, next(iter(methods()))
         ends = [(min(x), max(x)) for x in (effort.steps, effort.penalties)]
         scales = (min(effort.scales), max(effort.scales))
@@ -253,7 +254,7 @@ class Study(cases.Study):
     # Runs --------------------------------------------------------------------------------------------------------
 
     def _measured(self, cell: Cell) -> Row:
-        """A cell run and classified."""
+        """Run and classify a cell."""
         step = cell.step * self.equations.step_size
         try:
             found = run(*self._unit(cell.method), Case(self._values(cell), self._times(step), self.effort.limit))
@@ -268,7 +269,7 @@ class Study(cases.Study):
         return self._row(cell, name, **row)
 
     def _unit(self, method: str) -> tuple[Instance, Callable[[], None]]:
-        """An instance that carries a method, and what brings it back to before its start; made when first wanted."""
+        """Return an instance for a method, and a function that resets it to before its start; created on first use."""
         if method not in self._units:
             unit = Instance(scene(self.derived, method, "auto"))
             self._units[method] = unit, restarting(unit)
@@ -281,9 +282,9 @@ class Study(cases.Study):
         return values | {name: factor * self.defaults[name] for name, factor in dict(cell.scaled).items()}
 
     def _times(self, step: float) -> NDArray:
-        """Points up to the horizon, with more and more steps between them.
+        """Return times up to the horizon, with increasing numbers of steps between them.
 
-        No distance is longer than all before it together, so that the limit of time is kept where steps are slow.
+        No interval is longer than all before it together, so that slow steps do not exceed the time limit by much.
         """
         most, at = max(1, round(self.horizon / step)), [0]
         while at[-1] < most:
@@ -291,7 +292,7 @@ class Study(cases.Study):
         return step * np.array(at)
 
     def _judge(self, cell: Cell) -> tuple[Judge, float, float]:
-        """What judges runs with these parameters, the scale of positions, the largest kinetic energy."""
+        """Return the judge of runs with these parameters, the scale of positions, and the largest kinetic energy."""
         key = tuple(sorted(dict(cell.scaled).items()))
         if key not in self._judges:
             self._judges[key] = self._judged(key)
@@ -320,7 +321,7 @@ class Study(cases.Study):
 
 
 def classified(run: Run, errors: Row, scale: float, kinetic: float, judged: bool) -> str:
-    """The class of a run by CRITERIA."""
+    """Return the class of a run by CRITERIA."""
     if run.failure:
         return REFUSED + next((kind for words, kind in KINDS.items() if words in run.failure), OTHER)
     position, phi, energy = (errors[x] for x in (POSITION, PHI, ENERGY))
@@ -357,9 +358,9 @@ def stability(
     progress: Callable[[str], Progress] = lambda what: iter,
     effort: Effort | None = None,
 ) -> Path:
-    """Measure mechanisms and write the maps into a folder; returns the path of the report.
+    """Measure mechanisms and write the maps into a folder; return the path of the report.
 
-    Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
+    Raises AlfmuError before any run if a name is unknown, a mechanism cannot start or matplotlib is missing.
     """
     effort = effort or (QUICK if quick else USUAL)
     bounds = {
@@ -379,25 +380,25 @@ def stability(
 
 
 def draw(study: Study, folder: Path) -> None:
-    """The picture of the maps of a mechanism."""
+    """Draw the maps of a mechanism."""
     figure = maps(f"{study.name}: where it runs and how it fails", maps_of(study), CLASSES)
     save(figure, folder / _picture(study), 100)
 
 
 def write(folder: Path, studies: Sequence[Study]) -> None:
-    """The CSV files."""
+    """Write the CSV files."""
     write_csv(folder / "criteria.csv", CRITERIA)
     write_csv(folder / "cells.csv", [row for study in studies for row in study.rows])
     write_csv(folder / "counts.csv", [row for study in studies for row in _counts(study)])
 
 
 def explained() -> list[str]:
-    """What the classes are and how a cell is run, in Markdown."""
+    """Return a description of the classes and of a cell's run in Markdown."""
     return [shown("Criteria", "criteria", ("class", "measure", "at most", "above"), CRITERIA), paragraph(METHOD)]
 
 
 def chapter(study: Study) -> Iterator[str]:
-    """The picture of the maps of a mechanism, and how many cells are in each class."""
+    """Yield the picture of the maps of a mechanism, and the number of cells in each class."""
     yield f"![maps of {study.name}]({_picture(study)})"
     yield shown("Cells of each class", "counts", ("map", "class", "cells"), _counts(study))
     if not study.springs:
@@ -409,7 +410,7 @@ def _picture(study: Study) -> str:
 
 
 def _of(study: Study) -> dict[str, list[Row]]:
-    """The cells of each map."""
+    """Return the cells of each map."""
     found: dict[str, list[Row]] = {}
     for row in study.rows:
         found.setdefault(row["map"], []).append(row)
@@ -417,7 +418,7 @@ def _of(study: Study) -> dict[str, list[Row]]:
 
 
 def maps_of(study: Study) -> list[Map]:
-    """The maps of a mechanism, from its cells; those that there was no time for are left out, beside others."""
+    """Return the maps of a mechanism; maps skipped for lack of time are left out, unless all are."""
     drawn = []
     for title, cells in _of(study).items():
         columns, rows = (list(dict.fromkeys(c[x] for c in cells)) for x in ("column", "row"))
@@ -428,7 +429,7 @@ def maps_of(study: Study) -> list[Map]:
 
 
 def left_out(study: Study) -> list[str]:
-    """Maps that there was no time for."""
+    """Return maps skipped for lack of time."""
     return [title for title, cells in _of(study).items() if all(c["class"] == NOT_RUN for c in cells)]
 
 
@@ -437,7 +438,7 @@ def _percent(part: float) -> str:
 
 
 def _counts(study: Study) -> list[Row]:
-    """How many cells of each map are in each class."""
+    """Return the number of cells in each class by map."""
     rows = []
     for title, cells in _of(study).items():
         count = Counter(c["class"] for c in cells)
@@ -446,7 +447,7 @@ def _counts(study: Study) -> list[Row]:
 
 
 def _table(one: Map) -> str:
-    """A map as a table of its classes."""
+    """Return a map as a Markdown table of its classes."""
 
     def cell(row: str, column: str) -> str:
         return one.classes.get((row, column), "") + " *" * ((row, column) in one.notes)

@@ -1,4 +1,4 @@
-"""Tables of a study: rows as CSV files with all digits, the same rows rounded in Markdown, and where they were made."""
+"""Tables of a study: rows as CSV files with all digits and rounded in Markdown, and the machine they were made on."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Row = dict[str, Cell]
 
 @dataclass(frozen=True)
 class Chapter:
-    """A part of a report: a heading, an introduction, and tables that each show some columns of one CSV file."""
+    """A part of a report: a heading, an introduction, and tables of selected columns of one CSV file."""
 
     heading: str
     introduction: str
@@ -44,29 +44,29 @@ class Chapter:
     """Columns by title."""
 
     def write(self, path: Path, rows: Sequence[Row]) -> None:
-        """The CSV file, with all that the rows have and all that the tables show."""
+        """Write the CSV file with all columns of the rows and of the tables."""
         write_csv(path, rows, [name for columns in self.tables.values() for name in columns])
 
     def markdown(self, name: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
-        """The chapter in Markdown; `name` is that of its CSV file, without the ending."""
+        """Return the chapter in Markdown; `name` is that of its CSV file, without the suffix."""
         tables = [shown(title, name, columns, rows) for title, columns in self.tables.items()]
         return "\n\n".join([self.heading, paragraph(self.introduction), *notes, *tables])
 
 
 def paragraph(text: str) -> str:
-    """Text in lines of a readable length."""
+    """Wrap text to lines of readable length."""
     return textwrap.fill(" ".join(text.split()), 118, break_on_hyphens=False)
 
 
 def shown(title: str, name: str, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]], digits: int = 3) -> str:
-    """Some columns of rows of a CSV file as a Markdown table under its title; `name` is without the ending."""
+    """Return a Markdown table of some columns of rows of a CSV file under its title; `name` is without the suffix."""
     return f"**{title}** (`{name}.csv`)\n\n" + markdown(
         columns, [[row.get(x) for x in columns] for row in rows], digits
     )
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Cell]], more: Sequence[str] = ()) -> None:
-    """A CSV file with 17 significant digits: the columns of all rows and some more; what a row lacks stays empty."""
+    """Write a CSV file with 17 significant digits: the columns of all rows and of `more`; missing values stay empty."""
     columns = list(dict.fromkeys([*(name for row in rows for name in row), *more]))
     with atomic(path) as file:
         writer = csv.writer(codecs.getwriter("utf-8")(file))
@@ -75,14 +75,14 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Cell]], more: Sequence[str
 
 
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[Cell]], digits: int = 3) -> str:
-    """A Markdown table with rounded numbers."""
+    """Return a Markdown table with rounded numbers."""
     heads = [name.replace("|", "\\|") for name in columns]
     lines = [heads, ["---"] * len(columns), *([rounded(x, digits) for x in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def rounded(x: Cell, digits: int = 3) -> str:
-    """A cell as text; floats with so many significant digits, without an exponent where it can be helped."""
+    """Return a cell as text; floats have this number of significant digits, preferably without an exponent."""
     if x is None:
         return "-"
     if isinstance(x, float):
@@ -91,7 +91,7 @@ def rounded(x: Cell, digits: int = 3) -> str:
 
 
 def environment(command: str, packages: Sequence[str]) -> list[tuple[str, str]]:
-    """Where, when and with what a study ran."""
+    """Return time, machine, command and versions of a study."""
     load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
     return [
         ("command", f"`{command}`"),
@@ -106,7 +106,7 @@ def environment(command: str, packages: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def where(command: str, packages: Sequence[str], measured: Mapping[str, Cell]) -> list[Row]:
-    """`environment` and what bounds a study as rows of a CSV file."""
+    """Return `environment` and the measured bounds of a study as rows of a CSV file."""
     return [{"what": what, "value": value} for what, value in [*environment(command, packages), *measured.items()]]
 
 
@@ -133,7 +133,7 @@ def _compiler() -> str:
 
 
 def processor() -> str:
-    """The name of the processor."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))

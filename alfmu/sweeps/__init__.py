@@ -1,4 +1,4 @@
-"""Many runs of one mechanism or FMU with other numbers each: planned, run on all cores or a cluster, kept in parts.
+"""Parameter studies: many runs of one mechanism or FMU, planned, run on all cores or a cluster, stored in parts.
 
 Other rooms import `sweep`.
 """

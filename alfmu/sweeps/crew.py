@@ -1,8 +1,8 @@
-"""Who makes the runs: this process, processes of this machine, or the workers of a Dask cluster, by the same calls.
+"""Workers of a sweep, with one interface for this process, local processes, and a Dask cluster.
 
-A range of cases is handed out, and a worker gives back as many as it begins within `PART` seconds; what is left is
-handed out again. A worker that ends takes no more with it than what it has in hand, which others make again. Cases that
-no process survives are found by halving, alone, and become rows with the reason.
+A worker gets a range of cases and returns those that it starts within `PART` seconds; the rest is distributed again. If
+a worker dies, only its current cases are lost, and other workers repeat them. Cases that crash every process are
+isolated by bisection and become rows with the reason.
 """
 
 from __future__ import annotations
@@ -29,39 +29,40 @@ from .variations import Cases
 __all__ = ["Crew", "Processes", "Stop", "cluster", "make", "stopping"]
 
 PART = 2.0
-"""Time [s] after which a part is handed in: what a killed process loses, and what writing a file is small beside."""
+"""Time [s] after which a part is returned: it bounds the loss due to a killed process, and exceeds the time to write a
+file."""
 
 SHORT = 0.1
-"""Time [s] of the smallest pieces that the end of a sweep is divided into, so that all workers end together."""
+"""Time [s] of the smallest pieces at the end of a sweep, so that all workers finish together."""
 
 PART_NUMBERS = 4_000_000
-"""Numbers in a part, at most: 32 MB."""
+"""Largest number of values in a part: 32 MB."""
 
 PART_CASES = 20_000
-"""Cases in a part, at most."""
+"""Largest number of cases in a part."""
 
 AT_HAND = 2
-"""Ranges that are handed out for each worker: one it works on, and the next."""
+"""Number of ranges queued for each worker: the current one and the next."""
 
 DEATHS = 2
-"""Processes that end over the same cases before these are suspected and run alone."""
+"""Number of processes that die over the same cases before these are run alone."""
 
 GLANCE = 0.2
-"""Time [s] between looks at whether the user wants to stop."""
+"""Interval [s] of checks for a request to stop."""
 
 LEAVE = 1.0
-"""Time [s] that processes have to end by themselves."""
+"""Time [s] for processes to exit by themselves."""
 
 PATIENCE = 60.0
-"""Time [s] that a cluster without workers is waited for."""
+"""Time [s] to wait for a cluster without workers."""
 
 
 class Stop:
-    """Whether the user asked to stop: once, after what is under way; twice, at once."""
+    """Whether the user asked to stop: the first request ends after the current work, the second at once."""
 
     def __init__(self) -> None:
         self.asked = 0
-        self.told: Callable[[], None] = bool  # type: ignore[assignment]
+        self.on_request: Callable[[], None] = bool  # type: ignore[assignment]
 
     def __call__(self) -> bool:
         return self.asked > 0
@@ -70,12 +71,12 @@ class Stop:
         self.asked += 1
         if self.asked > 1:
             raise KeyboardInterrupt
-        self.told()
+        self.on_request()
 
 
 @contextmanager
 def stopping() -> Iterator[Stop]:
-    """Interrupts, and requests to end, are asked for politely in the main thread, where Python takes them."""
+    """Handle interrupts and termination requests as `Stop`, in the main thread, which receives them."""
     stop = Stop()
     main = threading.current_thread() is threading.main_thread()
     before = {each: signal.signal(each, stop.ask) for each in (signal.SIGINT, signal.SIGTERM) if main}
@@ -87,26 +88,26 @@ def stopping() -> Iterator[Stop]:
 
 
 class Crew(Protocol):
-    """Workers that can be handed ranges of cases."""
+    """Workers that run ranges of cases."""
 
     def workers(self) -> int:
-        """How many there are now."""
+        """Return the current number of workers."""
 
     def submit(self, job: Job, first: int, values: Any) -> Future[Part]: ...
 
     def renew(self) -> None:
-        """Go on after workers were lost."""
+        """Replace lost workers."""
 
     def close(self) -> None:
-        """End what this crew started, with what it has in hand."""
+        """End the workers that this crew started, with their current work."""
 
     deadly: tuple[type[BaseException], ...]
-    """What a range comes to whose worker was lost."""
+    """Exceptions that mean that the worker of a range was lost."""
 
 
 @dataclass
 class Processes:
-    """Processes of this machine, which end with this one."""
+    """Local processes, which end with this one."""
 
     count: int
     deadly: tuple[type[BaseException], ...] = (BrokenExecutor,)
@@ -131,7 +132,7 @@ class Processes:
             processes = list((pool._processes or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
             end = time.monotonic() + LEAVE
-            for each in processes:  # those with nothing in hand end by themselves
+            for each in processes:  # idle processes exit by themselves
                 each.join(max(0.0, end - time.monotonic()))
             for each in processes:
                 each.terminate()
@@ -140,9 +141,9 @@ class Processes:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """While processes are started, they are not told of the user's script, which each would run again.
+    """Hide the user's script from processes while they are started, as each would run it again.
 
-    What they do is in modules; so scripts need no `if __name__ == "__main__"` around a sweep.
+    Their code is in modules, so scripts need no `if __name__ == "__main__"` around a sweep.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = types.ModuleType("__main__")
@@ -178,19 +179,19 @@ class Cluster:
         pass
 
     def close(self) -> None:
-        with suppress(Exception):  # a scheduler that is gone has nothing left to cancel
+        with suppress(Exception):  # the scheduler may be gone
             self._executor.shutdown(wait=False, cancel_futures=True)
             self.client.close(timeout=5)
 
 
 WAIT = 10
-"""Time [s] that a scheduler is waited for."""
+"""Time [s] to wait for a scheduler."""
 
 
 def cluster(address: str) -> Cluster:
-    """The workers of a Dask cluster by the address of its scheduler, such as `tcp://10.0.0.5:8786`.
+    """Return the workers of a Dask cluster, given the address of its scheduler, such as `tcp://10.0.0.5:8786`.
 
-    Raises InputError where there is none. Needs `alfmu[sweep]`, here and where the workers are.
+    Raises InputError if it is unreachable. Needs `alfmu[sweep]`, here and on the workers.
     """
     try:
         import distributed
@@ -205,7 +206,7 @@ def cluster(address: str) -> Cluster:
 
 @dataclass
 class _Range:
-    """Cases that are to be made."""
+    """A range of cases to run."""
 
     first: int
     stop: int
@@ -228,11 +229,10 @@ def make(
     brakes: Callable[[], Job],
     seconds: float | None = None,
 ) -> float:
-    """Make all cases that a store misses, or as many as the user and the time allow; the time of a run [s].
+    """Run the cases missing in a store, until the user stops or time is over; return the time of a run [s].
 
-    Without a crew, this process makes them, for a time [s] at most where one is given. `done` is told how many cases
-    were added; `brakes` gives the job with the scene that `NeedsBrakes` asks for. Raises WriteError where a part cannot
-    be kept.
+    Without a crew, this process runs them, for at most `seconds` [s]. `done` is called with the number of cases added;
+    `brakes` returns the job with the scene that `NeedsBrakes` requires. Raises WriteError if a part cannot be stored.
     """
     work = _Work(job, cases, store, stop, done, brakes)
     try:
@@ -259,13 +259,13 @@ class _Work:
         self.waiting = deque(_Range(*each) for each in store.missing())
         self.suspects: deque[_Range] = deque()
         self.pace = 0.0
-        """Time of a run [s]; zero where it is not known yet."""
+        """Time of a run [s]; zero if unknown yet."""
         self.most = max(1, min(PART_CASES, PART_NUMBERS // job.numbers))
 
     # In this process -------------------------------------------------------------------------------------------------
 
     def alone(self, seconds: float) -> None:
-        """Make cases here until a time [s] is over."""
+        """Run cases in this process until a time [s] is over."""
         end = time.perf_counter() + seconds
         while self.waiting and not self.stop() and (left := end - time.perf_counter()) > 0:
             given = self._next(self.most)
@@ -277,10 +277,10 @@ class _Work:
                 continue
             self._keep(given, part)
 
-    # With others -----------------------------------------------------------------------------------------------------
+    # With workers ----------------------------------------------------------------------------------------------------
 
     def shared(self, crew: Crew) -> None:
-        """Hand out cases to workers, and keep what they make."""
+        """Distribute cases to workers, and store their results."""
         under_way: dict[Future[Part], _Range] = {}
         alone_since = time.monotonic()
         try:
@@ -299,7 +299,7 @@ class _Work:
                         if not under_way:
                             crew.renew()
                         break
-                if self.stop():  # what no worker has begun yet is not waited for
+                if self.stop():  # ranges not yet started are dropped
                     under_way = {each: given for each, given in under_way.items() if not each.cancel()}
                 finished = wait(under_way, GLANCE, FIRST_COMPLETED).done
                 if not under_way:
@@ -309,7 +309,7 @@ class _Work:
                     del under_way[each]
                 if dead:
                     if not isinstance(crew, Cluster):
-                        # All that the pool had in hand ends with it, but what was finished in the same moment.
+                        # The pool loses all its current ranges, except those finished at the same time.
                         for each, given in under_way.items():
                             if not (each.done() and self._taken(crew, each, given)):
                                 dead.append(given)
@@ -321,7 +321,7 @@ class _Work:
                 each.cancel()
 
     def _chosen(self, under_way: int, workers: int) -> _Range | None:
-        """The next range to hand out; None where it is to be waited."""
+        """Return the next range to distribute; None to wait."""
         if self.stop():
             return None
         if self.suspects:
@@ -334,7 +334,7 @@ class _Work:
         return self._next(min(self.most, usual, max(least, left // (AT_HAND * workers))))
 
     def _next(self, most: int) -> _Range:
-        """So many of the cases that wait, at most."""
+        """Return a range of at most `most` waiting cases."""
         given = self.waiting.popleft()
         if len(given) > most:
             given, rest = given.split(most)
@@ -342,7 +342,7 @@ class _Work:
         return given
 
     def _taken(self, crew: Crew, future: Future[Part], given: _Range) -> bool:
-        """Keep what a worker made; False where it was lost."""
+        """Store the results of a worker; return False if it was lost."""
         try:
             part = future.result()
         except crew.deadly:
@@ -368,12 +368,12 @@ class _Work:
         self.waiting.appendleft(given)
 
     def _mourn(self, dead: Sequence[_Range], certain: bool) -> None:
-        """Cases whose worker ended are made again; those over which several ended, alone and in halves."""
+        """Requeue cases of a lost worker; those over which several died run alone, bisected."""
         for each in dead:
             each.deaths += DEATHS if certain else 1
             if each.deaths < DEATHS:
                 self.waiting.appendleft(each)
-            elif each.deaths == DEATHS:  # it was not alone, so that another may have been at fault
+            elif each.deaths == DEATHS:  # it did not run alone, so another range may be the cause
                 self.suspects.append(each)
             elif len(each) > 1:
                 first, second = each.split(len(each) // 2)

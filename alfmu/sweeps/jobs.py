@@ -1,6 +1,6 @@
-"""What a worker does: runs of one job with other numbers each, on instances that are used again and again.
+"""Work of a worker: runs of one job with different values, on reused instances.
 
-A worker gets a job as data and imports neither what traces a scene nor CasADi; FMUs alone take the library's driver.
+A worker gets a job as data and imports neither the tracing of scenes nor CasADi; only FMUs need the library's driver.
 """
 
 from __future__ import annotations
@@ -28,48 +28,48 @@ __all__ = ["Code", "FmuJob", "Job", "NeedsBrakes", "Part", "Ran", "SceneJob", "r
 Table = NDArray[np.float64]
 
 KEPT = 2
-"""Runners of different jobs that a thread of a worker keeps."""
+"""Number of runners of different jobs that a worker thread caches."""
 
 
 class NeedsBrakes(Exception):
-    """A case needs the scene traced for redundant constraints that would brake."""
+    """A case needs the scene traced for redundant constraints that would brake the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What all runs of a sweep have in common, as data that can be sent to another process or machine."""
+    """Data common to all runs of a sweep, which can be sent to another process or machine."""
 
     name: str
-    """Of the mechanism, or of the model of an FMU."""
+    """Name of the mechanism, or of the model of an FMU."""
     identity: str
-    """A digest of what is run."""
+    """A digest of the mechanism or FMU."""
     times: Table
-    """(points,) communication points [s]."""
+    """Communication points (points,) [s]."""
     fixed: tuple[tuple[str, float | str], ...]
-    """Values that are the same in all runs, by name."""
+    """Values common to all runs, by name."""
     inputs: tuple[str, ...]
-    """Inputs that change over time."""
+    """Inputs that vary over time."""
     table: Table
-    """(points, inputs): their values."""
+    """Their values (points, inputs)."""
     varied: tuple[str, ...]
     outputs: tuple[str, ...]
-    """Outputs that are read, in the order of the columns of a run."""
+    """Outputs to read, in the order of the columns of a run."""
     measures: tuple[Measure, ...]
-    """Numbers that are kept of a run."""
+    """Numbers to store of a run."""
     series: tuple[str, ...]
-    """Outputs that are kept over time."""
+    """Outputs to store over time."""
     token: str = field(default_factory=lambda: uuid.uuid4().hex)
-    """By which a worker knows this job and its other forms from any other."""
+    """Identifies this job and its variants in a worker."""
 
     @property
     def numbers(self) -> int:
-        """Numbers that are kept of a case."""
+        """Number of values stored for a case."""
         return len(self.varied) + len(self.measures) + len(self.times) * len(self.series)
 
 
 @dataclass(frozen=True)
 class Code:
-    """Compiled functions of a scene, and where they run."""
+    """Compiled functions of a scene, and their platform."""
 
     machine: str
     content: bytes
@@ -82,11 +82,11 @@ class SceneJob(Job):
     scene: bytes
     code: Code | None
     penalty: tuple[float, ...] | None
-    """Of each constraint, where they differ."""
+    """Penalty of each constraint, if they differ."""
     stabilisation: tuple[float, float, int]
-    """zeta, omega, and whether steps project: what a scene does not say by itself."""
+    """zeta, omega, and whether steps project; the scene does not contain these."""
     braking: tuple[bytes, Code | None] | None = None
-    """The scene traced for redundant constraints that would brake, once a case asked for it."""
+    """The scene traced for redundant constraints that would brake the motion, once a case needs it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,49 +98,49 @@ class FmuJob(Job):
 
 @dataclass
 class Ran:
-    """What one run gave."""
+    """Results of one run."""
 
     rows: Table
-    """(points, outputs), fewer where it failed."""
+    """Outputs (points, outputs), with fewer rows if it failed."""
     failure: str
-    """Why it ended early; empty where it did not."""
+    """Reason for ending early; empty if it did not."""
     warning: str
 
 
 @dataclass
 class Part:
-    """What was kept of some cases, one after the other."""
+    """Stored results of consecutive cases."""
 
     first: int
     """Number of the first case."""
     values: Table
-    """(cases, varied)"""
+    """Varied values (cases, varied)."""
     kept: Table
-    """(cases, measures); not a number where the run failed."""
+    """Stored numbers (cases, measures); NaN if the run failed."""
     series: Table
-    """(cases, points, series); not a number from where the run failed."""
+    """Outputs over time (cases, points, series); NaN after a run failed."""
     ended: Table
-    """(cases,) [s]: the last communication point that was reached; not a number where the start failed."""
+    """Last communication point reached (cases,) [s]; NaN if the start failed."""
     failures: list[str]
     warnings: list[str]
     seconds: float
-    """How long it took [s]."""
+    """Duration [s]."""
 
     def __len__(self) -> int:
         return len(self.values)
 
 
 class Runner(Protocol):
-    """Makes one run after the other."""
+    """Makes runs one after the other."""
 
     def run(self, values: Table) -> Ran: ...
     def close(self) -> None: ...
 
 
 def run_part(job: Job, first: int, values: Table, seconds: float, stop: Callable[[], bool] = bool) -> Part:
-    """The cases with these numbers (cases, varied), or as many of them as are begun within a time [s], one at least.
+    """Run the cases with these values (cases, varied) until a time [s] is over, but at least one.
 
-    `stop` is asked between two runs whether to end earlier. Raises NeedsBrakes, and what keeps the job from running.
+    `stop` is called between runs and ends them early if true. Raises NeedsBrakes, and errors that prevent the job.
     """
     begun, count = time.perf_counter(), len(values)
     runner, make = runner_of(job), measured(job.times)
@@ -176,7 +176,7 @@ _OWN = threading.local()
 
 
 def runner_of(job: Job) -> Runner:
-    """The runner of a job in this thread, made once."""
+    """Return the runner of a job in this thread, created once."""
     known: dict[Any, Runner] = _OWN.__dict__.setdefault("runners", {})
     key = job.token, *(getattr(job, form, None) is not None for form in ("code", "braking"))
     if key not in known:
@@ -190,7 +190,7 @@ def runner_of(job: Job) -> Runner:
 
 
 class _SceneRunner:
-    """Runs of a scene, each one call of the runtime."""
+    """Runs of a scene, each by one call of the runtime."""
 
     def __init__(self, job: SceneJob):
         self.job = job
@@ -213,7 +213,7 @@ class _SceneRunner:
 
 
 class _Seat:
-    """An instance of a scene that makes one run after the other."""
+    """An instance of a scene, reused for successive runs."""
 
     def __init__(self, job: SceneJob, scene: bytes, code: Code | None):
         self.scene = Scene(scene)
@@ -226,11 +226,11 @@ class _Seat:
         self.inputs = [place[name] for name in job.inputs]
         self.wanted = [place[name] for name in job.outputs]
         self.unit.reset()
-        # What the scene begins with anyway is not set again in each run.
+        # Values equal to those of the scene are not set again in each run.
         self.fixed = [(place[name], x) for name, x in job.fixed if self.unit.get(place[name]) != x]
 
     def run(self, given: _SceneRunner, values: Table) -> tuple[int, int, str, str]:
-        """The outcome, how many rows were made, why not all of them, and what the runtime warns of."""
+        """Return the status, the number of rows, the reason if some are missing, and the runtime's warnings."""
         unit, c = self.unit, self.scene.library
         unit.reset()
         c.alfmu_stabilise(unit.address, *self.job.stabilisation)
@@ -251,14 +251,14 @@ class _Seat:
 
 
 def machine() -> str:
-    """What compiled functions are made for."""
+    """Return the platform of compiled functions."""
     import platform
 
     return f"{platform.system()} {platform.machine()}"
 
 
 def _compiled(scene: Scene, code: Code) -> None:
-    """Compiled functions for a scene; where they cannot be loaded, it is interpreted, with the same numbers."""
+    """Load compiled functions for a scene; if that fails, it is interpreted, with the same results."""
     from ..model.files import scratch
 
     with scratch() as folder, suppress(OSError):
@@ -270,11 +270,11 @@ def _compiled(scene: Scene, code: Code) -> None:
 # FMUs ----------------------------------------------------------------------------------------------------------------
 
 _ONE_AT_A_TIME = threading.RLock()
-"""FMUs are run by one thread of a process: fmpy's messages belong to nobody."""
+"""Serialises runs of FMUs in a process: fmpy's messages do not name their FMU."""
 
 
 class _FmuRunner:
-    """Runs of an FMU, step by step on one instance, which is reset before each; a new one where a run failed."""
+    """Runs of an FMU on one instance, which is reset before each run and replaced after a failure."""
 
     def __init__(self, job: FmuJob):
         from ..model.files import scratch
@@ -309,7 +309,7 @@ class _FmuRunner:
         return np.column_stack([result[name] for name in job.outputs]), failure
 
     def _ready(self) -> Any:
-        """An instance that can be initialised."""
+        """Return an instance ready to be initialised."""
         from ..fmi.drive import Fmu
 
         if self.fmu is not None and self.fmu.begun:
@@ -343,7 +343,7 @@ class _Ear(logging.Handler):
 
 @contextmanager
 def _heard() -> Iterator[list[str]]:
-    """What the library warns of while a run is made, kept and not shown."""
+    """Collect the library's warnings of a run instead of showing them."""
     logger, ear = logging.getLogger("alfmu"), _Ear()
     before = logger.propagate
     logger.addHandler(ear)
@@ -359,7 +359,7 @@ def _heard() -> Iterator[list[str]]:
 
 
 def begin() -> None:
-    """What a process of workers does first: it leaves interrupts to the process that started it, and ends with that."""
+    """Initialise a worker process: it ignores interrupts, and ends with the process that started it."""
     import multiprocessing
     import signal
     from multiprocessing.connection import wait
@@ -378,7 +378,7 @@ def begin() -> None:
 
 
 def lost(job: Job, first: int, values: Table, why: str) -> Part:
-    """A part of cases that no process survives."""
+    """Return a part of cases that crash every process."""
     n, none = len(values), np.full(len(values), np.nan)
     series: Sequence[int] = (n, len(job.times), len(job.series))
     return Part(

@@ -1,4 +1,4 @@
-"""What is kept of a run: numbers by name such as `max(A.force.x)`, made of columns over time."""
+"""Measures of a run: numbers by name such as `max(A.force.x)`, computed from columns over time."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ FUNCTIONS = {
     "peak": "the largest magnitude",
     "rms": "the root of the mean square over time",
 }
-"""What can be kept of an output over a run, at its communication points."""
+"""Measures of an output over a run, at its communication points."""
 
 USUAL = ("final", "min", "max", "mean")
-"""What is kept where a pattern names outputs alone."""
+"""Measures for a pattern that names outputs alone."""
 
 INNER = ("multiplier[[]*", "monitor.*")
-"""Outputs that are not kept unless they are asked for."""
+"""Outputs that are stored on request only."""
 
 MOST_COLUMNS = 4000
-"""Numbers that are kept of a run, at most."""
+"""Largest number of measures of a run."""
 
 _CALL = re.compile(r"(\w+)\((.+)\)")
 
 
 @dataclass(frozen=True, order=True)
 class Measure:
-    """One number of a run."""
+    """One measure of a run."""
 
     function: str
     output: str
@@ -51,9 +51,9 @@ class Measure:
 
 
 def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> list[Measure]:
-    """The numbers that patterns ask for, such as `A.force.*` (all of USUAL) or `max(A.force.*)`, each once.
+    """Return the measures that match patterns, such as `A.force.*` (all of USUAL) or `max(A.force.*)`, each once.
 
-    None stands for USUAL of all outputs but multipliers and monitors. Raises InputError where a pattern matches none.
+    None stands for USUAL of all outputs but multipliers and monitors. Raises InputError if a pattern matches none.
     """
     if keep is None:
         names = [name for name in outputs if not any(fnmatchcase(name, inner) for inner in INNER)] or list(outputs)
@@ -78,12 +78,12 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
 
 
 def _fitting(pattern: str, outputs: Sequence[str]) -> list[str]:
-    """Outputs of a name, or that a pattern matches."""
+    """Return the output of a name, or those that match a pattern."""
     return [name for name in outputs if name == pattern or fnmatchcase(name, pattern)]
 
 
 def matching(unit: str, patterns: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """The outputs that match names or patterns, each once; InputError where one matches none."""
+    """Return the outputs that match names or patterns, each once; raise InputError if one matches none."""
     found: dict[str, None] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         fit = _fitting(pattern, outputs)
@@ -94,7 +94,7 @@ def matching(unit: str, patterns: Sequence[str], outputs: Sequence[str]) -> list
 
 
 def measured(times: Table) -> dict[str, Callable[[Table], Table]]:
-    """The functions of columns (points, outputs) over communication points (points,) [s], by name."""
+    """Return the functions of columns (points, outputs) over communication points (points,) [s], by name."""
     steps = np.diff(times)
     weights = (np.append(steps, 0.0) + np.append(0.0, steps)) / (2 * (times[-1] - times[0]))
     return {

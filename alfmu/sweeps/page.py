@@ -1,4 +1,4 @@
-"""A sweep as one page that needs no network: what was asked, failures, quantiles, and pictures."""
+"""A sweep as one self-contained page: settings, failures, quantiles, and plots."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .summary import QUANTILES, Failures, Spread, Summary
 __all__ = ["chosen", "page"]
 
 ACROSS, DOWN = 6, 5
-"""Varied and kept numbers that are drawn against each other, at most."""
+"""Largest numbers of varied and of stored quantities plotted against each other."""
 
 DRAWN = 1500
-"""Cases that are drawn one by one, at most: a picture has no room for more."""
+"""Largest number of cases plotted individually."""
 
 CURVES = 20_000
-"""Cases that bands over time are made of, at most, one output at a time."""
+"""Largest number of cases in bands over time."""
 
 MAPPED, BANDS, LISTED = 30, 12, 200
-"""Kept numbers in the map of sensitivities, outputs over time, rows of the table, at most."""
+"""Largest numbers of measures in the map of sensitivities, of outputs over time, and of rows of the table."""
 
 PREFERRED = ("peak", "max", "rms", "final", "min", "mean")
-"""Which number stands for an output of which several are kept, the first that there is."""
+"""Order of preference of the measure that represents an output."""
 
 
 def chosen(spreads: Sequence[Spread], most: int = DOWN) -> list[Spread]:
-    """The kept numbers that pictures show: one of each output, of those that differ between cases."""
+    """Return the measures to plot: one of each output among those that differ between cases."""
     order = {f"{f}(": PREFERRED.index(f) for f in FUNCTIONS}
     by_output: dict[str, Spread] = {}
     for s in (s for s in spreads if s.moves):
@@ -40,13 +40,13 @@ def chosen(spreads: Sequence[Spread], most: int = DOWN) -> list[Spread]:
         if known is None or order[f"{begin}("] < order[known.name.partition("(")[0] + "("]:
             by_output[inner] = s
     found = list(by_output.values())
-    if len(found) < most:  # few outputs: more of each
+    if len(found) < most:  # few outputs: add more measures of each
         found += [s for s in spreads if s.moves and s not in found]
     return found[:most]
 
 
 def page(store: Store, s: Summary) -> str:
-    """The page of finished cases and their summary, as HTML."""
+    """Return the HTML page of finished cases and their summary."""
     plan = store.plan
     made = Page(f"Sweep of {plan.name}")
     moving = [name for name, (low, high) in s.ranges.items() if high > low]
@@ -80,7 +80,7 @@ def page(store: Store, s: Summary) -> str:
 
 
 def _against(made: Page, store: Store, s: Summary, shown: Sequence[Spread], moving: Sequence[str]) -> None:
-    """Kept numbers against varied ones."""
+    """Add plots of stored against varied quantities."""
     strongest = sorted(moving, key=lambda name: -max(abs(each.sensitivities.get(name, 0.0)) for each in shown))
     names = [name for name in moving if name in strongest[:ACROSS]]
     made.head(2, "Sensitivities")
@@ -132,7 +132,7 @@ def _noise(count: int) -> str:
 
 
 def _varied(store: Store, s: Summary) -> str:
-    """A table of what was varied."""
+    """Return a table of the variations."""
     asked, ranges = store.plan.asked, s.ranges
     said = asked.get("vary", {})
     rows = ["| | as | unit | least | largest |", "|---|---|---|---|---|"]
@@ -159,7 +159,7 @@ def _reasons(made: Page, title: str, reasons: Sequence[Failures], finished: int)
 
 
 def _table(spreads: Sequence[Spread]) -> str:
-    """Quantiles and worst cases."""
+    """Return a table of quantiles and worst cases."""
     heads = ["", "unit", "mean", "deviation", *(f"{100 * q:g} %" for q in QUANTILES), "least (case)", "largest (case)"]
     rows = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
     for s in spreads:

@@ -1,7 +1,7 @@
-"""Parts of a sweep on a disk: a plan, and one file for some cases each, whole or not there at all.
+"""Files of a sweep: a plan, and one file for each part, written atomically.
 
-A part's name says which cases it has, `part-00000000-00000999`; values over time stand in `series-...` beside it, which
-is written first. What is missing of a plan follows from the names, so that a sweep goes on where it was ended.
+The name of a part contains its cases, `part-00000000-00000999`; values over time are in `series-...` beside it, which
+is written first. The missing cases of a plan follow from the names, so that a sweep can be resumed.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ __all__ = ["FORMS", "OWN", "Folder", "Held", "Plan", "Store", "kept", "read_plan
 Column = NDArray[Any]
 
 PLAN = "plan.json"
-"""The file with what was asked for."""
+"""File name of the plan."""
 
 FORM = 1
-"""Version of the files of a sweep."""
+"""Version of the file format."""
 
 OWN = ("case", "end_time", "failure", "warning")
-"""Columns of every sweep beside its numbers."""
+"""Columns of every sweep beside its measures."""
 
 TEXTS = ("failure", "warning")
 
@@ -48,13 +48,13 @@ _NAME = re.compile(r"part-(\d{8,12})-(\d{8,12})")
 
 
 def usual_form() -> str:
-    """Parquet where pyarrow is installed, otherwise CSV."""
+    """Return parquet if pyarrow is installed, otherwise csv."""
     return "parquet" if find_spec("pyarrow") else "csv"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a sweep is, by which its parts are told from those of another."""
+    """The plan of a sweep, which identifies its parts."""
 
     name: str
     cases: int
@@ -64,13 +64,13 @@ class Plan:
     measures: tuple[str, ...]
     series: tuple[str, ...]
     units: Mapping[str, str]
-    """Of variables, by name."""
+    """Units of variables, by name."""
     asked: Mapping[str, Any]
-    """All that decides the numbers, as JSON can hold it; digests of what is run and of the cases among it."""
+    """All settings that determine the results, as data for JSON, including digests of the mechanism and the cases."""
 
     @classmethod
     def of_data(cls, data: Mapping[str, Any]) -> Plan:
-        """The plan that `as_data` told of."""
+        """Return the plan from the result of `as_data`."""
         times = communication_points(data["name"], data["stop_time"], data["communication_step"])
         varied, measures, series = (tuple(map(str, data[each])) for each in ("varied", "measures", "series"))
         units, asked = dict(data["units"]), data["asked"]
@@ -82,7 +82,7 @@ class Plan:
         return ("case", *self.varied, *self.measures, *OWN[1:])
 
     def unit(self, column: str) -> str:
-        """The unit of a column, empty where it is none or not known."""
+        """Return the unit of a column, empty if it has none or is unknown."""
         inner = re.fullmatch(r"\w+\((.*)\)", column) if column in self.measures else None
         own = {"end_time": "s", "time": "s"}
         return own.get(column) or self.units.get(column) or self.units.get(inner[1] if inner else "", "")
@@ -103,28 +103,28 @@ class Plan:
 
 
 class Store(ABC):
-    """Where parts are kept, and how they are read again."""
+    """Storage of parts."""
 
     plan: Plan
 
     @abstractmethod
     def done(self) -> list[tuple[int, int]]:
-        """Ranges of cases that are finished, first and stop, in their order."""
+        """Return ranges of finished cases, first and stop, in ascending order."""
 
     @abstractmethod
     def add(self, part: Part) -> None:
-        """Keep a part."""
+        """Store a part."""
 
     @abstractmethod
     def columns(self, names: Sequence[str]) -> dict[str, Column]:
-        """Columns of all finished cases, in the order of their numbers."""
+        """Return columns of all finished cases, in ascending order."""
 
     @abstractmethod
     def over_time(self, name: str, most: int) -> NDArray[np.float64]:
-        """(cases, points): one output over time, of at most so many finished cases, evenly spread."""
+        """Return one output over time (cases, points), of at most `most` finished cases, evenly distributed."""
 
     def missing(self) -> list[tuple[int, int]]:
-        """Ranges of cases that are not finished."""
+        """Return ranges of cases that are not finished."""
         found, at = [], 0
         for first, stop in self.done():
             if first > at:
@@ -134,17 +134,17 @@ class Store(ABC):
 
     @property
     def finished(self) -> int:
-        """How many cases are finished."""
+        """Return the number of finished cases."""
         return sum(stop - first for first, stop in self.done())
 
     def _spread(self, most: int) -> NDArray[np.int64]:
-        """Places among the finished cases, at most so many, evenly spread."""
+        """Return indices of at most `most` finished cases, evenly distributed."""
         count = self.finished
         return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 
 def _columns_of(plan: Plan, part: Part) -> dict[str, Any]:
-    """The columns of a part by name."""
+    """Return the columns of a part by name."""
     found: dict[str, Any] = {"case": np.arange(part.first, part.first + len(part))}
     found |= {name: part.values[:, i] for i, name in enumerate(plan.varied)}
     found |= {name: part.kept[:, i] for i, name in enumerate(plan.measures)}
@@ -193,9 +193,9 @@ class Folder(Store):
     @classmethod
     @contextmanager
     def opened(cls, plan: Plan, path: Path, form: str) -> Iterator[Folder]:
-        """The folder of a plan, made where there is none, of this process alone as long as the block lasts.
+        """Open the folder of a plan for this process alone while the block runs; create it if needed.
 
-        Raises InputError where another process has it, or where something else is in it.
+        Raises InputError if another process has it, or if it contains something else.
         """
         with exclusive(path) as ours:
             if not ours:
@@ -214,14 +214,14 @@ class Folder(Store):
             yield found
 
     def look(self) -> None:
-        """See which parts are there, of a folder that may belong to another process."""
+        """Update the list of parts, of a folder that another process may write to."""
         self._done = self._ranges()
 
     def _check(self) -> None:
-        """InputError where the plan in the folder is another one."""
+        """Raise InputError if the folder contains another plan."""
         known = read_plan(self.path)
         asked = {**json.loads(json.dumps(self.plan.as_data())), "format": self.form}
-        # What a user says comes first, and digests last, which say little.
+        # A user's settings are compared first; digests, which explain little, last.
         mine, theirs = ({**x["asked"], **{key: x.get(key) for key in asked if key != "asked"}} for x in (asked, known))
         keys = sorted({**theirs, **mine}, key=lambda key: key.startswith("digest"))
         if differing := [key for key in keys if theirs.get(key) != mine.get(key)]:
@@ -233,7 +233,7 @@ class Folder(Store):
             )
 
     def _ranges(self) -> list[tuple[int, int]]:
-        """Ranges of the parts that are there; InputError where they cannot be of one sweep."""
+        """Return ranges of the parts in the folder; raise InputError if they cannot belong to one sweep."""
         names = (_NAME.fullmatch(path.stem) for path in self.path.glob(f"part-*.{self.form}"))
         found, at = [(int(name[1]), int(name[2]) + 1) for name in names if name], 0
         for first, stop in sorted(found):
@@ -259,7 +259,7 @@ class Folder(Store):
         self._done = sorted([*self._done, reach])
 
     def _bytes(self, columns: Mapping[str, Any]) -> bytes:
-        """A table as the content of a file."""
+        """Return the content of the file for a table."""
         if self.form == "csv":
             text = io.StringIO()
             writer = csv.writer(text)
@@ -311,7 +311,7 @@ class Folder(Store):
         return found
 
     def _read(self, what: str, first: int, stop: int, names: Sequence[str], rows: int) -> dict[str, Column]:
-        """Columns of a file; InputError where it is damaged."""
+        """Return columns of a file; raise InputError if it is damaged."""
         path = self._file(what, first, stop)
         try:
             read = _read_csv if self.form == "csv" else _read_parquet
@@ -327,7 +327,7 @@ class Folder(Store):
 
 
 def _long(plan: Plan, part: Part) -> dict[str, Any]:
-    """Values over time as a long table: a row for each case and communication point."""
+    """Return values over time as a long table: a row for each case and communication point."""
     points = len(plan.times)
     found: dict[str, Any] = {"case": np.repeat(np.arange(part.first, part.first + len(part)), points)}
     found["time"] = np.tile(plan.times, len(part))
@@ -358,7 +358,7 @@ def _read_csv(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 
 def read_plan(path: Path) -> dict[str, Any]:
-    """The plan in a folder; InputError where there is none that this version knows."""
+    """Return the plan in a folder; raise InputError if there is none, or its version is unknown."""
     try:
         found = json.loads((path / PLAN).read_bytes())
         if found["sweep"] != FORM or not isinstance(found["asked"], dict):
@@ -375,7 +375,7 @@ def _short(value: Any) -> str:
 
 
 def kept(store: Store) -> str:
-    """What to say of a sweep that ended early."""
+    """Return a message on the stored results of an interrupted sweep."""
     if isinstance(store, Folder):
         return f"{store.finished} of {store.plan.cases} cases are in {store.path}; the same command goes on from there"
     return f"{store.finished} of {store.plan.cases} cases were finished"

@@ -1,4 +1,4 @@
-"""Pictures of a sweep as data for plotly: bands over time, histograms, scatter, parallel axes, sensitivities."""
+"""Plotly figures of a sweep: bands over time, histograms, scatter, parallel axes, sensitivities."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BINS = 40
 
 
 def _panels(titles: Sequence[str], across: int, row: int = ROW) -> Figure:
-    """A figure with empty panels, so many in a row."""
+    """Return a figure with empty panels, `across` in a row."""
     down = math.ceil(len(titles) / across)
     layout: dict[str, Any] = {
         "font": FONT,
@@ -67,13 +67,13 @@ def _named(name: str, unit: str) -> str:
 
 
 def _plain(x: Column) -> list[float | None]:
-    """Numbers as JSON has them, six digits each; none where there is none."""
+    """Return numbers for JSON with six digits; None for NaN."""
     return [float(f"{each:.6g}") if math.isfinite(each) else None for each in x.tolist()]
 
 
 def bands(time: Column, columns: dict[str, Column], units: Sequence[str], worst: dict[str, int]) -> Figure:
-    """Outputs (cases, points) over time [s]: bands that 90 % and 50 % of the cases keep within, the median, and the
-    case, by its place, with the largest magnitude."""
+    """Plot outputs (cases, points) over time [s]: bands of 90 % and 50 % of the cases, the median, and the case, by
+    index, with the largest magnitude."""
     figure = _panels([_named(name, unit) for name, unit in zip(columns, units, strict=True)], min(2, len(columns)))
     for i, (name, values) in enumerate(columns.items()):
         t = _plain(time)
@@ -101,7 +101,7 @@ def bands(time: Column, columns: dict[str, Column], units: Sequence[str], worst:
 
 
 def histograms(columns: dict[str, Column], spreads: Sequence[Spread]) -> Figure:
-    """Distributions of kept numbers, with quantiles."""
+    """Plot distributions of measures, with quantiles."""
     figure = _panels([_named(s.name, s.unit) for s in spreads], min(3, len(spreads)), 240)
     figure["layout"]["shapes"] = []
     for i, (s, values) in enumerate(zip(spreads, columns.values(), strict=True)):
@@ -122,7 +122,7 @@ def histograms(columns: dict[str, Column], spreads: Sequence[Spread]) -> Figure:
 def scatter(
     varied: dict[str, Column], kept: dict[str, Column], units: dict[str, str], cases: NDArray[np.int64]
 ) -> Figure:
-    """Each kept number over each varied one, a panel for each pair: rows are kept numbers, columns varied ones."""
+    """Plot each measure (rows) over each varied quantity (columns)."""
     across = len(varied)
     figure = _panels([""] * (across * len(kept)), across, 230)
     i = 0
@@ -150,7 +150,8 @@ def scatter(
 
 
 def parallel(varied: dict[str, Column], kept: dict[str, Column], units: dict[str, str]) -> Figure:
-    """A line for each case across axes of all numbers, coloured by the first kept one; axes can be moved and cut."""
+    """Plot a line for each case across axes of all quantities, coloured by the first measure; axes can be moved and
+    filtered."""
     dimensions = []
     for name, x in {**varied, **kept}.items():
         dimensions.append({"label": _named(name, units.get(name, "")), "values": _plain(x)})
@@ -175,7 +176,7 @@ def parallel(varied: dict[str, Column], kept: dict[str, Column], units: dict[str
 
 
 def sensitivities(spreads: Sequence[Spread], varied: Sequence[str]) -> Figure:
-    """Rank correlations of kept numbers with varied ones as a map."""
+    """Plot rank correlations of measures with varied quantities as a map."""
     z = [[s.sensitivities.get(name, 0.0) for name in varied] for s in spreads]
     text = [[f"{x:+.2f}" for x in row] for row in z]
     bar = {"thickness": 12, "outlinewidth": 0, "tickvals": [-1, -0.5, 0, 0.5, 1]}

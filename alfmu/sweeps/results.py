@@ -1,4 +1,4 @@
-"""A sweep that was made: its columns, its summary, its page."""
+"""Results of a sweep: its columns, its summary, its page."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ __all__ = ["Sweep"]
 SUMMARY, PAGE = "summary.json", "sweep.html"
 
 STILL = 3
-"""Kept numbers that are the same in all cases of which a reader is told each."""
+"""Largest number of constant measures listed individually."""
 
 LISTED = 12
-"""Kept numbers that the command line lists."""
+"""Number of measures listed by the command line."""
 
 NOTED = 0.2
-"""Rank correlation [1] below which the command line names no varied number."""
+"""Rank correlation [1] below which the command line omits a varied quantity."""
 
 
 class Sweep:
-    """Runs with other numbers each: `sweep["max(A.force.x)"]` is an array with a value for each finished case.
+    """Results of a sweep: `sweep["max(A.force.x)"]` is an array with a value for each finished case.
 
-    Columns are `case`, the varied names, what was kept, `end_time` [s], `failure` and `warning` (texts, empty where
-    there is nothing to say); numbers of a case that failed are not a number. They are read from the parts when they are
-    asked for.
+    Columns are `case`, the varied names, the measures, `end_time` [s], `failure` and `warning` (texts, possibly empty);
+    measures of a failed case are NaN. Columns are read from the parts on access.
     """
 
     def __init__(self, store: Store):
@@ -49,7 +48,7 @@ class Sweep:
 
     @classmethod
     def load(cls, folder: str | Path) -> Sweep:
-        """The sweep in a folder, as far as it is made; InputError where there is none."""
+        """Load the finished cases of a sweep from a folder; raise InputError if there is no sweep."""
         path = Path(folder)
         data = read_plan(path)
         try:
@@ -66,17 +65,17 @@ class Sweep:
         return f"Sweep({self.said()})"
 
     def __len__(self) -> int:
-        """How many cases are finished."""
+        """Number of finished cases."""
         return self._store.finished
 
     @property
     def plan(self) -> Plan:
-        """What was asked for."""
+        """Settings of the sweep."""
         return self._store.plan
 
     @property
     def folder(self) -> Path | None:
-        """Where the parts are; None where they are in memory."""
+        """Folder of the parts; None if they are in memory."""
         return self._store.path if isinstance(self._store, Folder) else None
 
     @property
@@ -90,14 +89,15 @@ class Sweep:
         return {name: unit for name in self.names if (unit := self.plan.unit(name))}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A column (cases,) by its name; InputError where nothing is called so."""
+        """Return a column (cases,) by its name; raise InputError if there is none."""
         if name not in self.names:
             raise InputError(f"the sweep of {self.plan.name} has no column {name!r}; {there_is(name, self.names)}")
         column = self._store.columns([name])[name]
         return column.astype(int) if name == "case" else column
 
     def over_time(self, name: str, most: int | None = None) -> NDArray[np.float64]:
-        """(cases, points): an output of `keep_series` at the communication points `time`, of `most` cases at most."""
+        """Return an output of `keep_series` (cases, points) at the communication points `time`, of at most `most`
+        cases."""
         if name not in self.plan.series:
             known = there_is(name, self.plan.series)
             raise InputError(f"the sweep of {self.plan.name} kept no {name!r} over time; {known} (keep_series)")
@@ -114,7 +114,7 @@ class Sweep:
         return summarised(self._store)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """All columns as a table of pandas over the index `case`; `attrs["units"]` has the units.
+        """Return all columns as a pandas table with the index `case`; `attrs["units"]` has the units.
 
         Needs `alfmu[pandas]`.
         """
@@ -129,7 +129,7 @@ class Sweep:
         return table
 
     def save(self, page: bool = True) -> list[Path]:
-        """Write `summary.json` and, where plotly is installed, the page `sweep.html` into the folder of the sweep."""
+        """Write `summary.json` and, if plotly is installed, the page `sweep.html` into the folder of the sweep."""
         if self.folder is None:
             raise InputError(f"the sweep of {self.plan.name} is in memory; give alfmu.sweep() a folder to save it in")
         wrote = [self.folder / SUMMARY]
@@ -139,19 +139,19 @@ class Sweep:
         return wrote
 
     def page(self, path: str | Path) -> Path:
-        """Write one page with all pictures that needs no network. Needs `alfmu[sweep]`."""
+        """Write one self-contained page with all plots. Needs `alfmu[sweep]`."""
         from .page import page
 
         write(path, page(self._store, self.summary).encode())
         return Path(path)
 
     def said(self) -> str:
-        """How much is made, in a line."""
+        """Return the progress as a line of text."""
         s = f"{self.plan.name}: {len(self)} of {self.plan.cases} cases"
         return f"{s} in {self.folder}" if self.folder else s
 
     def lines(self) -> list[str]:
-        """The summary for a reader."""
+        """Return the summary as lines of text."""
         s = self.summary
         said = [f"{s.finished} of {s.cases} cases finished, {s.failed} of them failed"]
         for what, reasons in (("failed", s.failures), ("with a warning", s.warnings)):
@@ -180,12 +180,12 @@ class Sweep:
         return said
 
     def _repr_html_(self) -> str:
-        """For notebooks: the lines of the summary."""
+        """Return the summary as HTML for notebooks."""
         return f"<pre>{escape(chr(10).join([self.said(), *self.lines()]))}</pre>"
 
 
 def show(progress: Callable[[Sequence[int]], Any], total: int) -> Callable[[int], None]:
-    """A progress that is told how many more cases are done."""
+    """Return a function that advances a progress bar by a number of cases."""
     shown = iter(progress(range(total)))
 
     def done(count: int) -> None:

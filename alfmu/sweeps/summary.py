@@ -1,4 +1,4 @@
-"""What the numbers of a sweep say: quantiles, worst cases, sensitivities by rank, reasons of failures."""
+"""Summary of a sweep: quantiles, worst cases, rank sensitivities, reasons of failures."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from .parts import Plan, Store
 __all__ = ["QUANTILES", "Failures", "Spread", "Summary", "summarised"]
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Probabilities [1] whose quantiles are told."""
+"""Probabilities [1] of the quantiles."""
 
 AT_ONCE = 24
-"""Columns that are read at once."""
+"""Number of columns read at once."""
 
 SAME = 1e-12
-"""Spread of a number over its size [1] within which it is the same in all cases: round-off."""
+"""Relative spread [1] below which a measure is constant up to round-off."""
 
 _NUMBERS = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """One kept number over all cases that did not fail."""
+    """Statistics of one measure over all cases that did not fail."""
 
     name: str
     unit: str
     count: int
-    """Cases in which it is a number."""
+    """Number of cases with a value."""
     mean: float
     deviation: float
     least: float
@@ -41,53 +41,53 @@ class Spread:
     largest: float
     largest_case: int
     quantiles: tuple[float, ...]
-    """At QUANTILES."""
+    """Quantiles at QUANTILES."""
     sensitivities: Mapping[str, float]
-    """Spearman's rank correlation [1] with each varied number that changes; empty where this number does not."""
+    """Spearman's rank correlation [1] with each varying quantity; empty if the measure is constant."""
     size: float
-    """The largest magnitude of any kept number in its unit; of one without a unit, of those of its output."""
+    """Largest magnitude of all measures of its unit, or without a unit, of its output."""
 
     @property
     def moves(self) -> bool:
-        """Whether it differs between cases by more than round-off."""
+        """Return whether it varies between cases by more than round-off."""
         return self.largest - self.least > SAME * self.size
 
     @property
     def scale(self) -> str:
-        """What it shares its size with."""
+        """Return the group of measures with a common size."""
         return self.name.partition("(")[2] if self.unit in ("", "1") else self.unit
 
 
 @dataclass(frozen=True)
 class Failures:
-    """Cases that failed, or were warned of, for one reason."""
+    """Cases that failed or had a warning for the same reason."""
 
     reason: str
-    """The text of the first of them."""
+    """The text of the first case."""
     cases: tuple[int, ...]
-    """The first of their numbers, `FEW` at most."""
+    """The numbers of the first cases, at most `FEW`."""
     count: int
 
 
 FEW = 5
-"""Cases that are named of a reason."""
+"""Number of cases listed for a reason."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a sweep says as a whole."""
+    """Summary of all finished cases."""
 
     cases: int
     finished: int
     failed: int
     ranges: Mapping[str, tuple[float, float]]
-    """Least and largest of each varied number, over the finished cases."""
+    """Minimum and maximum of each varied quantity, over the finished cases."""
     spreads: Sequence[Spread]
     failures: Sequence[Failures]
     warnings: Sequence[Failures]
 
     def as_data(self) -> dict[str, Any]:
-        """The same as JSON can hold it; numbers that are not there are null."""
+        """Return the summary as data for JSON; missing numbers are null."""
 
         def number(x: float) -> float | None:
             return float(x) if np.isfinite(x) else None
@@ -122,7 +122,7 @@ class Summary:
 
 
 def summarised(store: Store) -> Summary:
-    """The summary of all finished cases; columns are read a few at a time."""
+    """Return the summary of all finished cases, reading a few columns at a time."""
     plan = store.plan
     texts = store.columns(["case", "failure", "warning"])
     cases, failed = texts["case"].astype(int), texts["failure"] != ""
@@ -137,7 +137,7 @@ def _spreads(
     store: Store, plan: Plan, cases: NDArray[np.int64], varied: Mapping[str, NDArray[np.float64]]
 ) -> Iterator[Spread]:
     ranks: dict[bytes, dict[str, NDArray[np.float64]]] = {}
-    """Ranks of varied numbers among the cases in which a measure is known; these are mostly the same ones."""
+    """Ranks of varied quantities among the cases with a value of the measure, shared by most measures."""
     for begin in range(0, len(plan.measures), AT_ONCE):
         for name, column in store.columns(plan.measures[begin : begin + AT_ONCE]).items():
             known = np.isfinite(column)
@@ -150,7 +150,7 @@ def _spreads(
 
 
 def _ranked(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ranks about their mean, of length 1."""
+    """Return centred ranks of unit length."""
     from scipy.stats import rankdata
 
     ranks = rankdata(x)
@@ -175,7 +175,7 @@ def _spread(
 
 
 def _sized(spreads: Sequence[Spread]) -> list[Spread]:
-    """The same with sizes among all kept numbers, and without sensitivities of what is round-off."""
+    """Return spreads with sizes among all measures, and without sensitivities due to round-off."""
     sizes: dict[str, float] = {}
     for s in spreads:
         sizes[s.scale] = max(s.size, sizes.get(s.scale, 0.0))
@@ -184,7 +184,7 @@ def _sized(spreads: Sequence[Spread]) -> list[Spread]:
 
 
 def _reasons(cases: NDArray[np.int64], texts: NDArray[Any]) -> list[Failures]:
-    """Texts that are the same but for their numbers, the most frequent first."""
+    """Group texts that differ in their numbers alone, most frequent first."""
     groups: dict[str, list[int]] = {}
     for i in np.flatnonzero(texts != ""):
         groups.setdefault(_NUMBERS.sub("#", texts[i]), []).append(int(i))

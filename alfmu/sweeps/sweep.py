@@ -1,4 +1,4 @@
-"""Plan a sweep, make it, and give its results: what `alfmu.sweep` and the command line call."""
+"""Plan and run a sweep: `alfmu.sweep`, also for the command line."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ import numpy as np
 from ..equations import Equations, Variable
 from ..equations.interface import BALANCE, CHOICES
 from ..kernel import DEFAULT
-from ..kernel.tables import packed
 from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.doubts import tell_of_gravity
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.pipeline import again, braked, derive, ready, with_defaults
+from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
 from ..simulation import by_name, communication_points, instance, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
@@ -42,16 +41,16 @@ __all__ = ["sweep"]
 _LOGGER = logging.getLogger("alfmu")
 
 QUICK = 1.0
-"""Time [s] for which this process makes runs before it starts others, which takes some of it."""
+"""Time [s] for which this process makes runs before it starts others, as starting takes about as long."""
 
 _DOUBTS = {"rad": perhaps_degrees, "m": perhaps_millimetres}
-"""What asks whether a value is in another unit, by the unit that it should have."""
+"""Checks whether a value seems to be in another unit, by the expected unit."""
 
 RETRACED = ("solver.method", "solver.input_order")
-"""Variables that a scene is traced with."""
+"""Variables that change the traced scene."""
 
 COMPILES = 8.0
-"""Time [s] left to run from which on a scene is compiled first, which halves that and takes some seconds, once."""
+"""Remaining time [s] above which a scene is compiled first; this takes some seconds and halves the remaining time."""
 
 Vary = Mapping[str, str | Sequence[float]]
 
@@ -78,26 +77,27 @@ def sweep(
     form: str | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> Sweep:
-    """Run a mechanism or an FMU many times with other parameters, start values or inputs, on all cores or a cluster.
+    """Run a mechanism or an FMU many times with different parameters, start values or inputs, on all cores or a
+    cluster.
 
-    `mechanism` is what `alfmu.simulate` takes. `vary` says by name what changes: "0:1:11" is a grid from 0 to 1 of 11
-    values ("0.1:10:5:log" by equal factors), "1,2,5" or a sequence of numbers a list, "uniform(0.9,1.1)" a distribution
-    (`alfmu.sweeps.variations.DISTRIBUTIONS`), of which `samples` are drawn together by a `sampler` ("latin", "sobol",
-    "random") with a `seed`. `cases` is a table, or a CSV file, of cases as they are. Every row of the table is run at
-    every point of the grids with every sample. An input that is varied is held over the run.
+    `mechanism` is a mechanism as for `alfmu.simulate`. `vary` maps names to variations: "0:1:11" is a grid from 0 to 1
+    of 11 values ("0.1:10:5:log" by equal factors), "1,2,5" or a sequence of numbers a list, "uniform(0.9,1.1)" a
+    distribution (`alfmu.sweeps.variations.DISTRIBUTIONS`), of which `samples` are drawn together by a `sampler`
+    ("latin", "sobol", "random") with a `seed`. `cases` is a table, or a CSV file, of explicit cases. Every row of the
+    table is run at every point of the grids with every sample. A varied input is constant during a run.
 
-    `keep` says what is kept of a run: "max(A.force.*)" (final, min, max, mean, peak, rms of outputs at communication
-    points), or "A.force.*" for the first four; without it, these of all outputs but multipliers and monitors.
-    `keep_series` names outputs that are kept at each communication point. `stop_time` [s], `communication_step` [s],
+    `keep` selects measures of a run: "max(A.force.*)" (final, min, max, mean, peak, rms of outputs at communication
+    points), or "A.force.*" for the first four; by default these of all outputs but multipliers and monitors.
+    `keep_series` names outputs to store at each communication point. `stop_time` [s], `communication_step` [s],
     `inputs`, `parameters` and `freeze` are those of `simulate`.
 
-    With a `folder`, finished cases are written there in parts, by `form` "parquet" or "csv"; the same call goes on
-    where an earlier one was ended, and repeats nothing. Runs are made by `workers` processes (None: one for each core;
-    1: this process alone), or by the workers of the Dask cluster at the address `scheduler`. A case that fails is a row
-    with its reason.
+    With a `folder`, finished cases are written there in parts, by `form` "parquet" or "csv"; the same call resumes an
+    interrupted sweep and repeats nothing. Runs are made by `workers` processes (None: one for each core; 1: this
+    process alone), or by the workers of the Dask cluster at the address `scheduler`. A failed case is a row with its
+    reason.
 
-    Raises InputError where what is asked for cannot be run, and KeyboardInterrupt, with what is finished as `sweep`,
-    where the user ends it.
+    Raises InputError if the sweep cannot be run, and KeyboardInterrupt, with the finished cases as `sweep`, if the user
+    interrupts it.
     """
     samples = samples if samples is None else _whole("samples", samples)
     workers = workers if workers is None else _whole("workers", workers)
@@ -131,7 +131,7 @@ def sweep(
             _check_form(form)
             store = stack.enter_context(Folder.opened(plan, Path(folder), form))
         stop = stack.enter_context(stopping())
-        stop.told = partial(
+        stop.on_request = partial(
             _LOGGER.warning, "%s: ending once the runs under way are kept; once more ends at once", job.name
         )
         done = show(progress, plan.cases)
@@ -161,18 +161,18 @@ def _made(
     done: Callable[[int], None],
     others: _Others,
 ) -> None:
-    """Make what is missing by whoever is to make it."""
+    """Run the missing cases in this process, in local processes, or on a cluster."""
     count = workers or cores()
     with ExitStack() as stack:
         crew: Crew | None = None
-        if scheduler:  # first of all, as its address may be wrong
+        if scheduler:  # connect first, as the address may be wrong
             crew = cluster(scheduler)
-        elif count > 1 or isinstance(job, FmuJob):  # an FMU from elsewhere may end the process that runs it
+        elif count > 1 or isinstance(job, FmuJob):  # a foreign FMU may crash its process
             crew = Processes(count)
         if crew:
             stack.callback(crew.close)
         if isinstance(job, SceneJob) and store.missing():
-            # A few runs are made before a process is started, or a scene compiled.
+            # A few runs measure the time before a process is started or a scene compiled.
             pace = make(job, cases, store, None, stop, done, others.braking, QUICK)
             left = store.plan.cases - store.finished
             if others.compiled is not None and pace * left / (crew.workers() if crew else 1) > COMPILES:
@@ -182,7 +182,7 @@ def _made(
 
 
 def cores() -> int:
-    """Processors that this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -195,7 +195,7 @@ def _check_form(form: str) -> None:
 
 @dataclass(frozen=True)
 class _Others:
-    """Other forms of a job: with the scene where redundant constraints brake; compiled, where that is not decided."""
+    """Variants of a job: with the scene for redundant constraints that brake; compiled, if that is undecided."""
 
     braking: Callable[[], Job]
     compiled: Callable[[], Job] | None = None
@@ -203,7 +203,7 @@ class _Others:
 
 @dataclass(frozen=True)
 class _How:
-    """What is asked of all runs."""
+    """Settings common to all runs."""
 
     keep: Sequence[str] | None
     series: Sequence[str]
@@ -214,7 +214,7 @@ class _How:
     cases: Cases
 
     def check(self, name: str, known: Mapping[str, Variable], fixed: Mapping[str, Any]) -> None:
-        """InputError where something is varied that no run can be given."""
+        """Raise InputError if a varied name cannot be set in a run."""
         for each in self.cases.names:
             if each in CHOICES or each in RETRACED:
                 raise InputError(
@@ -233,28 +233,26 @@ class _How:
                 wrong = {"Integer": column != np.round(column), "Boolean": (column != 0) & (column != 1)}
                 if (found := wrong.get(v.type)) is not None and found.any():
                     what = "a whole number" if v.type == "Integer" else "0 or 1"
-                    raise InputError(
-                        f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}"
-                    )
+                    raise InputError(f"{name}: {v.name} = {column[found][0]:g} is among its variations; it is {what}")
                 if v.unit in _DOUBTS:
                     _DOUBTS[v.unit](f"{name}: {v.name}", float(column[np.abs(column).argmax()]))
                 place += 1
 
     def over_time(self, name: str, times: Any, known: Iterable[Variable]) -> tuple[tuple[str, ...], Any]:
-        """Inputs that are given over time, and their values (points, inputs) at communication points."""
+        """Return inputs that vary over time, and their values (points, inputs) at communication points."""
         switches = {v.name for v in known if v.type == "Boolean"}
         signals = signals_of(name, self.inputs)
         table = np.array([[float(signal(t)) for signal in signals.values()] for t in times], float)
         table = table.reshape(len(times), len(signals))
         for i, each in enumerate(signals):
-            if each in switches:  # a table between 0 and 1 switches half-way
+            if each in switches:  # interpolation between 0 and 1 would switch half-way
                 table[:, i] = table[:, i] >= 0.5
         if not np.isfinite(table).all():
             raise InputError(f"{name}: an input is not finite at a communication point")
         return tuple(signals), table
 
     def read(self, name: str, outputs: Sequence[str]) -> tuple[list[Measure], list[str], tuple[str, ...]]:
-        """What is kept, what is kept over time, and the outputs that both take."""
+        """Return the measures, the outputs stored over time, and all outputs needed for both."""
         found, series = measures(name, self.keep, outputs), matching(name, self.series, outputs)
         return found, series, tuple(dict.fromkeys([*(m.output for m in found), *series]))
 
@@ -262,7 +260,7 @@ class _How:
 def _scene(
     mechanism: Any, how: _How, freeze: Sequence[str] | None, kernel: str | None
 ) -> tuple[SceneJob, dict[str, str], _Others]:
-    """The job of a mechanism, units of its variables by name, and other forms of the job."""
+    """Return the job of a mechanism, units of its variables by name, and variants of the job."""
     given, outputs = dict(how.parameters), None
     if isinstance(mechanism, Equations):
         e = mechanism
@@ -301,7 +299,7 @@ def _scene(
     kept_, series, wanted = how.read(e.name, [v.name for v in unit.outputs])
     inputs, table = how.over_time(e.name, times, unit.input_variables)
     for name, value in zip(inputs, table[0], strict=True):
-        unit.set(name, value)  # which tells of unknown names and bad values
+        unit.set(name, value)  # raises for unknown names and bad values
     fixed = [
         (v.name, float(unit.get(v.name))) for v in (*unit.parameters, *unit.input_variables) if v.name not in inputs
     ]
@@ -327,7 +325,7 @@ def _scene(
     )
 
     def braking() -> SceneJob:
-        other = instance(again(braked(unit.equations)), own)
+        other = instance(with_brakes(unit.equations), own)
         return replace(job, braking=_packed(other))
 
     def compiled() -> SceneJob:
@@ -338,7 +336,7 @@ def _scene(
 
 
 def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, freeze: Any) -> Sequence[Variable]:
-    """The outputs that a run would have."""
+    """Return the outputs of a run."""
     from ..equations.interface import variables_of
     from ..equations.specialisation import specialised
 
@@ -347,13 +345,13 @@ def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, f
 
 
 def _packed(unit: Instance) -> tuple[bytes, Code | None]:
-    """The scene of an instance as a file, and its compiled functions where there are any."""
+    """Return the scene of an instance as a file, and its compiled functions if there are any."""
     library = unit.equations.library
     return packed(unit.equations), Code(machine(), Path(library).read_bytes()) if library else None
 
 
 def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
-    """The job of an FMU, and units of its variables by name."""
+    """Return the job of an FMU, and units of its variables by name."""
     from ..fmi.drive import Fmu
 
     with Fmu(path) as fmu:

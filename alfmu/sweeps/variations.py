@@ -1,4 +1,4 @@
-"""What a sweep varies: grids, lists and distributions by a small grammar, tables of cases, and the product of these."""
+"""Variations of a sweep: grids, lists and distributions in a small grammar, tables of cases, and their product."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ __all__ = ["DISTRIBUTIONS", "SAMPLERS", "Cases", "Distribution", "parsed", "plan
 Column = NDArray[np.float64]
 
 MOST_CASES = 50_000_000
-"""Cases of a sweep, at most: a year of runs of half a second."""
+"""Largest number of cases of a sweep: a year of runs of half a second."""
 
 MOST_SAMPLED = 200_000_000
-"""Numbers that may be drawn from distributions, at most: 1.6 GB, which are drawn as a whole."""
+"""Largest number of samples from distributions: 1.6 GB, drawn at once."""
 
 SAMPLERS = {
     "latin": "Latin hypercube: each number has one sample in each of as many equal shares of its probability",
     "sobol": "Sobol points, scrambled: the most even cover; numbers of samples that are powers of 2 keep its balance",
     "random": "independent samples",
 }
-"""How samples are drawn."""
+"""Functions that draw samples, by name."""
 
 _EDGE = 2.0**-53
-"""Probability [1] within which samples keep from 0 and 1, where a normal distribution is infinite: round-off."""
+"""Smallest distance [1] of probabilities from 0 and 1, where normal quantiles are infinite: round-off."""
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of distribution: its numbers by name, what must hold of them, and its quantiles."""
+    """A kind of distribution: its parameters by name, their conditions, and its quantiles."""
 
     numbers: tuple[str, ...]
     check: Callable[..., bool]
@@ -89,18 +89,18 @@ _KINDS = {
 DISTRIBUTIONS = {
     name: " or ".join(f"{name}({', '.join(kind.numbers)})" for kind in kinds) for name, kinds in _KINDS.items()
 }
-"""The distributions that the grammar knows, and how each is written."""
+"""Distributions of the grammar, and their notation."""
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """A distribution of one number, by its quantiles."""
+    """A distribution of one number, given by its quantiles."""
 
     name: str
     numbers: tuple[float, ...]
 
     def quantiles(self, u: Column) -> Column:
-        """The values that are reached with probabilities u (n,)."""
+        """Return the quantiles at probabilities u (n,)."""
         kind = next(k for k in _KINDS[self.name] if len(k.numbers) == len(self.numbers))
         return kind.quantile(np.clip(u, _EDGE, 1 - _EDGE), *self.numbers)
 
@@ -112,9 +112,9 @@ _DRAWN = re.compile(rf"([a-z]+)\(({_NUMBER}(?:,{_NUMBER})*)\)")
 
 
 def parsed(name: str, text: str | Sequence[float]) -> Column | Distribution:
-    """What a variation says: the values of a grid `first:last:count[:log]` or of a list `a,b,c`, or a distribution.
+    """Parse a variation: a grid `first:last:count[:log]`, a list `a,b,c`, or a distribution.
 
-    Nothing of it is run as code. Raises InputError where it is none of these.
+    Nothing in it is executed. Raises InputError if it is none of these.
     """
     if not isinstance(text, str):
         return _values(name, text)
@@ -132,7 +132,7 @@ def parsed(name: str, text: str | Sequence[float]) -> Column | Distribution:
 
 
 def _values(name: str, given: Sequence[float]) -> Column:
-    """Values as they are given."""
+    """Return given values as a column."""
     try:
         found = np.array(given, float).reshape(-1)
     except (TypeError, ValueError):
@@ -162,7 +162,7 @@ def _drawn(name: str, text: str, kind: str, numbers: tuple[float, ...]) -> Distr
 
 
 def read_cases(path: str | Path) -> dict[str, Column]:
-    """A table of cases: a CSV file with a row of names, and a row of finite numbers for each case."""
+    """Read a table of cases: a CSV file with a row of names, and a row of finite numbers for each case."""
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             names, *rows = [row for row in csv.reader(file, strict=True) if row] or [[]]
@@ -186,7 +186,7 @@ def read_cases(path: str | Path) -> dict[str, Column]:
 
 
 def table_of_cases(columns: Mapping[str, Sequence[float]]) -> dict[str, Column]:
-    """The same of columns; InputError where they are not equally long."""
+    """Return a table of cases from columns; raise InputError if their lengths differ."""
     found = {name: _values(name, column) for name, column in columns.items()}
     if len({len(column) for column in found.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in found.items())
@@ -196,14 +196,14 @@ def table_of_cases(columns: Mapping[str, Sequence[float]]) -> dict[str, Column]:
 
 @dataclass(frozen=True)
 class Cases:
-    """The numbers of all cases: the product of tables, the first of which varies slowest.
+    """The values of all cases: the product of tables, the first of which varies slowest.
 
-    Only the tables are kept; `values` makes the numbers of some cases when they are asked for.
+    Only the tables are stored; `values` computes the values of some cases on demand.
     """
 
     names: tuple[str, ...]
     tables: tuple[Column, ...]
-    """Each (rows, columns); their columns one after the other are those of the names."""
+    """Tables (rows, columns); their columns in order are those of the names."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -213,12 +213,12 @@ class Cases:
         return math.prod(self.shape)
 
     def values(self, first: int, stop: int) -> Column:
-        """(stop - first, names): the numbers of cases first, first + 1, ..., stop - 1."""
+        """Return the values (stop - first, names) of cases first, first + 1, ..., stop - 1."""
         places = np.unravel_index(np.arange(first, stop), self.shape)
         return np.hstack([table[at] for table, at in zip(self.tables, places, strict=True)])
 
     def digest(self) -> str:
-        """A digest of all numbers."""
+        """Return a digest of all values."""
         found = hashlib.sha256(repr(self.names).encode())
         for table in self.tables:
             found.update(repr(table.shape).encode() + np.ascontiguousarray(table, "<f8").tobytes())
@@ -232,10 +232,10 @@ def planned(
     seed: int,
     table: Mapping[str, Column] | None = None,
 ) -> Cases:
-    """The cases of a sweep: each row of a table, at each point of all grids and lists, with each of the samples.
+    """Return the cases of a sweep: each row of a table, at each point of all grids and lists, with each of the samples.
 
-    Samples are the same at every point, so that these compare. Raises InputError where something is missing, is given
-    twice, or is too much.
+    Samples are the same at every point, which makes points comparable. Raises InputError if something is missing, is
+    given twice, or is too large.
     """
     table = table or {}
     if sampler not in SAMPLERS:
@@ -265,7 +265,7 @@ def planned(
 
 
 def _sampled(drawn: Sequence[Distribution], samples: int, sampler: str, seed: int) -> Column:
-    """Samples of several distributions that do not depend on each other."""
+    """Return samples of independent distributions."""
     if samples * len(drawn) > MOST_SAMPLED:
         raise InputError(f"{samples} samples of {len(drawn)} numbers are more than the {MOST_SAMPLED:.0e} to be drawn")
     if not 0 <= seed < 2**63:
@@ -278,6 +278,6 @@ def _sampled(drawn: Sequence[Distribution], samples: int, sampler: str, seed: in
 
         if sampler == "latin":
             u = qmc.LatinHypercube(len(drawn), seed=generator).random(samples)
-        else:  # by powers of 2, as SciPy warns of other numbers
+        else:  # drawn by powers of 2, as SciPy warns otherwise
             u = qmc.Sobol(len(drawn), seed=generator).random_base2(math.ceil(math.log2(samples)))[:samples]
     return np.column_stack([each.quantiles(u[:, i]) for i, each in enumerate(drawn)])

@@ -1,5 +1,5 @@
-"""Connected systems: mechanisms, parts and FMUs whose outputs are inputs of others, described in a file, run, exchanged
-as SSP, and compared with one mechanism that has them all.
+"""Systems of connected mechanisms, parts and FMUs: described in a file, run, exchanged as SSP, and compared with one
+equivalent mechanism.
 
 Other rooms import `coupling`, `masters`, `ssp`, `system`.
 """

@@ -19,17 +19,17 @@ class Case:
     step: float
     """Communication step [s]."""
     error: float
-    """Largest difference of a compared output over the largest value of it [1]; infinite where the run failed."""
+    """Largest difference of a compared output over its largest value [1]; infinite if the run failed."""
     errors: Mapping[str, float]
     energy: float
-    """Largest energy that coupling has made up to any time [J], by size; NaN where no power bond is known."""
+    """Largest magnitude of the energy created by coupling up to any time [J]; NaN if no power bond is known."""
     passed: float
-    """Energy that went through the bonds, forth and back [J]."""
+    """Energy that passed the bonds in either direction [J]."""
     tries: float
-    """Steps of the components that were made for one communication step."""
+    """Number of steps of the components per communication step."""
     seconds: float
     why: str = ""
-    """Why it failed."""
+    """Reason of a failure."""
     time: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     made: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    """Energy made up to these times [J]."""
+    """Energy created up to these times [J]."""

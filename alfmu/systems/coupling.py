@@ -1,11 +1,11 @@
-"""What coupling costs: a system against one mechanism that has all its parts, as the communication step halves.
+"""Errors of co-simulation: a system against one mechanism of all its parts, as the communication step halves.
 
-For each master algorithm and step the largest difference of the compared outputs, over the largest value of each; the
-energy that coupling makes; and the largest stable step.
+For each master algorithm and step a study gives the largest difference of the compared outputs, over the largest value
+of each, and the energy created by coupling; for each master, the largest stable step.
 
-Power passes a bond of two connections between two components, an effort e one way and a flow f the other way. With e*
-and f* the values that the components take instead of these within a step, the one side receives e* f, the other gives
-e f*, and coupling makes their difference (after S. Sadjina, L. T. Kyllingstad, S. Skjong, E. Pedersen, "Energy
+Power passes through a bond of two connections between two components, an effort e one way and a flow f the other way.
+With e* and f* the values that the components use instead within a step, one side receives e* f, the other delivers e
+f*, and coupling creates their difference (after S. Sadjina, L. T. Kyllingstad, S. Skjong, E. Pedersen, "Energy
 conservation and power bonds in co-simulations", Engineering with Computers 33, 2017)
 
     E = sum over steps of the integral of (e* f - e f*) dt.
@@ -49,19 +49,19 @@ if TYPE_CHECKING:
 __all__ = ["Bond", "Case", "Coupling", "couple"]
 
 HALVINGS = 5
-"""Halvings of the communication step of the system."""
+"""Number of halvings of the communication step of the system."""
 
 TOLERANCE = 1e-9
-"""Relative tolerance of all components [1]: what is left of the error is that of the coupling."""
+"""Relative tolerance of all components [1], so that the remaining error is due to coupling."""
 
 REFERENCE = 1e-2
-"""Tolerance of the one mechanism over that of the components [1]."""
+"""Tolerance of the equivalent mechanism over that of the components [1]."""
 
 FAR = 1.0
-"""A run is stable whose largest error is no more than this [1]: as large as the motion itself."""
+"""Largest error of a stable run [1]: as large as the motion itself."""
 
 FOUND = 1.05
-"""The largest stable step is found to this ratio."""
+"""Accuracy, as a ratio, of the largest stable step."""
 
 _EFFORTS = ("N", "N.m", "V", "Pa")
 _LIMITED = "solver.relative_tolerance"
@@ -71,7 +71,7 @@ Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Bond:
-    """Two connections between two components, between which power passes: places among the links."""
+    """Two connections between two components through which power passes: indices of links."""
 
     effort: int
     flow: int
@@ -80,27 +80,27 @@ class Bond:
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """What a study of coupling found."""
+    """Results of a study of coupling."""
 
     system: str
     compared: Mapping[str, str]
     cases: Sequence[Case]
     stable: Mapping[str, tuple[float, bool]]
-    """By master the largest stable step that was found [s], and whether a longer one failed."""
+    """Largest stable step by master [s], and whether a longer one failed."""
     reference_error: float
-    """What the one mechanism differs from itself at a hundredth of its tolerance and half its step [1]."""
+    """Difference of the equivalent mechanism from itself at a hundredth of its tolerance and half its step [1]."""
     bonds: Sequence[str]
     refused: Mapping[str, str] = field(default_factory=dict)
-    """Why a master cannot run the system at all, or not at a step that was asked for."""
+    """Reasons by master for which the system cannot be run at all, or not at a requested step."""
 
     def of(self, master: str) -> list[Case]:
-        """The runs by one master, the longest step first."""
+        """Return the runs by one master, the longest step first."""
         return [case for case in self.cases if case.master == master]
 
     def order(self, master: str) -> float:
-        """The slope of the error over the step, fitted to the runs whose error is above round-off and below 10 %.
+        """Return the slope of the error over the step, fitted to the runs with an error above round-off and below 10 %.
 
-        NaN where fewer than three are.
+        NaN if there are fewer than three.
         """
         floor = 30 * self.reference_error
         used = [case for case in self.of(master) if max(floor, 1e-9) < case.error < 0.1]
@@ -109,10 +109,10 @@ class Coupling:
         return float(np.polyfit(np.log([c.step for c in used]), np.log([c.error for c in used]), 1)[0])
 
     def lines(self) -> list[str]:
-        """All of it as a table."""
+        """Return all results as a table."""
         said = [f"{self.system}: {', '.join(f'{a} against {b}' for a, b in self.compared.items())}"]
         bonds = "; ".join(self.bonds)
-        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so that no energy is told"]
+        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so that no energy is reported"]
         exact = f"{self.reference_error:.1e}"
         said += [f"the one mechanism agrees with itself to {exact} at a tighter tolerance and half the step", ""]
         said += ["master        step [s]    error    energy made [J]   of that passed   tries   time [s]"]
@@ -136,7 +136,7 @@ class Coupling:
         return said
 
     def save(self, path: str | Path) -> None:
-        """Write the table as `.csv`; raises InputError for another suffix, WriteError where it cannot be written."""
+        """Write the table as `.csv`; raise InputError for another suffix, WriteError if it cannot be written."""
         check_file(Path(path))
         text = io.StringIO(newline="")
         table = csv.writer(text, lineterminator="\n")
@@ -151,7 +151,7 @@ class Coupling:
         write(path, text.getvalue().encode())
 
     def figure(self) -> Figure:
-        """Error over step by master, and the energy that coupling makes over time; needs `alfmu[plot]`."""
+        """Plot error over step by master, and the energy created by coupling over time; needs `alfmu[plot]`."""
         orders = {master: self.order(master) for master in dict.fromkeys(case.master for case in self.cases)}
         return figure(self.system, self.cases, orders, self.stable)
 
@@ -162,7 +162,7 @@ class Coupling:
 
 
 def check_file(path: Path) -> None:
-    """InputError where a path cannot hold a table."""
+    """Raise InputError if a table cannot be written to a file of this name."""
     if path.suffix.lower() != ".csv":
         raise InputError(f"{path} cannot hold a table; its name must end in .csv")
 
@@ -176,13 +176,13 @@ def couple(
     stability: bool = True,
     progress: Progress = iter,
 ) -> Coupling:
-    """Compare a system with the one mechanism that its `monolithic` names, at its communication step and `halvings`
-    halvings of it, by each of `masters`.
+    """Compare a system with the mechanism that its `monolithic` names, by each of `masters`.
 
-    All mechanisms and parts, and FMUs that have the parameter, run with the relative tolerance `tolerance` unless the
-    system sets one, the one mechanism with `REFERENCE` of it. `stability` searches the largest stable steps. `progress`
-    wraps the runs. A master that cannot run the system is left out, with its reason in `refused`. Raises InputError
-    where there is nothing to compare with, and what the first master raises where all are refused.
+    The communication step is that of the system and `halvings` halvings of it. All mechanisms and parts, and FMUs with
+    this parameter, run with the relative tolerance `tolerance` unless the system sets one, the equivalent mechanism
+    with `REFERENCE` of it. `stability` searches the largest stable steps. `progress` wraps the runs. A master that
+    cannot run the system is left out, with its reason in `refused`. Raises InputError if there is nothing to compare
+    with, and the error of the first master if all are refused.
     """
     system = system if isinstance(system, System) else System.load(system)
     mono = system.monolithic
@@ -235,7 +235,7 @@ def couple(
 
 
 def _limits(system: System, mono: Monolithic, units: Mapping[str, str], tolerance: float) -> dict[str, float]:
-    """Tolerances of the components that have one; InputError where outputs are not what they are compared with."""
+    """Return tolerances of the components that have one; raise InputError if compared outputs do not exist."""
     with Assembly(system) as assembly:
         known = {v.name: v.unit for v in assembly.outputs}
         for name, theirs in mono.compare.items():
@@ -253,12 +253,12 @@ def _limits(system: System, mono: Monolithic, units: Mapping[str, str], toleranc
 def _reference(
     system: System, mono: Monolithic, finest: float, tolerance: float
 ) -> tuple[dict[str, NDArray[np.float64]], float, Mapping[str, str]]:
-    """The compared outputs of the one mechanism at all communication points of the finest run, their own error, and
-    the units of all."""
+    """Return the compared outputs of the equivalent mechanism at all communication points of the finest run, their
+    error, and the units of all."""
     if _LIMITED in mono.parameters:
         raise InputError(f"{system.name}: monolithic sets {_LIMITED}; leave it out, as the study's tolerance gives it")
     runs = []
-    for halves, share in ((1, REFERENCE), (2, REFERENCE**2)):  # shorter steps count for methods without error control
+    for halves, share in ((1, REFERENCE), (2, REFERENCE**2)):  # halved steps, for methods without error control
         limit = max(tolerance * share, 1e-13)
         recipe = of(mono.mechanism).changed(options=mono.options, parameters={_LIMITED: limit, **mono.parameters})
         names = sorted(set(mono.compare.values()))
@@ -271,7 +271,7 @@ def _reference(
 
 
 def _difference(found: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
-    """Largest difference over the largest value."""
+    """Return the largest difference over the largest value."""
     size = float(np.max(np.abs(wanted), initial=0.0))
     far = float(np.max(np.abs(found - wanted), initial=0.0))
     return far / size if size else far
@@ -286,7 +286,7 @@ def _run(
     finest: float,
     limits: Mapping[str, float],
 ) -> tuple[Case, list[Bond]]:
-    """One run of the system against the reference."""
+    """Return one run of the system against the reference."""
     began = time.perf_counter()
     span = system.stop_time
     with Assembly(system.changed(master=master, communication_step=step), limits, observed=True) as unit:
@@ -294,7 +294,7 @@ def _run(
         why = ""
         try:
             result = simulation.run(unit, span, step)
-        except AlfmuError as error:  # a value that diverges is refused as an input
+        except AlfmuError as error:  # a diverging value is rejected as an input
             if not isinstance(error.result, Result):
                 raise
             result, why = error.result, str(error)
@@ -305,7 +305,7 @@ def _run(
         times = np.arange(len(reference[name])) * finest
         places = np.round(result.time / finest).astype(int)
         on_grid = np.all(np.abs(result.time - places * finest) < 1e-9 * span)
-        # Between the points of the reference for the search of stable steps alone.
+        # Points between those of the reference occur in the search of stable steps only.
         found = reference[name][np.minimum(places, len(times) - 1)]
         wanted = found if on_grid else np.interp(result.time, times, reference[name])
         errors[name] = _difference(result[name], wanted)
@@ -316,7 +316,7 @@ def _run(
 
 
 def _largest(fine: Callable[[float], bool], good: float, span: float, finest: float) -> tuple[float, bool]:
-    """The largest step that is stable, up to a quarter of the run, and whether a longer one was not."""
+    """Return the largest stable step, up to a quarter of the run, and whether a longer one was unstable."""
     most = span / 4
     if not good:
         return 0.0, True
@@ -338,7 +338,7 @@ def _largest(fine: Callable[[float], bool], good: float, span: float, finest: fl
 
 
 def _bonds(system: System, links: Sequence[Link]) -> list[Bond]:
-    """The power bonds of a system: those that it names, or all that units and ends can tell."""
+    """Return the power bonds of a system: those that it names, or all that follow from units and ends."""
     by_source: dict[str, list[int]] = {}
     for k, each in enumerate(links):
         by_source.setdefault(each.given.source, []).append(k)
@@ -370,7 +370,7 @@ def _bonds(system: System, links: Sequence[Link]) -> list[Bond]:
         if one.source[0] == other.target[0] and other.source[0] == one.target[0] and one.smooth and other.smooth
         if _of(one) in efforts and _watts(one, other)
     ]
-    # Where several flows could belong to one effort, only the system can say which.
+    # If several flows match one effort, the system must name the bond.
     alone = [pair for pair in candidates if sum(set(pair) & set(other) != set() for other in candidates) == 1]
     return [bond(*pair) for pair in alone]
 
@@ -394,14 +394,14 @@ def _watts(one: Link, other: Link) -> bool:
 
 
 def _energy(unit: Assembly, bonds: Sequence[Bond]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Times, the energy that coupling has made up to each [J], and what passed the bonds in all [J]."""
+    """Return times, the energy created by coupling up to each [J], and the total energy through the bonds [J]."""
     at, made, passed = [unit.system.start_time], [0.0], 0.0
     weights = np.array([1.0, 4.0, 1.0]) / 6
     for begin, h, taken, given in unit.observed:
         change = 0.0
         for bond in bonds:
             i, j = bond.effort, bond.flow
-            # In the units of the inputs, whose product is in W if both are in SI units.
+            # Units of the inputs, whose product is in W if both are SI units.
             scale = unit.links[i].ends[1].measure.factor * unit.links[j].ends[1].measure.factor  # type: ignore[union-attr]
             power = taken[:, i] * given[:, j] - given[:, i] * taken[:, j]
             change += h * scale * float(weights @ power)

@@ -65,18 +65,18 @@ class Component:
     kind: str
     """mechanism, part or fmu."""
     what: str | Path | Mechanism | Recipe
-    """The mechanism or its name, the part, the FMU; of an FMU in an archive, where it stands there."""
+    """The mechanism or its name, the part, or the FMU (in an archive, its path there)."""
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     outputs: Sequence[str] | None = None
-    """Names or patterns of the outputs that are computed; None for all."""
+    """Names or patterns of the outputs to compute; None for all."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Units that a description elsewhere gives to variables of an FMU, which have to be its own."""
+    """Units that an external description states for variables of an FMU, which must agree with the FMU."""
 
 
 @dataclass(frozen=True)
 class Connection:
-    """What an output gives to an input: `factor` times its value plus `offset`, after conversion of its unit."""
+    """A connection of an output to an input: `factor` times its value plus `offset`, after conversion of its unit."""
 
     source: str
     """COMPONENT.OUTPUT."""
@@ -85,8 +85,8 @@ class Connection:
     factor: float = 1.0
     offset: float = 0.0
     convert: str | None = None
-    """Where the units differ, both of them as "r/min -> rad/s"; "*" converts whatever they are, "none" nothing, as an
-    SSP may ask for."""
+    """Conversion of units, both of them as "r/min -> rad/s", if they differ; "*" converts any units, "none" none, as an
+    SSP may request."""
 
     def __str__(self) -> str:
         return f"{self.source} -> {self.target}"
@@ -94,11 +94,11 @@ class Connection:
 
 @dataclass(frozen=True)
 class Monolithic:
-    """One mechanism that has all that a system has, to judge its coupling."""
+    """One mechanism equivalent to a system, to judge its coupling."""
 
     mechanism: str | Path | Mechanism | Recipe
     compare: Mapping[str, str]
-    """Outputs of the system, and the outputs of the mechanism that they are compared with."""
+    """Outputs of the system, and the outputs of the mechanism for comparison."""
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     inputs: Mapping[str, float] = field(default_factory=dict)
@@ -106,7 +106,7 @@ class Monolithic:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Description:
-    """What describes a system; the fields of `alfmu.System`, whose docstring says what they are."""
+    """Description of a system; `alfmu.System` documents the fields."""
 
     name: str
     components: Mapping[str, Any]
@@ -120,9 +120,9 @@ class Description:
     bonds: Sequence[tuple[str, str]] | None = None
     monolithic: Monolithic | None = None
     folder: Path = Path()
-    """What paths of FMUs are relative to."""
+    """Base folder of paths of FMUs."""
     archive: Path | None = None
-    """The SSP that the FMUs stand in, if any."""
+    """The SSP that contains the FMUs, if any."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
@@ -174,7 +174,7 @@ class Description:
             raise InputError(f"{who}: {name!r} is of no component; {there_is(component, self.components)}")
 
     def changed(self, **given: Any) -> Self:
-        """The same system with other fields, of which None changes nothing; inputs are added."""
+        """Return the system with other fields, of which None changes nothing; inputs are merged."""
         given = {name: value for name, value in given.items() if value is not None}
         if "inputs" in given:
             given["inputs"] = {**self.inputs, **given["inputs"]}
@@ -186,7 +186,7 @@ def _is_number(value: object) -> bool:
 
 
 def _component(who: str, name: object, what: Any) -> Component:
-    """A component of what was given for it."""
+    """Return a component from a user's value."""
     if not isinstance(name, str) or not _NAME.match(name):
         raise InputError(f"{who} has a component {shown(name)}; use letters, digits and _ in its name")
     if isinstance(what, Component):
@@ -218,7 +218,7 @@ def _connection(who: str, given: Any) -> Connection:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The fields of the `Description` that a TOML file gives."""
+    """Return the fields of the `Description` in a TOML file."""
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -269,7 +269,7 @@ def _table(path: Path, name: str, value: Any) -> dict[str, Any]:
 
 
 def _source(path: Path, what: Any) -> Any:
-    """A mechanism by name, or a file beside this one."""
+    """Return a mechanism by name, or the path of a file beside this one."""
     return path.parent / what if isinstance(what, str) and is_file(what) else what
 
 

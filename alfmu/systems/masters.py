@@ -1,4 +1,4 @@
-"""The master algorithms by name; a help text imports nothing else."""
+"""Names of the master algorithms; help texts need only this light module."""
 
 __all__ = ["MASTERS"]
 
@@ -7,4 +7,4 @@ MASTERS = {
     "extrapolated": "inputs go on as they changed over the last communication step: order 2",
     "iterated": "steps are taken back and made again until inputs and outputs agree at their ends: order 2, and stable",
 }
-"""Master algorithms: how inputs change within a communication step."""
+"""Master algorithms: the inputs within a communication step."""

@@ -1,4 +1,4 @@
-"""A study of coupling as a picture: error over step by master, and the energy that coupling makes over time."""
+"""Figure of a study of coupling: error over step by master, and the energy created by coupling over time."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _LOOKS = {"held": (COLORS[3], "o"), "extrapolated": (COLORS[1], "s"), "iterated"
 def figure(
     name: str, cases: Sequence[Case], orders: Mapping[str, float], stable: Mapping[str, tuple[float, bool]]
 ) -> Figure:
-    """The matplotlib figure of the runs of a study of a system: `orders` by master, the largest `stable` steps [s].
+    """Return the matplotlib figure of a study: runs, `orders` by master, the largest `stable` steps [s].
 
-    Raises InputError where matplotlib is missing.
+    Raises InputError if matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def figure(
 
 
 def _shown(cases: Sequence[Case], masters: list[str]) -> list[Case]:
-    """One run of each master, all of the longest step at which all of them are stable."""
+    """Return one run of each master, all of the longest step at which every master is stable."""
     fit = [case for case in cases if np.isfinite(case.error) and not np.isnan(case.energy)]
     good = [{case.step: case for case in fit if case.master == master} for master in masters]
     common = set.intersection(*(set(each) for each in good)) if good else set()

@@ -1,4 +1,4 @@
-"""What can be connected of a component: its variables with their units, and how one unit becomes another."""
+"""Ports of components: variables with their units, and conversion of units."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 @dataclass(frozen=True)
 class Measure:
-    """A unit: `factor` times a value in it, plus `offset`, is one in base units with these exponents."""
+    """A unit: `factor` times a value in it, plus `offset`, is the value in base units with these exponents."""
 
     name: str = field(compare=False)
     exponents: tuple[tuple[str, int], ...]
@@ -40,16 +40,16 @@ class Port:
     type: str
     """Real, Integer, Boolean, Enumeration or String."""
     unit: str | None
-    """None where it is not known."""
+    """None if unknown."""
     measure: Measure | None = None
-    """None where the unit is not known, or not what it stands for."""
+    """None if the unit or its definition is unknown."""
     description: str = ""
     follows: frozenset[str] = frozenset()
-    """Of an output, the inputs that it follows without delay."""
+    """Inputs on which an output depends directly."""
 
 
 def measure(name: str | None) -> Measure | None:
-    """A unit by a name that alfmu knows, those for display included."""
+    """Return a unit by a name known to alfmu, including display units."""
     for known in UNITS.values():
         if name in known.display:
             return Measure.of(name, known.exponents, 1 / known.display[name])
@@ -59,7 +59,7 @@ def measure(name: str | None) -> Measure | None:
 
 
 def conversion(source: Measure, target: Measure) -> tuple[float, float]:
-    """Factor and offset from a value in one unit to one in another; InputError where they measure different things."""
+    """Return factor and offset from one unit to another; raise InputError if they measure different quantities."""
     if source.exponents != target.exponents:
         raise InputError(f"{source.name} and {target.name} do not measure the same")
     factor, offset = source.factor / target.factor, (source.offset - target.offset) / target.factor

@@ -1,4 +1,4 @@
-"""Systems read from SSP archives: data from somewhere else, checked once and completely, of which nothing is run."""
+"""Read systems from SSP archives of untrusted origin: checked completely, never executed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .ssp import DESCRIPTION, OSP, OWN, VERSIONS, tag
 __all__ = ["read", "unpacked"]
 
 _LARGEST = 16_000_000
-"""Bytes of a description or a parameter set, at most."""
+"""Largest size of a description or a parameter set in bytes."""
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The fields of the `Description` that an SSP gives, checked once and completely; nothing in it is run.
+    """Return the fields of the `Description` in an SSP, checked completely; nothing in it is executed.
 
-    What alfmu does not support is refused by name: systems in systems, signal dictionaries, parameter mappings, FMUs
-    outside the archive. FMUs are checked when they are opened.
+    Unsupported features are rejected by name: systems in systems, signal dictionaries, parameter mappings, FMUs outside
+    the archive. FMUs are checked when they are opened.
     """
     checked_archive(path, "an SSP")
     with zipfile.ZipFile(path) as opened:
@@ -43,7 +43,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def unpacked(system: Description, folder: Path) -> None:
-    """Put the FMUs of a system's archive into a folder."""
+    """Unpack the FMUs of a system's archive into a folder."""
     assert system.archive is not None
     checked_archive(system.archive, "an SSP")  # it may have changed since it was read
     with zipfile.ZipFile(system.archive) as opened:
@@ -57,7 +57,7 @@ def unpacked(system: Description, folder: Path) -> None:
 
 
 def _parsed(path: Path, opened: zipfile.ZipFile, names: set[str], name: str, element: str) -> ET.Element:
-    """The root of an XML file of the archive."""
+    """Return the root of an XML file of the archive."""
     if name not in names:
         raise InputError(f"{path} has no {name}")
     if opened.getinfo(name).file_size > _LARGEST:
@@ -125,7 +125,7 @@ def _read_component(path: Path, opened: zipfile.ZipFile, names: set[str], name: 
 
 
 def _place(what: str, source: str | None, names: set[str]) -> str:
-    """A file of the archive by a URI relative to it; names of the archive were checked to stay inside."""
+    """Return the file of a URI relative to the archive, whose names were checked to stay inside."""
     place = PurePosixPath(unquote(source or "").removeprefix("./")).as_posix()
     if place not in names:
         raise InputError(f"{what} is {source!r}, which is no file in the archive; alfmu takes no other")
@@ -162,7 +162,7 @@ def _read_connection(each: ET.Element, connectors: Mapping[str, Mapping[str, ET.
         if name not in connectors[component]:
             raise InputError(f"{component} has no connector {name!r}; {there_is(name, connectors[component])}")
         ends.append((f"{component}.{name}", connectors[component][name].get("kind")))
-    # SSP lets a connection be drawn either way.
+    # SSP allows either direction of a connection.
     if ends[0][1] == "input" and ends[1][1] == "output":
         ends.reverse()
     if (ends[0][1], ends[1][1]) != ("output", "input"):
@@ -185,7 +185,7 @@ def _read_connection(each: ET.Element, connectors: Mapping[str, Mapping[str, ET.
 def _bindings(
     path: Path, opened: zipfile.ZipFile, names: set[str], each: ET.Element, what: str
 ) -> tuple[dict[str, float | str], dict[str, str]]:
-    """Values of parameters that are bound to an element, and their units."""
+    """Return values of parameters bound to an element, and their units."""
     found: dict[str, float | str] = {}
     units: dict[str, str] = {}
     for one in _children(each, "ssd:ParameterBindings"):
@@ -233,12 +233,12 @@ def _value(what: str, each: ET.Element) -> float | str:
 
 
 def _read_annotations(experiment: ET.Element) -> dict[str, Any]:
-    """What annotations say of the master, alfmu's own before that of the Open Simulation Platform."""
+    """Return the master settings in annotations, alfmu's own before those of the Open Simulation Platform."""
     own: dict[str, Any] = {}
     found = {each.get("type"): each for each in _children(experiment, "ssd:Annotations")}
     if OSP in found:
         fixed = found[OSP].find(f".//{tag('osp:FixedStepAlgorithm')}")
-        if fixed is None:  # whatever its namespace
+        if fixed is None:  # accept any namespace
             fixed = next((e for e in found[OSP].iter() if e.tag.rpartition("}")[2] == "FixedStepAlgorithm"), None)
         if fixed is not None:
             own["communication_step"] = _number("baseStepSize", fixed.get("baseStepSize"))

@@ -1,4 +1,4 @@
-"""The masters: components of a system stepped together, their inputs held, extrapolated or iterated.
+"""Master algorithms: components of a system stepped together, with inputs held, extrapolated or iterated.
 
 With u the inputs that are connected and y(u) the outputs behind a communication step, u = G y + b at each communication
 point. Within the step from t to t + H inputs change linearly, from u(t) to an end value e (where a component cannot
@@ -40,36 +40,36 @@ __all__ = ["Assembly", "Link", "interface_jacobian", "simulate"]
 Vector = NDArray[np.float64]
 
 AGREES = 1e-9
-"""Largest difference of inputs from outputs when they agree [1], over the largest value that a signal has had."""
+"""Largest difference of inputs from outputs in agreement [1], over the largest value that a signal has had."""
 
 STALLS = 1e-6
-"""Difference [1] that is taken where it does not fall any more: what error control of the components leaves."""
+"""Difference [1] that is accepted once it stops falling: error control of the components leaves it."""
 
 SMALL = 1e-6
-"""A signal counts as no smaller than this [its unit], so that what rests at zero agrees with itself."""
+"""Smallest size of a signal [its unit], so that signals at zero agree."""
 
 MOST = 25
-"""Iterations of a step, at most."""
+"""Most iterations of a step."""
 
 SLOW = 0.3
-"""An iteration that leaves more than this share of the difference asks for a new matrix."""
+"""Share of the difference left by an iteration above which the matrix is computed again."""
 
 NUDGE = 1e-4
-"""Change of an input for a difference quotient [1], over the size of the signal: the matrix needs a few digits."""
+"""Relative change of an input for a difference quotient [1], over the size of the signal; a few digits suffice."""
 
 
 @dataclass(frozen=True)
 class Link:
-    """A connection between two ports, with the conversion of their units in factor and offset."""
+    """A connection between two ports, with the unit conversion as factor and offset."""
 
     source: tuple[int, int]
-    """Component, and place among its outputs."""
+    """Component, and index among its outputs."""
     target: tuple[int, str]
     """Component, and name of its input."""
     factor: float
     offset: float
     smooth: bool
-    """Whether both are numbers that change continuously; others are held for each step."""
+    """Whether both are continuous numbers; others are held constant in each step."""
     given: Connection
     ends: tuple[Port, Port]
 
@@ -96,17 +96,17 @@ def simulate(
 
 
 def _later(signal: Signal, start_time: float) -> Signal:
-    """A signal by the time since the start."""
+    """Return a signal as a function of the time since the start."""
     if isinstance(signal, tuple):
         return np.asarray(signal[0], float) - start_time, signal[1]
     return (lambda t: signal(t + start_time)) if callable(signal) else signal
 
 
 class Assembly:
-    """The opened components of a system, driven as one unit by `alfmu.simulation.run`; close it, or use `with`.
+    """The opened components of a system, run as one unit by `alfmu.simulation.run`; close it, or use `with`.
 
-    Raises InputError where a connection cannot be: variables that are not there, of another causality, type or unit, or
-    an algebraic loop that the master does not solve.
+    Raises InputError for an invalid connection: unknown variables, wrong causality, type or unit, or an algebraic loop
+    that the master does not solve.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Assembly:
                 raise InputError(f"{self.name}: {name!r} is of no component; {there_is(component, system.components)}")
             if name in sources:
                 raise InputError(f"{self.name}: {name} is connected to {sources[name]}, which gives its value")
-            if name in system.inputs:  # what is set counts, as it does for a mechanism
+            if name in system.inputs:  # explicit inputs override them, as for a mechanism
                 system = self.system = system.changed(inputs={name: value})
                 continue
             own.setdefault(component, {})[variable] = value
@@ -163,7 +163,7 @@ class Assembly:
         self._given: dict[tuple[int, str], float] = {self._free[name]: x for name, x in system.inputs.items()}
         self._begun = False
         self.iterations = self.jacobians = self.steps = 0
-        """Steps that were made, tries that were taken back, and matrices that were computed."""
+        """Numbers of steps, repeated attempts, and computed matrices."""
 
     def __enter__(self) -> Assembly:
         return self
@@ -190,7 +190,7 @@ class Assembly:
         return self._index[component], port
 
     def _link(self, given: Connection) -> Link:
-        """A connection that was checked: causality, type, unit."""
+        """Return a connection after checks of causality, type and unit."""
         i, source = self._port(given.source, "output", given)
         j, target = self._port(given.target, "input", given)
         whole = ("Integer", "Boolean")
@@ -208,7 +208,7 @@ class Assembly:
         return Link((i, place), (j, target.name), factor, offset, smooth, given, (source, target))
 
     def _converted(self, given: Connection, source: Port, target: Port) -> tuple[float, float]:
-        """Factor and offset for the units of two ports."""
+        """Return factor and offset for the units of two ports."""
         named = f"{source.unit} -> {target.unit}"
         if given.convert == "none":
             return 1.0, 0.0
@@ -250,7 +250,8 @@ class Assembly:
                 raise InputError(f"{self.name}: {component} has no input {variable!r}; {there_is(variable, inputs)}")
 
     def _levels(self) -> int:
-        """How many outputs follow each other at once, at most; an algebraic loop is refused, warned of, or solved."""
+        """Return the longest chain of outputs that depend directly on each other; reject, warn of or solve an algebraic
+        loop."""
         after: dict[int, set[int]] = {k: set() for k in range(len(self.links))}
         for k, each in enumerate(self.links):
             follows = each.ends[0].follows
@@ -277,17 +278,17 @@ class Assembly:
             depth[k] = 1 + max((depth[other] for other in after[k]), default=-1)
         return max(depth.values(), default=0)
 
-    # What the driver calls -------------------------------------------------------------------------------------------
+    # Interface of the driver -----------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float | str) -> None:
-        """Set an input that nothing is connected to."""
+        """Set an unconnected input."""
         if name not in self._free:
             raise InputError(f"{self.name} has no input {name!r} that is free; {there_is(name, self._free)}")
         c, variable = self._free[name]
         self._given[c, variable] = float(value)
         if self._begun:
             self.slaves[c].set(variable, float(value))
-            if self.system.master != "held":  # which connects outputs behind steps alone, as importers do
+            if self.system.master != "held":  # this master updates inputs after steps only, as importers do
                 self._solve_loop() if self.loop else self._settle(self._depth)
 
     def initialize(self) -> None:
@@ -316,7 +317,7 @@ class Assembly:
         self.observed: list[tuple[float, float, Vector, Vector]] = []
 
     def step(self, communication_step: float, time: float) -> None:
-        """Step all components; `time` is that since the start."""
+        """Step all components; `time` counts from the start."""
         h, self._time = communication_step, self.system.start_time + time
         if self._observed:
             self._began = self._read()
@@ -325,15 +326,15 @@ class Assembly:
         self.steps += 1
 
     def read(self) -> Vector:
-        """All outputs; with rows as importers have them, before inputs were set at this communication point."""
+        """Return all outputs; with `held_rows`, those before inputs were set at this communication point."""
         return np.array(self._y) if self._held_rows else self._read()
 
     def read_inputs(self) -> Vector:
-        """The inputs that nothing is connected to."""
+        """Return the unconnected inputs."""
         return np.array([self.slaves[c].get(name) for c, name in self._free.values()], float)
 
     def fed(self) -> Vector:
-        """The inputs that are connected, in the order of `links`."""
+        """Return the connected inputs, in the order of `links`."""
         return np.array(self._u)
 
     # Masters ---------------------------------------------------------------------------------------------------------
@@ -368,8 +369,8 @@ class Assembly:
                 end = end + np.linalg.solve(self._matrix, miss)
             except np.linalg.LinAlgError:
                 raise StepError(
-                    f"{self.name}, t = {self._time:.6g} s: outputs do not tell inputs at the end of a communication "
-                    f"step of {h:g} s, as the matrix is singular; take another step"
+                    f"{self.name}, t = {self._time:.6g} s: outputs do not determine inputs at the end of a "
+                    f"communication step of {h:g} s, as the matrix is singular; take another step"
                 ) from None
             last = size
         else:
@@ -382,14 +383,14 @@ class Assembly:
         self._put(np.where(self._smooth, end, wanted))
 
     def _predicted(self, h: float) -> Vector:
-        """Inputs at the end of a step, as they changed over the last one."""
+        """Extrapolate inputs to the end of a step, linearly from the last step."""
         if self._before is None:
             return self._u
         before, length = self._before
         return np.where(self._smooth, self._u + (self._u - before) * (h / length), self._u)
 
     def _advance(self, h: float, end: Vector) -> None:
-        """Step all components while their inputs go from where they are to `end`; then they have these."""
+        """Step all components with inputs that change linearly to `end`, which are then current."""
         if not self._observed:
             for c, slave in enumerate(self.slaves):
                 self._guarded(slave, partial(self._stepped, c, h, self._u, end))
@@ -404,7 +405,7 @@ class Assembly:
         self.observed.append((self._time, h, np.array([self._u, middle, end]), np.array(seen)))
 
     def _stepped(self, c: int, h: float, begin: Vector, end: Vector, later: float = 0.0) -> None:
-        """Step one component; its inputs go linearly from `begin` to `end`, or are held at their mean."""
+        """Step one component; its inputs change linearly from `begin` to `end`, or are held at their mean."""
         slave = self.slaves[c]
         for k in self._into[c]:
             name = self.links[k].target[1]
@@ -427,7 +428,7 @@ class Assembly:
     def _newton_matrix(
         self, h: float, states: Sequence[bytes], end: Vector, seen: list[tuple[float, float, Vector, Vector]]
     ) -> Vector:
-        """I - G dy/de for the components as they are in these states."""
+        """Return I - G dy/de for the components in these states."""
         n = len(self.links)
         matrix = np.eye(n)
         for c, slave in enumerate(self.slaves):
@@ -449,7 +450,7 @@ class Assembly:
         return matrix
 
     def _solve_loop(self) -> None:
-        """Inputs that agree with outputs where these follow them in a loop."""
+        """Find inputs that agree with outputs in an algebraic loop."""
         n, u = len(self.links), self._u
         for _ in range(MOST):
             self._put(u)
@@ -481,12 +482,12 @@ class Assembly:
             raise type(error)(f"{self.name}, t = {self._time:.6g} s: {error}") from None
 
     def _wanted(self, y: Vector | None = None) -> Vector:
-        """What connections give to inputs."""
+        """Return the values of connected inputs."""
         y = self._read() if y is None else y
         return self._gain * y[self._places] + self._shift
 
     def _settle(self, levels: int) -> None:
-        """Set inputs to what outputs give, as often as outputs follow each other."""
+        """Set inputs from outputs, once for every level of direct dependence."""
         for k in range(levels):
             self._put(self._wanted(self._y if k == 0 and self._held_rows and levels == 1 else None))
 
@@ -500,7 +501,7 @@ class Assembly:
         return value if kind == "Real" else bool(value) if kind == "Boolean" else round(value)
 
     def _guarded(self, slave: Slave, run: Callable[[], object]) -> None:
-        """What a component refuses, with its name."""
+        """Run a call of a component; errors get its name."""
         try:
             run()
         except AlfmuError as error:
@@ -510,11 +511,10 @@ class Assembly:
 def interface_jacobian(
     outputs: Callable[[Vector], Vector], end: Vector, inputs: Sequence[int], nudges: Vector
 ) -> Vector:
-    """dy/de of one component (outputs, inputs): outputs behind a step by the values of inputs at its end.
+    """Return dy/de of one component (outputs, inputs): outputs after a step by the values of inputs at its end.
 
-    `outputs(e)` makes the step anew from where it began, with inputs that end at e, and gives all outputs; the
-    quotients are differences with the `nudges` of inputs. A component that gives this matrix itself would be asked
-    here.
+    `outputs(e)` repeats the step with inputs that end at e, and returns all outputs; the quotients are differences with
+    the `nudges` of inputs.
     """
     base = outputs(end)
     found = np.empty((len(base), len(inputs)))

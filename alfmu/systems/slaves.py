@@ -1,4 +1,4 @@
-"""The components of a system, opened: a mechanism in this process or an FMU, behind the same calls."""
+"""Opened components of a system, with one interface for mechanisms in this process and FMUs."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class Slave(ABC):
 
     @property
     def outputs(self) -> list[Port]:
-        """The outputs that `read` gives, in its order."""
+        """Outputs in the order of `read`."""
         return [p for p in self.ports.values() if p.kind == "output"]
 
     @abstractmethod
     def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
-        """Start anew with these inputs."""
+        """Restart with these inputs."""
 
     @abstractmethod
     def set(self, name: str, value: float) -> None:
@@ -59,7 +59,7 @@ class Slave(ABC):
 
     @abstractmethod
     def slope(self, name: str, rate: float) -> None:
-        """How an input changes in the next step, per second."""
+        """Set the rate of change of an input in the next step, per second."""
 
     @abstractmethod
     def step(self, communication_step: float, time: float) -> None: ...
@@ -69,7 +69,7 @@ class Slave(ABC):
 
     @abstractmethod
     def get(self, name: str) -> float:
-        """The value of an input."""
+        """Return the value of an input."""
 
     @abstractmethod
     def save(self) -> bytes: ...
@@ -79,11 +79,11 @@ class Slave(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Free what it holds."""
+        """Free resources."""
 
 
 class Local(Slave):
-    """A mechanism in this process: the runtime and the scene that its FMU would carry."""
+    """A mechanism in this process, with the runtime and scene of its FMU."""
 
     def __init__(self, name: str, equations: Equations):
         self.name, self._equations = name, equations
@@ -124,7 +124,7 @@ class Local(Slave):
         self._instance.restore(state)
 
     def close(self) -> None:
-        """Nothing: an instance frees itself."""
+        """Do nothing: an instance frees itself."""
 
 
 class Remote(Slave):
@@ -141,7 +141,7 @@ class Remote(Slave):
                 units[each.name] = Measure.of(each.name, exponents, base.factor, base.offset)
         written = {v.name: v for v in fmu.description.modelVariables}
         self.kinds = {name: kind_of(v.type) for name, v in written.items()}
-        """Types of all variables, those that cannot be connected included."""
+        """Types of all variables, including those that cannot be connected."""
         self.ports = {}
         found = [("parameter", p) for p in fmu.parameters]
         found += [("input", v.name) for v in fmu.input_variables] + [("output", v.name) for v in fmu.outputs]
@@ -152,19 +152,19 @@ class Remote(Slave):
             follows = fmu.followed(each) if kind == "output" else frozenset()
             unit = units.get(str(own)) or measure(own)
             if unit is not None and (v.relativeQuantity or (declared is not None and declared.relativeQuantity)):
-                unit = replace(unit, offset=0.0)  # a difference of temperatures, say
+                unit = replace(unit, offset=0.0)  # for differences of temperatures
             self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)
         try:
             for key, unit_name in stated.items():
                 self._check_unit(key, unit_name)
-            for key, value in self._parameters.items():  # before anything runs, so that a bad one is told at once
+            for key, value in self._parameters.items():  # set first, so that a bad value is reported at once
                 fmu.set(key, value)
         except AlfmuError:
             fmu.close()
             raise
 
     def _check_unit(self, name: str, stated: str) -> None:
-        """InputError where a variable is not in the unit that a description elsewhere gives it."""
+        """Raise InputError if a variable does not have the unit stated in an external description."""
         port = self.ports.get(name)
         if (
             port is not None
@@ -206,7 +206,7 @@ class Remote(Slave):
 
 
 def recipe_of(component: Component) -> Recipe:
-    """The recipe of a component that is a mechanism or a part."""
+    """Return the recipe of a mechanism or part."""
     from ..fmi.recipe import Recipe, of
 
     c = component
@@ -216,14 +216,14 @@ def recipe_of(component: Component) -> Recipe:
         make = partial(BLOCKS[str(c.what)], **c.options)
         try:
             recipe = Recipe(make())
-        except DeclarationError as error:  # options are what the description says
+        except DeclarationError as error:  # options come from the description
             raise InputError(str(error)) from None
         return recipe.changed(parameters=c.parameters, outputs=c.outputs)
     return of(c.what).changed(options=c.options, parameters=c.parameters, outputs=c.outputs)
 
 
 def opened(component: Component, folder: Path, parameters: Mapping[str, float | str]) -> Slave:
-    """A component, with parameters beside its own; FMUs of an archive are in this folder.
+    """Open a component, with additional parameters; FMUs of an archive are in this folder.
 
     Raises AlfmuError with the component's name.
     """
@@ -238,7 +238,7 @@ def opened(component: Component, folder: Path, parameters: Mapping[str, float | 
 
 @contextmanager
 def naming(component: Component) -> Iterator[None]:
-    """What is refused here, with the component's name."""
+    """Add the component's name to errors."""
     try:
         yield
     except AlfmuError as error:
@@ -246,5 +246,5 @@ def naming(component: Component) -> Iterator[None]:
 
 
 def outputs_of(slaves: Sequence[Slave]) -> NDArray[np.float64]:
-    """The outputs of all, one after the other."""
+    """Return the outputs of all, concatenated."""
     return np.concatenate([each.read() for each in slaves])

@@ -1,11 +1,11 @@
-"""What reading and writing an SSP have in common: its names."""
+"""Names common to reading and writing an SSP."""
 
 from __future__ import annotations
 
 __all__ = ["DESCRIPTION", "OSP", "OWN", "SPACES", "VERSIONS", "tag"]
 
 VERSIONS = ("1.0", "2.0")
-"""Of SSP."""
+"""Supported versions of SSP."""
 
 SPACES = {
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
@@ -14,13 +14,13 @@ SPACES = {
     "osp": "https://open-simulation-platform.com/SSP/OSPAnnotations",
     "alfmu": "urn:alfmu:system",
 }
-"""Prefixes, which libcosim and ecos take as part of the names, and namespaces."""
+"""Namespaces by prefix; libcosim and ecos treat these prefixes as part of the names."""
 
 DESCRIPTION = "SystemStructure.ssd"
 OSP, OWN = "com.opensimulationplatform", "alfmu"
 
 
 def tag(name: str) -> str:
-    """The name of an element as ElementTree has it."""
+    """Return the qualified name of an element for ElementTree."""
     prefix, _, local = name.partition(":")
     return f"{{{SPACES[prefix]}}}{local}"

@@ -1,4 +1,4 @@
-"""A connected system: described, run, exported."""
+"""Connected systems: description, run, export."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ __all__ = ["System"]
 
 @dataclass(frozen=True, repr=False, eq=False)
 class System(Description):
-    """Mechanisms, parts and FMUs that are connected.
+    """A system of connected mechanisms, parts and FMUs.
 
-    `components` has by name a `Mechanism`, a `Recipe`, the name of a mechanism, a Python file, the path of an `.fmu`
+    `components` maps names to a `Mechanism`, a `Recipe`, the name of a mechanism, a Python file, the path of an `.fmu`
     file or a `Component`; `connections` are pairs ("COMPONENT.OUTPUT", "COMPONENT.INPUT") or `Connection`s; `inputs`
-    has values of inputs that nothing is connected to. Times are in s; `master` is one of MASTERS. `bonds` are pairs of
-    a connection's source that is an effort (force, torque, voltage, pressure) and one that is the flow on the way back,
-    between which power passes; None for all that can be told. Raises InputError where that describes no system.
+    has values of unconnected inputs. Times are in s; `master` is one of MASTERS. `bonds` are pairs of sources of
+    connections, an effort (force, torque, voltage, pressure) and the flow in the opposite direction, between which
+    power passes; None for all that units determine. Raises InputError if the fields are invalid.
     """
 
     @classmethod
     def load(cls, path: str | Path) -> System:
-        """The system that a TOML file or an SSP describes. An SSP is never trusted, and nothing in it is run here.
+        """Load a system from a TOML file or an SSP. An SSP is not trusted, and nothing in it is executed here.
 
-        Raises InputError or ExportError where it describes none.
+        Raises InputError or ExportError if it is invalid.
         """
         reader = read if str(path).lower().endswith(".ssp") else read_toml
         return cls(**reader(Path(path)))
@@ -51,10 +51,10 @@ class System(Description):
         held_rows: bool = False,
         progress: Progress = iter,
     ) -> Result:
-        """Run it; columns are called COMPONENT.VARIABLE. The arguments are those of `alfmu.simulate`.
+        """Run it; columns are named COMPONENT.VARIABLE. The arguments are those of `alfmu.simulate`.
 
-        With `held_rows`, outputs that follow inputs at once are those with the inputs of the step that ends there, as
-        importers record them. Raises AlfmuError; its `result` has the rows up to then where a run has begun.
+        With `held_rows`, outputs that depend directly on inputs belong to the inputs of the step that ends there, as
+        importers record them. Raises AlfmuError; its `result` has the rows so far if a run has begun.
         """
         system = self.changed(stop_time=stop_time, communication_step=communication_step, master=master)
         return simulate(system, inputs or {}, parameters or {}, held_rows, progress)

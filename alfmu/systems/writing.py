@@ -1,4 +1,4 @@
-"""Systems written as SSP archives: FMUs, units, parameter sets, the annotation of the master."""
+"""Write systems as SSP archives: FMUs, units, parameter sets, the annotation of the master."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .ssp import DESCRIPTION, OSP, OWN, SPACES, VERSIONS, tag
 __all__ = ["write"]
 
 _SET = "defaults"
-"""Name of the parameter sets of all components; ecos applies sets by name."""
+"""Name of the parameter sets of all components; ecos selects sets by name."""
 
 
 def write(system: Description, path: str | Path | None, version: str) -> Path:
@@ -45,7 +45,7 @@ def write(system: Description, path: str | Path | None, version: str) -> Path:
             given = component.parameters if component.kind == "fmu" else {}
             packed[component.name] = Component(component.name, "fmu", place, parameters=given)
         as_fmus = replace(system, components=packed, folder=folder, archive=None)
-        with Assembly(as_fmus) as assembly:  # all connections are checked with the FMUs that are packed
+        with Assembly(as_fmus) as assembly:  # checks all connections with the packed FMUs
             for slave in assembly.slaves:
                 assert isinstance(slave, Remote)
                 values = {**system.components[slave.name].parameters, **_constants(system, slave.name)}
@@ -58,9 +58,9 @@ def write(system: Description, path: str | Path | None, version: str) -> Path:
 
 
 def _fmu(system: Description, component: Component, folder: Path) -> bytes:
-    """The FMU of a component."""
+    """Return the FMU of a component."""
     if component.kind != "fmu":
-        # Values of inputs are defaults, too: fmpy applies no parameter set by itself.
+        # Values of inputs become defaults, too: fmpy applies no parameter set by itself.
         constants = _constants(system, component.name)
         with naming(component):
             recipe = recipe_of(component).changed(kind="native", reference=False, parameters=constants)
@@ -75,7 +75,7 @@ def _fmu(system: Description, component: Component, folder: Path) -> bytes:
 
 
 def _constants(system: Description, component: str) -> dict[str, float]:
-    """Values of inputs of a component that nothing is connected to."""
+    """Return values of unconnected inputs of a component."""
     parts = {name.partition(".")[2]: x for name, x in system.inputs.items() if name.partition(".")[0] == component}
     return dict(parts)
 
@@ -100,7 +100,7 @@ def _written(value: float) -> str:
 
 
 def _units(parent: ET.Element, prefix: str, ports: list[Port]) -> None:
-    """The definitions of the units of some variables."""
+    """Add the definitions of the units of some variables."""
     found: dict[str, Measure] = {p.unit: p.measure for p in ports if p.unit and p.measure}
     if not found:
         return
@@ -115,8 +115,10 @@ def _units(parent: ET.Element, prefix: str, ports: list[Port]) -> None:
 
 
 def _parameter_set(slave: Remote, values: Mapping[str, float | str], whole: bool, version: str) -> bytes | None:
-    """Values of parameters and inputs as an SSV; only those that are numbers where it is not the `whole`, as the FMU
-    has all of them: libcosim ends its process where it meets an enumeration."""
+    """Return values of parameters and inputs as an SSV.
+
+    Unless `whole`, it has numbers only, as the FMU has all values: libcosim crashes at an enumeration.
+    """
     root = ET.Element(tag("ssv:ParameterSet"), {"version": version, "name": _SET, **_about()})
     listed, used = _element(root, "ssv:Parameters"), []
     for name in sorted(values):
@@ -132,7 +134,7 @@ def _parameter_set(slave: Remote, values: Mapping[str, float | str], whole: bool
 
 
 def _valued(kind: str, value: float | str) -> str:
-    """A value as an SSV has it; the FMU has taken it before."""
+    """Return a value as text for an SSV; the FMU has accepted it before."""
     if kind == "Boolean":
         return "true" if str(value).lower() in ("true", "1", "1.0") else "false"
     if kind in ("Real", "Integer"):
@@ -143,7 +145,7 @@ def _valued(kind: str, value: float | str) -> str:
 def _described(
     system: Description, assembly: Assembly, packed: Mapping[str, Component], files: Mapping[str, bytes], version: str
 ) -> bytes:
-    """SystemStructure.ssd."""
+    """Return SystemStructure.ssd."""
     about = {"version": version, "name": system.name, **_about()}
     root = ET.Element(tag("ssd:SystemStructureDescription"), about)
     whole = {"name": system.name, **({"description": system.description} if system.description else {})}

@@ -1,4 +1,4 @@
-"""Shapes as plain data, as they stand beside a result, so that a film needs neither the mechanism nor its code."""
+"""Shapes as plain data beside a result, so that a film needs neither the mechanism nor its code."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from .shapes import GROUND, Shapes, Space
 __all__ = ["as_data", "from_data"]
 
 _LATER = ("rims",)
-"""Fields that drawings may lack, where there is nothing in them."""
+"""Fields that may be missing in drawings, if they are empty."""
 
 LARGEST = 1e9
-"""Numbers in a drawing [m, rad], at most: what is further away cannot be seen."""
+"""Largest coordinate in a drawing [m, rad]."""
 
 
 def as_data(shapes: Shapes) -> dict[str, Any]:
-    """Shapes as dictionaries, lists, texts and numbers, for JSON."""
+    """Return shapes as dictionaries, lists, texts and numbers, for JSON."""
     return {name: value for name, value in asdict(shapes).items() if name not in _LATER or value}
 
 
 def from_data(data: object) -> Shapes:
-    """The shapes that `as_data` gave; ValueError, with the place, where data from anywhere is something else."""
+    """Return the shapes from the result of `as_data`; raise ValueError with the path of any invalid data."""
     shapes = _read(Shapes, {**dict.fromkeys(_LATER, ()), **data} if isinstance(data, dict) else data, "drawing")
     frames = {GROUND, *(link.name for link in shapes.links), *shapes.dots}
     if len(frames) != 1 + len(shapes.links) + len(shapes.dots):
@@ -44,7 +44,7 @@ def from_data(data: object) -> Shapes:
 
 
 def _check_space(space: Space) -> None:
-    """ValueError where names or numbers of a drawing in space do not fit each other."""
+    """Raise ValueError if names or numbers of a drawing in space are inconsistent."""
     frames = {frame.name: frame for frame in space.frames}
     if len(frames) != len(space.frames) or GROUND in frames:
         raise ValueError("drawing has two bodies or points of one name")
@@ -67,7 +67,7 @@ def _check_space(space: Space) -> None:
 
 
 def _read(form: Any, value: object, place: str) -> Any:
-    """A value of a type: a dataclass, a tuple, a literal, an optional value, a text, a finite number."""
+    """Return a value of a type: a dataclass, a tuple, a literal, an optional value, a text, a finite number."""
     kind, inner = get_origin(form) or form, get_args(form)
     if kind is UnionType:
         return None if value is None else _read(inner[0], value, place)

@@ -1,4 +1,4 @@
-"""Eigenvalues in the plane, as a diagram."""
+"""Plot of eigenvalues in the complex plane."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 __all__ = ["figure"]
 
 RATIOS = (0.1, 0.3, 0.6)
-"""Damping ratios whose lines are shown."""
+"""Damping ratios of the dotted lines."""
 
 
 def figure(values: Sequence[NDArray[np.complex128]], times: Sequence[float], name: str) -> Figure:
-    """The matplotlib figure of eigenvalues [1/s] of one state, or of states at several times [s], which have colours.
+    """Return the matplotlib figure of eigenvalues [1/s] of one state, or of states at several times [s], coloured by
+    time.
 
-    Where eigenvalues grow, to the right of zero, the plane is shaded; dotted lines show damping ratios. Raises
-    InputError where matplotlib is missing.
+    The unstable half plane is shaded; dotted lines show damping ratios. Raises InputError if matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure

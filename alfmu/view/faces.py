@@ -1,4 +1,4 @@
-"""Pieces as faces, painted from the back to the front: pictures of mechanisms in space without a browser."""
+"""Pictures of mechanisms in space without a browser: pieces as faces, painted from back to front."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .surface import FAINT, GRID, INK, PALETTE, ZERO, Size, Surface, Text, Vecto
 __all__ = ["Stage"]
 
 SIDES = 18
-"""Faces around a rod."""
+"""Number of faces around a rod."""
 
 SHADOW = "#e4e9ee"
 
 
 class Stage:
-    """All of a picture in space that does not change while the mechanism moves."""
+    """The static part of a picture in space."""
 
     def __init__(self, shapes: Shapes, view: SpaceView, size: Size):
         assert shapes.space is not None
@@ -40,7 +40,7 @@ class Stage:
         self.meshes = [() if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
 
     def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Any]]) -> None:
-        """A mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
+        """Paint a mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
         poses = poses_of(self.shapes, columns)
         lens, base, unit = self.lens, base_of(self.size), self.unit
         rim = 1.3 * base / lens.scale
@@ -54,7 +54,7 @@ class Stage:
                 continue
             vertices, normals, quads = mesh
             for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
-                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # over a shaft that runs through it
+                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # so that it hides a shaft inside
                 kept.append(Faces(_world(piece, poses, vertices + grown * normals)[quads], shown, before))
         _floor(surface, lens, self, [face.quads for face in faces])
         items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
@@ -79,12 +79,12 @@ class Stage:
 
 
 Item = tuple[float, Sequence[Vector], float, str, bool]
-"""Distance from the eye, points in pixels, and how they are drawn: width, colour, filled."""
+"""Distance from the eye, points in pixels, and style: width, colour, filled."""
 
 
 @dataclass(frozen=True)
 class Faces:
-    """Faces (F, 4, 3) of a piece in ground axes [m], drawn as if they were nearer to the eye by `before` [m]."""
+    """Faces (F, 4, 3) of a piece in ground axes [m], sorted as if nearer to the eye by `before` [m]."""
 
     quads: NDArray[np.float64]
     color: str
@@ -92,7 +92,7 @@ class Faces:
 
 
 def _lit(lens: Lens, faces: Sequence[Faces], back: bool = False) -> Iterator[Item]:
-    """Faces that are turned to the eye, lit from above on the left; with `back` those that are turned away, unlit."""
+    """Return faces towards the eye, lit from above on the left; with `back` faces away from it, unlit."""
     light = np.array([-0.45, 0.75, 0.6]) @ lens.axes
     light /= np.linalg.norm(light)
     for quads, color, before in ((f.quads, f.color, f.before) for f in faces):
@@ -110,7 +110,7 @@ def _lit(lens: Lens, faces: Sequence[Faces], back: bool = False) -> Iterator[Ite
 
 @cache
 def _steps(color: str) -> tuple[str, ...]:
-    """A colour from dark to light."""
+    """Return the shades of a colour from dark to light."""
     rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
     found = []
     for i in range(65):
@@ -120,12 +120,12 @@ def _steps(color: str) -> tuple[str, ...]:
 
 
 def _light(color: str, share: float) -> str:
-    """A colour with a share of its light."""
+    """Return a colour with a share of its brightness."""
     return _steps(color)[min(64, max(0, round((share - 0.6) / 0.5 * 64)))]
 
 
 def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[np.float64]]) -> None:
-    """Grid lines on the floor under the motion, and the shadows of what stands on it."""
+    """Paint grid lines on the floor under the motion, and the shadows on it."""
     up, base, floor = np.array(stage.view.up), base_of(surface.size), stage.floor
     east, north = np.array(floor.east), np.array(floor.north)
     for k in (0, 1):
@@ -134,7 +134,7 @@ def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[n
             places = [floor.cell * (x * east + y * north) + floor.height * up for x, y in ends]
             pixels, _ = lens.seen(np.array(places))
             surface.stroke(pixels.tolist(), base, GRID if i else ZERO)
-    for quads in faces:  # of pieces without hollows, so that the shadow of each has none
+    for quads in faces:  # convex pieces, so that their shadows are too
         corners = quads.reshape(-1, 3)
         pixels, _ = lens.seen(corners - ((corners @ up) - floor.height)[:, None] * up)
         shadow = hull_of([tuple(p) for p in np.round(pixels, 2).tolist()])
@@ -144,11 +144,11 @@ def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[n
 
 
 def _axes(surface: Surface, camera: Camera, base: float) -> None:
-    """Directions of the axes in the left lower corner."""
+    """Paint the directions of the axes in the lower left corner."""
     x0, y0 = 44 * base, 44 * base
     for k in np.argsort(camera.axes[2]):
         dx, dy, _ = camera.axes[:, k]
-        if math.hypot(dx, dy) < 0.45:  # it points at the eye
+        if math.hypot(dx, dy) < 0.45:  # this axis points at the eye
             continue
         end = x0 + 28 * base * dx, y0 + 28 * base * dy
         surface.stroke([(x0, y0), end], 1.5 * base, FAINT)
@@ -156,7 +156,7 @@ def _axes(surface: Surface, camera: Camera, base: float) -> None:
 
 
 def _texts(stage: Stage, poses: Mapping[str, Pose]) -> Iterator[Text]:
-    """Labels beside what they name; joints of one place share a label."""
+    """Yield labels beside their objects; joints at one position share a label."""
     base, above = base_of(stage.size), 2.6 * stage.unit * stage.lens.scale
     joints: dict[Vector, list[str]] = {}
     for name in names_of(stage.space, stage.colors):
@@ -175,7 +175,7 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of a piece (V, 3) in ground axes [m]."""
+    """Return vertices (V, 3) of a piece in ground axes [m]."""
     if len(piece.at) == 2:
         return _between(piece, poses, vertices)
     at = piece.at[0]
@@ -186,7 +186,8 @@ def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64
 
 
 def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What stretches between two points: z runs from 0 to 1, x and y are in radii of a coil, in metres of a rod."""
+    """Return vertices of a piece between two points: z scales from 0 to 1, x and y by radii of a coil, metres of
+    a rod."""
     start, end = (place_of(poses, at) for at in piece.at)
     way = end - start
     length = float(np.linalg.norm(way)) or 1e-12
@@ -201,7 +202,7 @@ def _mesh(piece: Piece, unit: float) -> Mesh:
         return _prism(tuple(map(xyz, piece.at)), size[0])
     if kind == "box":
         return _block(*size)
-    cuts = 12  # of a rod, so that what passes near is sorted well; fewer where its length is known
+    cuts = 12  # cuts sort a rod correctly among near objects; fewer if its length is known
     if kind == "rod" and first.frame == rest[0].frame:
         length = (size[2] - size[1]) * math.dist(xyz(first), xyz(rest[0]))
         cuts = max(1, min(12, round(length / (5 * unit))))
@@ -210,10 +211,10 @@ def _mesh(piece: Piece, unit: float) -> Mesh:
 
 @cache
 def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
-    """A body of revolution about z, from below to above, closed at both ends."""
+    """Return a closed body of revolution about z, from bottom to top."""
     if kind == "ball":
         angles = np.linspace(-np.pi / 2, np.pi / 2, 11)
-        slopes = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # radial and axial, as the profile is
+        slopes = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # radial and axial components
         profile = size[0] * slopes
     elif kind == "rod":
         slopes = np.array([[1.0, 0.0]] * (cuts + 1))
@@ -264,7 +265,7 @@ def _block(x: float, y: float, z: float) -> Mesh:
 
 @cache
 def _prism(corners: tuple[Vector3, ...], half: float) -> Mesh:
-    """The plate through corners of its frame."""
+    """Return the plate through corners in its frame."""
     middle = np.mean(corners, axis=0)
     flat = np.array(corners) - middle
     n = len(flat)
@@ -274,7 +275,7 @@ def _prism(corners: tuple[Vector3, ...], half: float) -> Mesh:
     vertices = np.concatenate([flat - half * across, flat + half * across])
     grown = np.concatenate([normals - across, normals + across])
     quads = [(i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)]
-    # The faces in triangles about the middle, so that what passes near is sorted well.
+    # Triangles about the middle sort correctly among near objects.
     vertices = np.vstack([vertices, -half * across, half * across])
     grown = np.vstack([grown, -across, across])
     for i in range(n):
@@ -286,7 +287,7 @@ def _prism(corners: tuple[Vector3, ...], half: float) -> Mesh:
 
 @cache
 def _coil() -> NDArray[np.float64]:
-    """A wire (P, 3) with nine turns between straight ends."""
+    """Return a wire (P, 3) with nine turns between straight ends."""
     z = np.linspace(0.18, 0.82, 9 * 14 + 1)
     angle = 2 * np.pi * 9 * (z - 0.18) / 0.64
     wire = np.column_stack([np.cos(angle), np.sin(angle), z])

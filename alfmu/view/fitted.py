@@ -1,4 +1,4 @@
-"""The picture of a fit: measured points with the run through them, and what is left, by column."""
+"""Plot of a fit: measured points with the run through them, and residuals, by column."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 __all__ = ["figure"]
 
 MOST = 4
-"""Columns that are shown, at most: the first ones."""
+"""Largest number of columns in the plot: the first ones."""
 
 
 def figure(data: Result, result: Result, names: Sequence[str]) -> Figure:
-    """Two panels for each of some columns: both over time [s], and the difference below.
+    """Return two panels for each of some columns: both over time [s], and the residual below.
 
-    Raises InputError where matplotlib is missing.
+    Raises InputError if matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure

@@ -1,9 +1,9 @@
-"""A live page: a mechanism that runs in a browser, as one file that needs nothing else.
+"""A live page: a mechanism that runs in a browser, in one self-contained file.
 
-The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU. Its
-files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime; `picture.js`, `plane.js` and `space.js`
-move what films show, with the scripts in `shared`; `page.js` has the clock; plots, controls and what hands do have
-files of their own. What they must know of the mechanism is put together here.
+The page contains the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU.
+Its files are in the folder `page`: `engine.js` and `worker.js` drive the runtime; `picture.js`, `plane.js` and
+`space.js` animate the picture with the scripts of films in `shared`; `page.js` has the clock; plots, controls and
+pointer input have their own files. This module collects the data of the mechanism.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import numpy as np
 from ..equations import Equations, Variable
 from ..equations.interface import state_starts, variables_of
 from ..kernel.stream import BINARY, UNARY
-from ..kernel.tables import packed
 from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuError, InputError
 from ..model.files import write
@@ -30,7 +29,7 @@ from ..model.mechanism import Mechanism
 from ..model.spatial import right_handed
 from ..runtime import Instance
 from ..runtime.build import WEB
-from ..runtime.pipeline import prepared
+from ..runtime.pipeline import packed, prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
 from ..simulation.result import Result
@@ -46,14 +45,14 @@ from .traced import Traced
 __all__ = ["live", "needed", "written_by_alfmu"]
 
 _MARK = '<meta name="generator" content="alfmu'
-"""By which a page is known."""
+"""Identifies a page of alfmu."""
 
 LOOK = 2000, 20_000
-"""Communication steps, and steps of `solver.step_size`, of the run before the page at most: a second or two. What the
-picture must fit follows from it, the same for the same mechanism."""
+"""Largest numbers of communication steps, and of steps of `solver.step_size`, in the run before the page: a second or
+two. The extent of the picture follows from it, reproducibly."""
 
 CURVES = 8
-"""In one plot, at most."""
+"""Largest number of curves in a plot."""
 
 
 def live(
@@ -66,9 +65,9 @@ def live(
 ) -> None:
     """Write the page of a mechanism.
 
-    `equations` are those of the mechanism with the defaults that the page begins with, `parameters` what of them is not
-    the mechanism's own, `source` what stands for them behind `alfmu simulate`. Raises AlfmuError where the mechanism
-    cannot start, or where there is no runtime for browsers.
+    `equations` are those of the mechanism with the initial defaults of the page, `parameters` those that differ from
+    the mechanism's own, `source` the argument of `alfmu simulate` for it. Raises AlfmuError if the mechanism cannot
+    start, or if there is no runtime for browsers.
     """
     e = prepared(equations, "vm")
     unit = Instance(e)
@@ -81,12 +80,12 @@ def live(
 
 
 def needed(mechanism: Mechanism) -> list[str]:
-    """Names of the outputs that the picture and the readings of a page take."""
+    """Return the names of the outputs for the picture and the displays of a page."""
     return sorted({*geometry(mechanism).columns, "monitor.*"})
 
 
 def written_by_alfmu(path: Path) -> bool:
-    """Whether a file is such a page, which the next one may replace."""
+    """Return whether a file is a page of alfmu, which may be overwritten."""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             return _MARK in file.read(1000)
@@ -94,11 +93,11 @@ def written_by_alfmu(path: Path) -> bool:
         return False
 
 
-# The page ---------------------------------------------------------------------------------------------------------
+# Page -------------------------------------------------------------------------------------------------------------
 
 
 def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: bytes, scene: bytes) -> str:
-    """The text of a page; the same arguments give the same."""
+    """Return the text of a page, reproducibly."""
     name = escape(mechanism.name.replace("_", " "))
     kind = about["picture"]["kind"] if about["picture"] else ""
     hints = {
@@ -143,7 +142,7 @@ def _about(
     looked: Result,
     scale: tuple[float, float],
 ) -> tuple[dict[str, Any], str]:
-    """What the page knows of a scene, and its functions in JavaScript."""
+    """Return the page's data of a scene, and its functions in JavaScript."""
     found = variables_of(e)
     kinds = {
         **dict.fromkeys((v.name for v in e.parameters), "parameter"),
@@ -155,7 +154,7 @@ def _about(
         **dict.fromkeys((v.name for v in found.switches), "switch"),
         **dict.fromkeys((v.name for v in found.outputs), "output"),
     }
-    # In the order of the references that the runtime has.
+    # The order of the value references in the runtime.
     every = [*found.parameters, *found.choices, *found.inputs, *found.switches, *found.outputs]
     variables = []
     for v in every:
@@ -202,10 +201,10 @@ def _about(
 
 
 def range_of(v: Variable, kind: str, scale: tuple[float, float]) -> list[float] | None:
-    """The range of a slider: the declared bounds; where there is none, what a motion can tell apart.
+    """Return the range of a slider: the declared bounds, or a range over which motions differ.
 
-    `scale` is the largest kinetic energy [J] of the run that the picture fits, and the size of the mechanism [m]: an
-    effort goes up to twice that energy on its way. None where a number is enough.
+    `scale` is the largest kinetic energy [J] of the preliminary run, and the size of the mechanism [m]: an effort goes
+    up to twice that energy over its path. None if an input field suffices.
     """
     if kind not in ("parameter", "start", "rate", "input") or v.type != "Real":
         return None
@@ -227,13 +226,13 @@ def range_of(v: Variable, kind: str, scale: tuple[float, float]) -> list[float] 
 
 
 def _nice(wanted: float) -> float:
-    """1, 2, 3 or 5 times a power of ten, not below what is wanted."""
+    """Return the smallest number that is 1, 2, 3 or 5 times a power of ten and not below `wanted`."""
     power = 10.0 ** math.floor(math.log10(wanted))
     return float(f"{next(m * power for m in (1, 2, 3, 5, 10) if m * power >= wanted * (1 - 1e-9)):.3g}")
 
 
 def _groups(e: Equations, shown: Sequence[Variable]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """What plots can show, and which of it each of them shows at first."""
+    """Return the groups of variables for plots, and the initial plots."""
     inputs = {v.name for v in (*e.inputs, *e.switches)}
     alike: dict[tuple[str, str], list[Variable]] = {}
     for v in shown:
@@ -275,17 +274,17 @@ def _group(title: str, unit: str, names: list[str], labels: list[str], log: bool
 
 
 def _short(name: str, of: str) -> str:
-    """A name in a legend whose title says the rest."""
+    """Return a name without the part in the title of its legend."""
     return (name.removesuffix(f".{of}") if of and of != "inputs" else name).removeprefix("monitor.").replace("_", " ")
 
 
-# A run before the page ----------------------------------------------------------------------------------------------
+# Preliminary run ----------------------------------------------------------------------------------------------------
 
 
 def _look(unit: Instance, e: Equations) -> tuple[Result, tuple[float, float]]:
-    """The beginning of a run; its largest kinetic energy [J] and the way of what moves [m].
+    """Return the beginning of a run, its largest kinetic energy [J] and the extent of the motion [m].
 
-    Raises AlfmuError where the mechanism cannot start.
+    Raises AlfmuError if the mechanism cannot start.
     """
     most = min(LOOK[0] * e.interval, LOOK[1] * float(e.solver.get("step_size", e.step_size)), e.stop_time)
     times = communication_points(e.name, max(most, e.interval), e.interval, len(unit.outputs))
@@ -301,15 +300,15 @@ def _look(unit: Instance, e: Equations) -> tuple[Result, tuple[float, float]]:
     return result, (energy if energy > 1e-9 else 1.0, size if size > 1e-9 else 1.0)
 
 
-# The picture ----------------------------------------------------------------------------------------------------------
+# Picture --------------------------------------------------------------------------------------------------------------
 
 
 def _picture(
     m: Mechanism, parameters: Mapping[str, float | str], looked: Result, columns: Mapping[str, int]
 ) -> tuple[dict[str, Any] | None, str]:
-    """What the page draws, and its function from parameters to the numbers that follow them.
+    """Return the picture of the page, and the function from parameters to its numbers.
 
-    None where there is nothing to draw, or where it follows more than parameters. `columns` are those of outputs.
+    None if there is nothing to draw, or if the picture depends on more than parameters. `columns` are those of outputs.
     """
     try:
         shapes = geometry(m, parameters, traced=True)
@@ -322,7 +321,7 @@ def _picture(
     expressions: list[ca.SX] = []
 
     def number(x: Traced) -> dict[str, int]:
-        """The place of a number among those that the function gives."""
+        """Return the index of a number among the function's results."""
         key = str(x.expression)
         if key not in places:
             places[key] = len(expressions)
@@ -349,7 +348,7 @@ def _picture(
 
 
 def _room(view: SpaceView) -> dict[str, Any]:
-    """The cylinder about a vertical axis that holds all places and the floor below them [m]."""
+    """Return the vertical cylinder that contains all positions, and the floor below them [m]."""
     axes = np.array(right_handed(view.up)).T
     flat, tall = np.split(view.cloud @ axes, [2], axis=1)
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
@@ -361,7 +360,7 @@ def _room(view: SpaceView) -> dict[str, Any]:
 
 
 def _ties(e: Equations, tied: Sequence[int]) -> str:
-    """The page's function from coordinates and parameters to the quantities that start values give."""
+    """Return the page's function from coordinates and parameters to the quantities of start values."""
     f = e.functions["ties"]
     q, p = ca.SX.sym("q", e.n), ca.SX.sym("p", f.size1_in(1))
     ties = f(q, p, ca.SX.zeros(f.size1_in(2))) if tied else ca.SX()
@@ -374,11 +373,11 @@ _JAVASCRIPT = """const { sqrt, exp, log, expm1, log1p, sin, cos, tan, asin, acos
 
 
 def javascript(name: str, letters: Sequence[str], symbols: Sequence[ca.SX], expressions: Sequence[ca.SX]) -> str:
-    """A function of arrays that gives the values of expressions as an array.
+    """Return a JavaScript function from arrays to the array of the values of expressions.
 
-    Raises InputError where an expression has no JavaScript.
+    Raises InputError if an expression cannot be translated.
     """
-    # Dense, so that each result has its place.
+    # Dense, so that each result has its index.
     f = ca.Function(name, [*symbols], [ca.densify(ca.vertcat(*expressions))]) if expressions else None
     lines = list(_lines(f, letters)) if f else []
     return (

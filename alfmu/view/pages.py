@@ -1,4 +1,4 @@
-"""Films as pages: a template, the script of a picture and the motion as data in one file that needs no network."""
+"""Films as self-contained pages: a template, the script of a picture and the motion as data in one file."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
     "moment": {"applied": "#5b3fa8", "reaction": "#8a6fd1"},
 }
-"""Colours of arrows."""
+"""Colours of arrows, by unit."""
 
 TRAILING = 12
-"""Bodies up to which each has a trail; of more, dots alone."""
+"""Number of bodies up to which each has a trail; with more, only dots have."""
 
 _OVER = '<canvas id="names" aria-hidden="true"></canvas><p>drag to turn, wheel to zoom, double click to go back</p>'
 
@@ -50,7 +50,7 @@ def page(
     columns: Mapping[str, NDArray[np.float64]],
     speed: float,
 ) -> str:
-    """The page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
+    """Return the page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
     data: dict[str, Any] = {
         "time": np.round(time, _digits(1e-6 * (time[-1] - time[0]) or 1.0)).tolist(),
         "speed": speed,
@@ -79,12 +79,13 @@ def page(
 
 
 def filled(text: str, values: Mapping[str, str]) -> str:
-    """A template with a value for each `{{name}}`."""
+    """Return a template with a value for each `{{name}}`."""
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], text)
 
 
 def data_of(of: Any, digits: int, number: Callable[[Traced], Any] = float) -> Any:
-    """Dataclasses as data for JSON without what is nothing, numbers with so many digits or, if traced, by `number`."""
+    """Return dataclasses as data for JSON without empty fields; numbers are rounded to `digits` or, if traced, mapped
+    by `number`."""
     if is_dataclass(of):
         of = {each.name: getattr(of, each.name) for each in fields(of)}
     if isinstance(of, Mapping):
@@ -100,18 +101,19 @@ def data_of(of: Any, digits: int, number: Callable[[Traced], Any] = float) -> An
 
 
 def space_of(*names: str) -> str:
-    """The element with scripts for pictures in space, behind what they need, packed (`shared/unpack.js` runs it)."""
+    """Return the element with compressed scripts for pictures in space, in order of dependence (`shared/unpack.js` runs
+    it)."""
     script = "".join(map(text_of, ("vendor/three.min.js", "shared/space.js", *names)))
     return f'<script type="text/plain" id="space">{packed_text(script.encode())}</script>\n'
 
 
 def packed_text(content: bytes) -> str:
-    """Content packed with gzip, as text, the same for the same."""
+    """Return content compressed by gzip as text, reproducibly."""
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def text_of(name: str) -> str:
-    """A file of this room."""
+    """Return the content of a file of this room."""
     return (files(__package__) / name).read_text(encoding="utf-8")
 
 
@@ -159,14 +161,14 @@ def _in_space(
 
 
 def stage_of(stage: faces.Stage) -> dict[str, Any]:
-    """What the script of a stage (`shared/space.js`) takes, but for the frames."""
+    """Return the arguments of the stage in `shared/space.js`, without the frames."""
     view, names = stage.view, names_of(stage.space, stage.colors)
     data = {"pieces": stage.pieces, "labels": names, "camera": stage.camera, "floor": stage.floor}
     return {**data, "up": view.up, "unit": view.unit, "extent": view.extent}
 
 
 def _shows(data: Mapping[str, Any]) -> str:
-    """What a film in space can show and hide; how long the longest arrow is."""
+    """Return the controls of a film in space for its layers, and the largest lengths of arrows."""
     kinds = {arrow["kind"] for arrow in data["arrows"]}
     boxes = {"names": ("Names", True), "trails": ("Trails", True)}
     boxes |= {f"{kind}s": (f"{kind.capitalize()}s", kind == "force") for kind in EFFORTS}
@@ -187,15 +189,15 @@ def _shows(data: Mapping[str, Any]) -> str:
 
 
 def _largest(arrow: Any, columns: Mapping[str, NDArray[np.float64]]) -> float:
-    """The largest effort of an arrow over the motion."""
+    """Return the largest magnitude of an arrow over the motion."""
     return float(np.sqrt(np.sum([np.square(columns[name]) for name in arrow.columns], axis=0)).max())
 
 
 def _significant(values: NDArray[np.float64], most: float) -> list[float]:
-    """Values to a thousandth of the largest."""
+    """Round values to a thousandth of the largest."""
     return np.round(values, _digits(1e-3 * most)).tolist()
 
 
 def _digits(step: float) -> int:
-    """Decimals that distinguish values that differ by `step`."""
+    """Return the number of decimals that distinguish values that differ by `step`."""
     return -math.floor(math.log10(step))

@@ -1,7 +1,7 @@
 """Drawings of mechanisms: one frame, the picture of a model, an animation of a result.
 
-The declaration gives the shapes in metres (`geometry`), the motion gives what they must fit in (`view_of`). `plane` and
-`faces` paint what `scene` and `pieces` make of them on the surfaces of `surface`: pixels for PNG and GIF, or SVG. Pages
+The declaration gives the shapes in metres (`geometry`), the motion their extent (`view_of`). `scene` and `pieces`
+compose them, and `plane` and `faces` paint these on the surfaces of `surface`: pixels for PNG and GIF, or SVG. Pages
 (`pages`) have scripts that paint the same scenes and pieces in a browser (`shared/`), in space by three.js (`vendor/`).
 """
 
@@ -56,26 +56,27 @@ __all__ = [
 ]
 
 MAX_FRAMES = 750
-"""Frames of a GIF, at most; a longer motion is shown with fewer frames per second."""
+"""Largest number of frames of a GIF; a longer motion has fewer frames per second."""
 
 COLORS_OF_ICON = 64
-"""Of the icon of a mechanism in the plane, whose colours are flat: half as large as with all shades of its edges."""
+"""Number of colours of the icon of a plane mechanism, whose colours are flat: half the size of an icon with
+all shades."""
 
 COLORS_OF_GIF = 96
-"""Colours that all frames of a GIF share."""
+"""Number of colours shared by all frames of a GIF."""
 
 MAX_SAMPLES = 5000
-"""Instants of a result that an animation uses, at most; it interpolates between them."""
+"""Largest number of instants of a result in an animation, which interpolates between them."""
 
 
 SIZE: Size = (640, 480)
-"""Of a picture where nothing else is said [pixels]."""
+"""Default size of a picture [pixels]."""
 
 
 def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View | SpaceView:
-    """The view that holds all shapes at all instants of `columns` (numbers, or arrays over time).
+    """Return the view that contains all shapes at all instants of `columns` (numbers, or arrays over time).
 
-    Raises InputError where a column is missing or not finite.
+    Raises InputError if a column is missing or not finite.
     """
     return (space if shapes.space else plane).view_of(shapes, columns)
 
@@ -88,17 +89,17 @@ def draw(
     trails: Mapping[str, Sequence[Any]] | None = None,
     caption: str = "",
 ) -> Image.Image:
-    """One frame of `size` [pixels]: the mechanism where the outputs `columns` put it.
+    """Draw one frame of `size` [pixels]: the mechanism at the outputs `columns`.
 
-    `view` is what the frame must hold (this instant alone, otherwise), `trails` the path [m] of dots by name, `caption`
-    stands in the left upper corner. Raises InputError where a column is missing.
+    `view` is the extent of the frame (by default of this instant), `trails` the path [m] of dots by name, `caption` a
+    text in the upper left corner. Raises InputError if a column is missing.
     """
     stage = _stage(shapes, view or view_of(shapes, columns), size)
     return _painted(Raster(size), stage, columns, trails or {}, caption).image
 
 
 def _stage(shapes: Shapes, view: View | SpaceView, size: Size) -> plane.Stage | faces.Stage:
-    """All of a picture that does not change while the mechanism moves."""
+    """Return the static part of a picture."""
     return (faces if isinstance(view, SpaceView) else plane).Stage(shapes, view, size)
 
 
@@ -109,7 +110,7 @@ def _painted(
     trails: Mapping[str, Sequence[Any]],
     caption: str,
 ) -> Any:
-    """The surface with a mechanism at one instant."""
+    """Paint a mechanism at one instant; return the surface."""
     stage.paint(surface, columns, trails)
     base = base_of(surface.size)
     if caption:
@@ -117,14 +118,14 @@ def _painted(
     return surface
 
 
-# The picture of a model -----------------------------------------------------------------------------------------------
+# Picture of a model ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """The picture of a mechanism before anything is simulated; a notebook shows it.
+    """The picture of a mechanism before a simulation, which a notebook displays.
 
-    `columns` are the outputs that say where everything is, `trails` the paths [m] of dots, `size` is in pixels.
+    `columns` are the outputs with all positions, `trails` the paths [m] of dots, `size` is in pixels.
     """
 
     shapes: Shapes
@@ -144,11 +145,11 @@ class Drawing:
         return f"<Drawing of {self.shapes.name}, {self.size[0]} x {self.size[1]} pixels>"
 
     def image(self) -> Image.Image:
-        """As an image of Pillow."""
+        """Return a Pillow image."""
         return draw(self.shapes, self.columns, self.size, self.view, self.trails, self.caption)
 
     def png(self, colors: int | None = None) -> bytes:
-        """As a PNG, the same bytes each time; of its most frequent colours, where so many are wanted."""
+        """Return a PNG, reproducibly, reduced to its most frequent colours if `colors` is given."""
         image, buffer = self.image(), io.BytesIO()
         if colors is not None:
             image = _in_colors(image, colors)
@@ -156,13 +157,13 @@ class Drawing:
         return buffer.getvalue()
 
     def svg(self) -> str:
-        """As an SVG, the same text each time."""
+        """Return an SVG, reproducibly."""
         surface = Svg(self.size, self.shapes.description or self.shapes.name)
         stage = _stage(self.shapes, self.view, self.size)
         return _painted(surface, stage, self.columns, self.trails, self.caption).file
 
     def save(self, path: str | Path) -> None:
-        """Write a `.png` or an `.svg`. Raises InputError where the suffix is another one, else WriteError."""
+        """Write a `.png` or an `.svg`. Raises InputError for another suffix, else WriteError."""
         path = Path(path)
         check_drawing(path)
         write(path, self.png() if path.suffix == ".png" else self.svg().encode())
@@ -175,7 +176,7 @@ class Drawing:
 
 
 def check_drawing(path: Path) -> None:
-    """InputError where a drawing has no kind of this name."""
+    """Raise InputError if a drawing cannot be written to a file of this name."""
     if path.suffix not in (".png", ".svg"):
         raise InputError(f"{path} cannot hold a drawing; its name must end in .png or .svg")
 
@@ -187,16 +188,16 @@ def drawing(
     size: Size = SIZE,
     equations: Equations | None = None,
 ) -> Drawing:
-    """The picture of a mechanism at its start; `parameters` changes defaults as `export` does.
+    """Return the picture of a mechanism at its start; `parameters` changes defaults as `export` does.
 
-    `at` gives values [rad, m] of start quantities or of coordinates, which the assembled mechanism has; the other start
-    values are kept where the loops can be closed with them, otherwise they are guesses. `equations` are those of the
-    mechanism, all outputs and parameters in them, where they are derived already.
+    `at` prescribes values [rad, m] of start quantities or of coordinates; other start values are satisfied if the loops
+    can be closed with them, otherwise they are guesses. `equations` are the complete equations of the mechanism, if
+    already derived.
 
-    Without `at`, where bars hide each other at the start (singular positions do that), the first start angle is taken
-    1 rad further, and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps
-    and as it can be run; the frame holds the trails and the position that is drawn. Raises AlfmuError where the
-    mechanism cannot start, or has nothing called so.
+    Without `at`, if bars hide each other at the start (as at singular positions), the first start angle is increased by
+    1 rad, and a caption mentions it. Dots have the trail of the mechanism's own experiment, up to 500 steps and as far
+    as it runs; the frame contains the trails and the position. Raises AlfmuError if the mechanism cannot start, or a
+    name is unknown.
     """
     shapes = geometry(mechanism, parameters)
     if at:
@@ -220,7 +221,7 @@ def drawing(
             scene, left = ready(every, parameters or {}, None, None, DEFAULT)
             result = run(instance(scene, DEFAULT), stop_time, equations.step_size, parameters=left)
             trails = {dot: _path(result, shapes, dot) for dot in dots}
-            # The frame holds what is drawn: trails as a whole, all else where it stands.
+            # The frame contains whole trails, and other parts at their position.
             moved = {name for dot in dots for name in _columns_of(shapes, dot)}
             still = np.ones(len(result.time))
             covered = {name: np.append(result[name] if name in moved else still * x, x) for name, x in columns.items()}
@@ -230,7 +231,7 @@ def drawing(
 def _drawing_at(
     m: Mechanism, shapes: Shapes, at: Mapping[str, float], parameters: Mapping[str, float | str], size: Size
 ) -> Drawing:
-    """The picture of a mechanism where some of its quantities have given values."""
+    """Return the picture of a mechanism at given values of some of its quantities."""
     symbols = {start.name: start.symbol for start in m.starts} | {c.name: c.q for c in m.coordinates}
     given = {name.removeprefix("start."): value for name, value in at.items()}
     if unknown := [name for name in given if name not in symbols]:
@@ -255,7 +256,7 @@ def _drawing_at(
     try:
         columns = _start(shapes, everything)
     except AssemblyError:
-        # Too many values for the freedoms there are: those that nobody asked for here become guesses.
+        # More values than degrees of freedom: start values that were not requested become guesses.
         asked = [start.symbol for start in placed.starts if start.name in given or start.name.startswith("at.")]
         ties[:] = [(symbol, x) for symbol, x in ties if any(symbol is a for a in asked)]
         if len(ties) == len(m.ties) + len(held):
@@ -266,7 +267,7 @@ def _drawing_at(
 
 
 def _in_colors(image: Image.Image, count: int) -> Image.Image:
-    """An image in its most frequent colours, the nearest of which stand for the others."""
+    """Reduce an image to its most frequent colours."""
     shades = np.asarray(image) @ np.array([2**16, 2**8, 1])
     found, each, often = np.unique(shades, return_inverse=True, return_counts=True)
     colors = found[:, None] // [2**16, 2**8, 1] % 2**8
@@ -283,33 +284,33 @@ def model_png(
     size: Size = SIZE,
     equations: Equations | None = None,
 ) -> bytes:
-    """The PNG of `drawing`, the same bytes each time: the icon of an FMU."""
+    """Return the PNG of `drawing`, reproducibly: the icon of an FMU."""
     drawn = drawing(mechanism, None, parameters, size, equations)
     return drawn.png(None if drawn.shapes.space else COLORS_OF_ICON)
 
 
 def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
-    """The columns of a picture at the start."""
+    """Return the columns of a picture at the start."""
     probe = Probe.of(equations)
     if probe is None:
-        Instance(equations).initialize()  # says why there is no start
+        Instance(equations).initialize()  # its message names the reason
         return {}
     q, v, u, p, t = (probe.numbers[letter] for letter in "qvupt")
-    nothing = np.zeros(equations.n), np.zeros(equations.l)  # no place depends on accelerations and multipliers
+    nothing = np.zeros(equations.n), np.zeros(equations.l)  # positions do not depend on accelerations and multipliers
     values = np.array(equations.functions["readings"](q, v, *nothing, u, p, t)).ravel()
     known = dict(zip((each.name for each in equations.outputs), values.tolist(), strict=True))
     return {name: known[name] for name in shapes.columns}
 
 
 def _columns_of(shapes: Shapes, dot: str) -> list[str]:
-    """Columns of the place of a dot."""
+    """Return the columns of the position of a dot."""
     if shapes.space:
         return list(next(frame.columns for frame in shapes.space.frames if frame.name == dot))
     return [f"{dot}.x", f"{dot}.y"]
 
 
 def _path(columns: Mapping[str, Any] | Result, shapes: Shapes, dot: str) -> list[tuple[float, ...]]:
-    """Where a dot has been [m]."""
+    """Return the path of a dot [m]."""
     names = _columns_of(shapes, dot)
     path = list(zip(*(columns[name] for name in names), strict=True))
     return [(*place, 0.0) for place in path] if shapes.space and len(names) == 2 else path
@@ -329,13 +330,13 @@ def animate(
     size: Size = SIZE,
     progress: Progress = iter,
 ) -> None:
-    """Write a motion as an endless `.gif`, or as an `.html` page with controls that needs nothing else.
+    """Write a motion as a looping `.gif`, or as a self-contained `.html` page with controls.
 
-    `result` has `time` [s], `names` and arrays by name; `parameters` is what it was run with, for a mechanism (shapes
-    have theirs). `speed` is the time [s] shown per second. `fps` and `progress` (wraps the instants of the frames [s])
-    are those of a GIF; a page draws as often as the browser does. Of a mechanism in space, a page also shows forces and
-    moments, as far as the result has them. Raises InputError where the suffix is another one, a column is missing, or a
-    number is not above zero.
+    `result` has `time` [s], `names` and arrays by name; `parameters` are those of its run, for a mechanism (shapes
+    contain theirs). `speed` is the time [s] shown per second. `fps` and `progress` (wraps the instants of the frames
+    [s]) apply to a GIF; a page draws at the rate of the browser. For a mechanism in space, a page also shows forces and
+    moments contained in the result. Raises InputError for another suffix, a missing column, or a number that is not
+    positive.
     """
     path = Path(path)
     check_film(path)
@@ -365,7 +366,7 @@ def animate(
 
 
 def check_film(path: Path) -> None:
-    """InputError where a film has no kind of this name."""
+    """Raise InputError if a film cannot be written to a file of this name."""
     if path.suffix not in (".gif", ".html"):
         raise InputError(f"{path} cannot hold an animation; its name must end in .gif or .html")
 
@@ -381,7 +382,7 @@ def _film(
     instants: list[float],
     progress: Progress,
 ) -> None:
-    """A GIF of a motion at some instants [s], each for `delay` [ms]."""
+    """Write a GIF of a motion at some instants [s], each for `delay` [ms]."""
     some = instants[:: math.ceil(len(instants) / 5)]
     sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
     palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
@@ -391,7 +392,7 @@ def _film(
 
 
 def _instants(time: NDArray[np.float64], fps: float, speed: float) -> tuple[int, list[float]]:
-    """Duration of each frame of a GIF [ms], whole hundredths of a second as GIF counts, and their instants [s]."""
+    """Return the duration of each frame of a GIF [ms], a multiple of 10 ms as in GIF, and their instants [s]."""
     seconds = (time[-1] - time[0]) / speed
     hundredths = max(2, round(100 / fps), math.ceil(100 * seconds / MAX_FRAMES))
     count = 1 + math.floor(100 * seconds / hundredths * (1 + 1e-12))
@@ -406,7 +407,7 @@ def _frames(
     columns: Mapping[str, NDArray[np.float64]],
     instants: Iterable[float],
 ) -> Iterator[Image.Image]:
-    """Pictures of a motion at some instants [s], dots with the trail behind them."""
+    """Yield pictures of a motion at some instants [s], with trails behind dots."""
     dots, stage = shapes.space.dots if shapes.space else shapes.dots, _stage(shapes, view, size)
     for t in instants:
         now = {name: float(np.interp(t, time, x)) for name, x in columns.items()}

@@ -1,7 +1,7 @@
-"""Pieces of pictures in space: rods, balls, boxes, plates, coils in metres, and the names beside them.
+"""Pieces of pictures in space: rods, balls, boxes, plates, coils in metres, and labels.
 
-Each is fixed in a frame or stretched between two points. `faces` paints them, and so does the script that pages share
-(`shared/space.js`) with a library. Where numbers of shapes are traced, those of places and directions stay so.
+Each is fixed in a frame or spans two points. `faces` paints them, and so does the script `shared/space.js` of pages,
+with three.js. Positions and directions stay traced if numbers of shapes are.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ __all__ = ["Name", "Piece", "colors_of", "names_of", "pieces_of"]
 
 @dataclass(frozen=True)
 class Piece:
-    """One thing of a picture, fixed at a point of a frame or stretched between two points.
+    """A piece of a picture, fixed at a point of a frame or spanning two points.
 
-    `size` [m] has for a "rod" its radius and the shares of the way at which it begins and ends; for a "coil" its radius
-    and that of its wire; for a "ball" its radius; for a "box" half its edges; for a "cylinder" along z its radius and
-    half its length; for a "cone" under its point its radii below and above and its height; for a "plate" through points
-    of a frame half its thickness. `axis` is the direction of its z in the frame. A colour is a name of `PALETTE`, or
-    "#rrggbb".
+    `size` [m] of a "rod" is its radius and the relative positions of its ends between the points; of a "coil" its
+    radius and that of its wire; of a "ball" its radius; of a "box" half its edges; of a "cylinder" along z its radius
+    and half its length; of a "cone" under its point its radii below and above and its height; of a "plate" through
+    points of a frame half its thickness. `axis` is the direction of its z in the frame. A colour is a name of
+    `PALETTE`, or "#rrggbb".
     """
 
     name: str
@@ -40,14 +40,14 @@ class Piece:
 
 
 def colors_of(space: Space) -> dict[str, str]:
-    """Of bodies, bars and dots, in the order of declaration."""
+    """Return colours of bodies, bars and dots, in the order of declaration."""
     bars = [strut.name for strut in space.struts if strut.kind == "bar"]
     names = dict.fromkeys([*(solid.name for solid in space.solids), *bars, *space.dots])
     return {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
 
 
 def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
-    """All that is seen, in metres."""
+    """Return all visible pieces, in metres."""
     unit, colors = view.unit, colors_of(space)
     pieces: list[Piece] = []
     for solid in space.solids:
@@ -111,7 +111,7 @@ def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
 
 
 def _inside(ends: Sequence[Spot], piece: Piece, unit: float) -> bool:
-    """Whether a rail lies along a rod of its own body, which then is what guides."""
+    """Return whether a rail lies along a rod of its own body, which then serves as the guide."""
     if piece.kind != "rod" or {at.frame for at in (*ends, *piece.at)} != {ends[0].frame}:
         return False
     start, end = (np.array(xyz(at)) for at in piece.at)
@@ -125,7 +125,7 @@ def xyz(at: Spot) -> Vector3:
 
 
 def _solid(solid: Solid, color: str, unit: float, extent: float) -> list[Piece]:
-    """A body: a plate through points that lie in a plane, else rods; a box or a ball where it has a point alone."""
+    """Return a body: a plate through coplanar points, else rods; a box or a ball for a single point."""
     name, center = solid.name, Spot(solid.name, 0.0, 0.0, 0.0)
     near = 1e-6 * extent
     points = distinct(solid.points, near)
@@ -151,7 +151,7 @@ def _solid(solid: Solid, color: str, unit: float, extent: float) -> list[Piece]:
 
 
 def _spine(points: Sequence[Vector3], extent: float) -> list[tuple[Vector3, Vector3]]:
-    """A rod through the centre of mass and short ones from it to each point, where all points are near one line."""
+    """Return a rod through the centre of mass with short ones to each point, if all points are near one line."""
     _, sizes, axes = np.linalg.svd(np.array(points, float))
     if len(points) < 3 or not 1e-6 * extent < sizes[1] < 0.25 * sizes[0]:
         return []
@@ -163,7 +163,7 @@ def _spine(points: Sequence[Vector3], extent: float) -> list[tuple[Vector3, Vect
 
 
 def _corners(points: Sequence[Vector3], extent: float) -> list[Vector3]:
-    """Corners of the plate through points of one plane, in order; none where there is none."""
+    """Return corners of the plate through coplanar points, in order; none if the points are not coplanar."""
     if len(points) < 3:
         return []
     places = np.array(points, float) - np.mean(np.array(points, float), axis=0)
@@ -177,9 +177,9 @@ def _corners(points: Sequence[Vector3], extent: float) -> list[Vector3]:
 
 @dataclass(frozen=True)
 class Name:
-    """A label of a joint or of something else, in the middle of some points; its size is in pixels of 640 x 480.
+    """A label in the centre of some points; its size is in pixels of a 640 x 480 picture.
 
-    That of a joint has its colour, others the colour of its rim.
+    A joint's label has its colour, others the colour of its rim.
     """
 
     text: str
@@ -190,7 +190,7 @@ class Name:
 
 
 def names_of(space: Space, colors: Mapping[str, str]) -> list[Name]:
-    """Labels of bodies, bars and dots, then those of joints."""
+    """Return labels of bodies, bars and dots, then those of joints."""
     found: dict[str, tuple[Spot, ...]] = {}
     for solid in space.solids:
         points = [Spot(solid.name, *p) for p in solid.points]

@@ -1,9 +1,8 @@
 """Pictures of mechanisms in the plane.
 
-The shapes give what there is: a scene of parts, each fixed to the ground, to a body, to a dot or between two points, in
-metres and in units of symbols (`scene_of`). The motion gives what it must fit in (`view_of`), and with the size of the
-picture where that is in pixels (`Fit`). `Stage.paint` shows it at one instant; the script that pages share
-(`shared/strokes.js`) does so in a browser.
+The shapes define a scene of parts (`scene_of`), each fixed to the ground, to a body, to a dot or between two points, in
+metres and in units of symbols. The motion defines the extent (`view_of`), and with the size of the picture the scale in
+pixels (`Fit`). `Stage.paint` paints it at one instant; the script `shared/strokes.js` does so in a browser.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from .surface import GRID, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, 
 
 __all__ = ["Fit", "Stage", "View", "fit_of", "hides", "poses_of", "view_of"]
 
-# View: where it all is over a motion ------------------------------------------------------------------------------
+# View: extent of a motion -----------------------------------------------------------------------------------------
 
 Pose = tuple[Any, Any, Any]
 """x [m], y [m], angle [rad] of a frame: numbers, or arrays over time."""
@@ -31,7 +30,7 @@ Pose = tuple[Any, Any, Any]
 
 @dataclass(frozen=True)
 class View:
-    """The box that a motion stays in [m], and the range in which each guide is used [m from its base]."""
+    """The bounding box of a motion [m], and the travel of each guide [m from its base]."""
 
     low: Vector
     high: Vector
@@ -39,9 +38,9 @@ class View:
 
 
 def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View:
-    """The view that holds all shapes at all instants of `columns` (numbers, or arrays over time).
+    """Return the view that contains all shapes at all instants of `columns` (numbers, or arrays over time).
 
-    Raises InputError where a column is missing or not finite.
+    Raises InputError if a column is missing or not finite.
     """
     poses = poses_of(shapes, columns)
     for name, pose in poses.items():
@@ -62,7 +61,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View:
 
 
 def poses_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose]:
-    """Pose of every frame: the ground, the bodies and the dots."""
+    """Return the pose of every frame: the ground, the bodies and the dots."""
     if missing := [name for name in shapes.columns if name not in columns]:
         raise InputError(
             f"{shapes.name}: a picture needs {missing[0]}; the result must hold all outputs of bodies (x, y and angle "
@@ -77,7 +76,7 @@ def poses_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose
 
 
 def place_of(poses: Mapping[str, Pose], at: Anchor) -> tuple[Any, Any]:
-    """A point in ground axes [m]."""
+    """Return a point in ground axes [m]."""
     x, y, angle = poses[at.body]
     c, s = np.cos(angle), np.sin(angle)
     return x + c * at.x - s * at.y, y + s * at.x + c * at.y
@@ -87,15 +86,15 @@ def _extent(points: Sequence[Vector]) -> float:
     return max(math.dist(a, b) for a in points for b in points)
 
 
-# Fit: where it is in a picture ----------------------------------------------------------------------------------
+# Fit: scale of a picture ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Places of a picture in pixels: `origin` + `scale` * metres.
+    """Scale of a picture in pixels: `origin` + `scale` * metres.
 
-    `base` is 1 in a picture of 640 x 480, a `unit` of symbols is smaller where links are short; `cell` is the distance
-    of grid lines [m], `travel` the range in which each guide is used [m].
+    `base` is 1 in a picture of 640 x 480, the `unit` of symbols is smaller if links are short; `cell` is the distance
+    of grid lines [m], `travel` the travel of each guide [m].
     """
 
     size: Size
@@ -110,7 +109,7 @@ class Fit:
 
 
 def fit_of(shapes: Shapes, view: View, size: Size) -> Fit:
-    """Where the box of a view is in a picture of `size` [pixels] with equal axes, with room for symbols around it."""
+    """Fit the box of a view into a picture of `size` [pixels] with equal axes and a margin for symbols."""
     base = base_of(size)
     spans = [high - low for low, high in zip(view.low, view.high, strict=True)]
     if max(spans) < 1e-9:
@@ -124,14 +123,14 @@ def fit_of(shapes: Shapes, view: View, size: Size) -> Fit:
 
 
 class Stage:
-    """All of a picture in the plane that does not change while the mechanism moves."""
+    """The static part of a picture in the plane."""
 
     def __init__(self, shapes: Shapes, view: View, size: Size):
         self.shapes, self.size = shapes, size
         self.scene, self.fit = scene_of(shapes), fit_of(shapes, view, size)
 
     def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Vector]]) -> None:
-        """A scene at one instant, with the paths [m] of dots by name."""
+        """Paint a scene at one instant, with the paths [m] of dots by name."""
         scene, fit = self.scene, self.fit
         painter = _Painter(surface, fit, poses_of(self.shapes, columns))
         painter.grid()
@@ -152,13 +151,13 @@ class Stage:
 
 
 class _Painter:
-    """A scene on a surface at one instant; `shared/strokes.js` does the same."""
+    """Paints a scene on a surface at one instant; `shared/strokes.js` does the same."""
 
     def __init__(self, surface: Surface, fit: Fit, poses: Mapping[str, Pose]):
         self.surface, self.fit, self.poses = surface, fit, poses
 
     def place(self, at: Anchor) -> Vector:
-        """A point in pixels."""
+        """Return a point in pixels."""
         fit = self.fit
         if at.body in (LEFT, RIGHT):
             return fit.base * at.x + (fit.size[0] if at.body == RIGHT else 0), fit.base * at.y
@@ -166,7 +165,8 @@ class _Painter:
         return fit.origin[0] + fit.scale * float(x), fit.origin[1] + fit.scale * float(y)
 
     def way(self, of: Part | Label) -> tuple[Vector, Vector, Vector, float]:
-        """Of a part: its place, the direction of its x, where x begins and ends in pixels from there, and the unit."""
+        """Return of a part its position, the direction of its x, the start and end of x in pixels from there, and the
+        unit."""
         fit, at = self.fit, of.at[0]
         unit = fit.base if at.body in (LEFT, RIGHT) else fit.unit
         (x, y) = self.place(at)
@@ -211,7 +211,7 @@ class _Painter:
             self.surface.stroke(points, width, PALETTE.get(color, color), filled)
 
     def grid(self) -> None:
-        """Grid lines, those through the origin darker and above the others."""
+        """Paint grid lines, with those through the origin darker and on top."""
         fit, lines = self.fit, []
         step = fit.scale * fit.cell
         for k in (0, 1):
@@ -222,7 +222,7 @@ class _Painter:
             self.surface.stroke(points, fit.base, ZERO if axis else GRID)
 
     def text(self, label: Label) -> Text:
-        """Where a label would stand."""
+        """Return the text of a label at its preferred position."""
         (x, y), (ax, ay), (low, high), unit = self.way(label)
         if label.guide is None:
             x, y = (sum(values) / len(label.at) for values in zip(*map(self.place, label.at), strict=True))
@@ -243,11 +243,11 @@ def _turned(angle: float, link: Anchor) -> Vector:
 
 
 def _free(taken: Sequence[Vector]) -> Vector:
-    """The direction in the middle of the widest gap between some directions; upwards where there are none.
+    """Return the middle direction of the widest gap between some directions; upwards if there are none.
 
-    Of gaps that are alike, the one on the left.
+    Of equal gaps, the left one is chosen.
     """
-    # Counted from just below the direction to the right, so that the gap on the left comes first of the two of a bar.
+    # Angles are counted from just below the right, so that the left gap of a bar comes first.
     angles = sorted((math.atan2(y, x) + 1e-6) % (2 * math.pi) for x, y in taken if x or y)
     if not angles:
         return 0.0, 1.0
@@ -259,7 +259,7 @@ def _free(taken: Sequence[Vector]) -> Vector:
 
 
 def hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
-    """Whether two bars lie on each other over some length."""
+    """Return whether two bars overlap over some length."""
     poses = poses_of(shapes, columns)
     bars = [(link.name, hull) for link in shapes.links if len(hull := hull_of(link.points)) == 2]
     places = np.array([[complex(*place_of(poses, Anchor(name, *p))) for p in hull] for name, hull in bars])

@@ -1,4 +1,4 @@
-"""Plots of a result with matplotlib: a few panels of what moves, one above the other, what they leave out below."""
+"""Matplotlib plots of a result: a column of panels, with a caption on omitted columns."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ if TYPE_CHECKING:
 __all__ = ["figure", "plot"]
 
 PANELS = 4
-"""Panels of a figure for which nobody names columns, at most."""
+"""Largest number of panels of a default figure."""
 
 LINES = 6
-"""Lines of a panel for which nobody names columns, at most; those with the largest range are shown."""
+"""Largest number of lines of a panel in a default figure; those with the largest range are shown."""
 
 SAME = 2e-3
-"""Share of a panel's range within which two columns are one line in it: less than its width."""
+"""Share of a panel's range within which two columns are drawn as one line: less than its width."""
 
 CLOSE, OFTEN = 0.015, 0.15
-"""A line that runs within the one share of the range of another, for the other share of the time, has markers."""
+"""A line gets markers if it is within the first share of the range of another during the second share of the time."""
 
 TURN, FAR = 2 * np.pi, 4.0
-"""Angles of a whole turn [rad] have a panel of their own where they reach this many times as far as the others."""
+"""Angles of a whole turn [rad] have their own panel if they are this many times as large as the others."""
 
 ROUNDING = 1e-17
-"""Errors [m, rad; per s] below which an axis does not reach: what is left of them is chance."""
+"""Lower limit of axes of errors [m, rad; per s]: smaller errors are random."""
 
 METADATA = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""Files that can be written, each without what would make its bytes differ from time to time."""
+"""File types, each with the metadata to omit for reproducible files."""
 
 COLORS = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680")
-"""One for each body and joint, in the order of the result."""
+"""Colours of bodies and joints, in the order of the result."""
 
 DASHES, MARKERS = ("-", "--", "-.", ":"), "os^Dv<>P"
 
@@ -67,34 +67,34 @@ KINDS = {
     "Pa": "pressure",
     "m3/s": "flow",
 }
-"""What an axis shows, by unit; in the order of panels."""
+"""Labels of axes, by unit, in the order of panels."""
 
 FIRST = ("rad", "m", "N", "N.m", "J")
-"""Units of the panels of a figure for which nobody names columns, in the order in which they are chosen."""
+"""Units of the panels of a default figure, in order of preference."""
 
 ERRORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error")
-"""What has a panel of its own, on a logarithmic scale."""
+"""Outputs in a separate panel with a logarithmic scale."""
 
 _PART = re.compile(r"(?P<whole>.*\.(?:force|moment))\.[xyz]\Z")
-"""Components of reactions."""
+"""Matches components of reactions."""
 
 _REACTION = re.compile(r"\.(force|moment)(\.[xyz])?\|?\Z|\Amultiplier\[")
-"""What may have a pole at a singular position."""
+"""Matches outputs that may have a pole at a singular position."""
 
 POLE = 2
-"""`monitor.singular` where reactions grow without bound."""
+"""Value of `monitor.singular` where reactions are unbounded."""
 
 
 @dataclass(frozen=True)
 class _Line:
-    """A line: the columns that it stands for, with one and the same course."""
+    """A line for several columns with the same values."""
 
     names: tuple[str, ...]
     values: NDArray[np.float64]
 
     @property
     def owner(self) -> str:
-        """The body or joint that the first column belongs to."""
+        """Body or joint of the first column."""
         return self.names[0].strip("|").split(".")[0]
 
     @property
@@ -104,7 +104,7 @@ class _Line:
 
 @dataclass
 class _Panel:
-    """Some lines that share an axis."""
+    """Lines on a common axis."""
 
     label: str
     lines: list[_Line]
@@ -115,7 +115,7 @@ class _Panel:
 def plot(result: Result, path: str | Path, names: Sequence[str] | None = None) -> None:
     """Draw a result into a `.png`, `.svg` or `.pdf` file; see `figure`.
 
-    Raises InputError where the suffix is another one, nothing is called like one of `names`, or matplotlib is missing.
+    Raises InputError for another suffix, if no column matches one of `names`, or if matplotlib is missing.
     """
     path = Path(path)
     check_name(path)
@@ -123,23 +123,24 @@ def plot(result: Result, path: str | Path, names: Sequence[str] | None = None) -
 
 
 def check_name(path: Path) -> None:
-    """InputError where a plot has no kind of this name."""
+    """Raise InputError if a plot cannot be written to a file of this name."""
     if path.suffix not in METADATA:
         raise InputError(f"{path} cannot hold a plot; its name must end in {', '.join(METADATA)}")
 
 
 def save(drawn: Figure, path: Path, dpi: float) -> None:
-    """Write a figure as a whole, the same bytes each time."""
+    """Write a figure atomically and reproducibly."""
     with atomic(path) as file:
         drawn.savefig(file, format=path.suffix[1:], dpi=dpi, metadata=METADATA[path.suffix])
 
 
 def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
-    """The matplotlib figure of a result over time [s]: panels one above the other, a caption that says what they omit.
+    """Return the matplotlib figure of a result over time [s]: a column of panels, and a caption on omitted columns.
 
-    `names` are names or patterns such as "link*.angle": all that they name is shown, a panel for each unit. Without
-    them come, as far as they change: angles, positions, sizes of reactions, and constraint errors. Columns of the same
-    course are one line. Raises InputError where nothing is called like one of `names`, or where matplotlib is missing.
+    `names` are names or patterns such as "link*.angle": all matching columns are shown, in a panel for each unit. By
+    default the figure shows varying columns: angles, positions, magnitudes of reactions, and constraint errors. Columns
+    with the same values share a line. Raises InputError if no column matches one of `names`, or if matplotlib is
+    missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -166,16 +167,16 @@ def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
 
 
 def _chosen(result: Result) -> tuple[list[_Panel], str]:
-    """What one wants to see first, and what else there is."""
+    """Return the panels of a default figure, and a caption on the others."""
     moving = [name for name in result.names if _range(result[name], name) > 0]
     wanted = [name for name in moving if _wanted(result, name)]
     panels = _panels(result, _reduced(result, wanted))
     errors = [panel for panel in panels if panel.logarithmic]
     shown = [panel for panel in panels if not panel.logarithmic]
-    if not shown:  # nothing moves: what there is, as far as it is a motion at all
+    if not shown:  # nothing moves: show columns of the motion
         known = [name for name in result.names if result.units.get(name, "") in FIRST and _wanted(result, name)]
         shown = _panels(result, _reduced(result, known or result.names))
-    apart = shown[1:2] and shown[0].label == shown[1].label  # angles that turn round do not cost another panel
+    apart = shown[1:2] and shown[0].label == shown[1].label  # a panel of whole turns does not replace another one
     shown = [*shown[: PANELS + bool(apart) - len(errors)], *errors]
     for panel in shown:
         if len(panel.lines) > LINES:
@@ -186,7 +187,7 @@ def _chosen(result: Result) -> tuple[list[_Panel], str]:
 
 
 def _wanted(result: Result, name: str) -> bool:
-    """Whether a column belongs in a figure for which nobody names columns."""
+    """Return whether a column belongs in a default figure."""
     if name in ERRORS and np.nanmax(result[name]) <= ROUNDING:
         return False
     if name.startswith("monitor."):
@@ -196,7 +197,7 @@ def _wanted(result: Result, name: str) -> bool:
 
 
 def _reduced(result: Result, names: Iterable[str]) -> list[_Line]:
-    """Columns as lines, reactions in space and in the plane by their size alone."""
+    """Return columns as lines, with reactions by their magnitude alone."""
     lines: dict[str, _Line] = {}
     for name in names:
         if found := _PART.match(name):
@@ -213,7 +214,7 @@ def _column(result: Result, name: str) -> _Line:
 
 
 def _caption(result: Result, panels: Sequence[_Panel]) -> str:
-    """What a figure leaves out, by kind and number."""
+    """Return the omitted columns of a figure, by kind and number."""
     shown = {name for panel in panels for line in panel.lines for name in line.names}
     partly = [name for panel in panels for name in panel.left_out]
     counts: Counter[str] = Counter()
@@ -241,14 +242,14 @@ def _caption(result: Result, panels: Sequence[_Panel]) -> str:
 
 
 def _counted(n: int, what: str) -> str:
-    """A number of things."""
+    """Return a number with a noun."""
     plural = {"component of a reaction": "components of reactions", "angular velocity": "angular velocities"}
     plural |= {"velocity": "velocities", "energy": "energies"}
     return f"{n} {what if n == 1 else plural.get(what, what + 's')}"
 
 
 def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
-    """Columns called like the patterns, each once, in the order of the patterns."""
+    """Return columns that match the patterns, each once, in the order of the patterns."""
     found: dict[str, None] = {}
     for pattern in patterns:
         names = [name for name in result.names if name == pattern or fnmatchcase(name, pattern)]
@@ -261,7 +262,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
 
 
 def _panels(result: Result, lines: Iterable[_Line]) -> list[_Panel]:
-    """Lines grouped by unit, known units first, constraint errors last; those of the same course are one."""
+    """Return lines grouped by unit, known units first, constraint errors last; equal lines are merged."""
     groups: dict[str, list[_Line]] = {unit: [] for unit in KINDS}
     errors = []
     for line in lines:
@@ -276,7 +277,7 @@ def _panels(result: Result, lines: Iterable[_Line]) -> list[_Panel]:
 
 
 def _apart(unit: str, lines: list[_Line]) -> list[list[_Line]]:
-    """Lines of a unit by panels: what swings is not seen beside what turns round many times."""
+    """Return lines of a unit by panel: oscillations would be invisible beside many whole turns."""
     reach = [float(np.ptp(line.values)) for line in lines]
     turning = [unit == "rad" and x >= TURN for x in reach]
     others = [x for x, turns in zip(reach, turning, strict=True) if not turns]
@@ -286,7 +287,7 @@ def _apart(unit: str, lines: list[_Line]) -> list[list[_Line]]:
 
 
 def _merged(lines: Sequence[_Line]) -> list[_Line]:
-    """Lines, those that cannot be told apart as one."""
+    """Merge lines that are indistinguishable."""
     reach = max(float(np.max(x.values)) for x in lines) - min(float(np.min(x.values)) for x in lines)
     found: list[_Line] = []
     for line in lines:
@@ -300,29 +301,29 @@ def _merged(lines: Sequence[_Line]) -> list[_Line]:
 
 
 def _titled(unit: str) -> str:
-    """The label of an axis."""
+    """Return the label of an axis."""
     return f"{KINDS.get(unit, 'value')} [{_printed(unit)}]" if unit else "value"
 
 
 def _printed(unit: str) -> str:
-    """A unit as people write it."""
+    """Return a unit in typographic form."""
     return "dimensionless" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("3", "³")
 
 
 def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
-    """Lines, labels and legend of one panel."""
+    """Draw lines, labels and legend of one panel."""
     values = np.array([line.values for line in panel.lines])
     low, high = float(values.min()), float(values.max())
     logarithmic = panel.logarithmic and high > ROUNDING
     for i, (line, style) in enumerate(zip(panel.lines, _styles(result, panel.lines), strict=True)):
         if not panel.logarithmic and _runs_close(values[i], values[:i], high - low):
             style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}
-        if logarithmic:  # mostly round-off, whose points no line connects
+        if logarithmic:  # mostly round-off, better shown as points
             style |= {"linestyle": "", "marker": ".", "markersize": 2.5}
         poles = _poles(result, line)
         shown = np.where(poles, np.nan, line.values) if poles.any() else line.values
         drawn = axes.plot(result.time, shown, label=line.label, linewidth=1.5, **style)
-        if poles.any():  # it goes beyond any scale there: an arrow, and a gap in the line
+        if poles.any():  # draw an arrow, and a gap in the line
             top = np.ones(int(poles.sum()))
             arrow = {"marker": "^", "linestyle": "", "markersize": 4, "color": drawn[0].get_color()}
             axes.plot(result.time[poles], top, transform=axes.get_xaxis_transform(), clip_on=False, **arrow)
@@ -331,7 +332,7 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
         axes.set_ylim(bottom=max(axes.get_ylim()[0], ROUNDING))
     else:
         axes.ticklabel_format(useOffset=False)
-        if high - low < 1e-6 * max(abs(high), abs(low)):  # rounding is no motion
+        if high - low < 1e-6 * max(abs(high), abs(low)):  # this is round-off
             axes.set_ylim(low - 1e-6 * abs(low), high + 1e-6 * abs(high))
     axes.set_ylabel(panel.label, fontsize=9)
     axes.tick_params(labelsize=8)
@@ -344,20 +345,20 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
 
 
 def _poles(result: Result, line: _Line) -> NDArray[np.bool_]:
-    """Rows (rows,) at which a line has no finite value, though a finite part of it stands there."""
+    """Return rows (rows,) at which a line is infinite, and its value is only the finite part."""
     may = "monitor.singular" in result.names and any(_REACTION.search(name) for name in line.names)
     return result["monitor.singular"] == POLE if may else np.zeros(len(result.time), bool)
 
 
 def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach: float) -> bool:
-    """Whether a line runs along one before it for some time."""
+    """Return whether a line is close to an earlier one for some time."""
     return any(np.mean(np.abs(values - other) <= CLOSE * reach) > OFTEN for other in others)
 
 
 def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
-    """Colour by body or joint, the same in all panels, dashes by component; colour alone where there is one owner.
+    """Return styles: colour by body or joint, the same in all panels, dashes by component; colour alone with one owner.
 
-    Multipliers belong to none.
+    Multipliers have no owner.
     """
     if len({"multiplier" if line.owner.startswith("multiplier[") else line.owner for line in lines}) == 1:
         return [{"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % 4]} for i in range(len(lines))]
@@ -367,7 +368,7 @@ def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
     styles: list[dict[str, object]] = []
     for line in lines:
         place = owners.index(line.owner)
-        # Of joints and bodies beyond the colours there are, the dashes differ.
+        # Bodies and joints beyond the number of colours have different dashes.
         dashes = DASHES[(seen[line.owner] + place // len(COLORS)) % 4]
         styles.append({"color": COLORS[place % len(COLORS)], "linestyle": dashes})
         seen[line.owner] += 1
@@ -375,6 +376,6 @@ def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
 
 
 def _range(values: NDArray[np.float64], name: str) -> float:
-    """How much a column changes; 0 for what is constant but for rounding."""
+    """Return the range of a column; 0 if it is constant up to round-off."""
     change = float(np.ptp(values))
     return change if name in ERRORS or change > 1e-9 * (1 + float(np.abs(values).max())) else 0.0

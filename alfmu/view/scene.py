@@ -1,7 +1,7 @@
-"""Scenes of the plane: the parts and the labels of a picture, in metres and in units of symbols, in whatever size.
+"""Scenes in the plane: parts and labels of a picture, in metres and in units of symbols, independent of its size.
 
-Where numbers of shapes are traced, those of places and directions stay so. `plane` paints a scene, and so does the
-script that pages share (`shared/strokes.js`).
+Positions and directions stay traced if numbers of shapes are. `plane` paints a scene, and so does the script
+`shared/strokes.js` of pages.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ __all__ = [
 ]
 
 LEFT, RIGHT = "left corner", "right corner"
-"""Lower corners of a picture, as frames: their anchors are in `Fit.base` pixels."""
+"""Lower corners of a picture as frames, with anchors in `Fit.base` pixels."""
 
 RULER = -1
-"""The guide of the scale in the right corner: one grid cell before its place."""
+"""The guide of the scale in the right corner: one grid cell long."""
 
 OVERHANG = 50.0
-"""How far rails go beyond the places where they are used [units]."""
+"""Length of rails beyond their travel [units]."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A line with round ends: a disc where it has one point, a closed area where it is filled.
+    """A line with round ends: a disc if it has one point, a closed area if filled.
 
-    Its points and its width are in units; x is in shares of the way where its part has one. With `metres` the points
-    are in metres: a "line" through them or their convex "hull", filled where that has an area. A stroke with `every` is
-    repeated so many units apart along its part, its x being in units from there. `rim` draws a dark one around it.
+    Its points and its width are in units; x is relative to the length if its part has one. With `metres` the points are
+    in metres: a "line" through them or their convex "hull", filled if it has an area. A stroke with `every` is repeated
+    at this distance in units along its part, with its x from each repetition. `rim` adds a dark outline.
     """
 
     points: tuple[Vector, ...]
@@ -62,9 +62,9 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Part:
-    """Strokes that move with a point of a body, turned by `angle` in its axes, or that stretch between two points.
+    """Strokes that move with a point of a body, turned by `angle` in its axes, or that span two points.
 
-    With a `guide` they stretch over its travel. What is `held` can be taken hold of in a live page.
+    With a `guide` they span its travel. A `held` part can be dragged in a live page.
     """
 
     at: tuple[Anchor, ...]
@@ -76,9 +76,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Label:
-    """Text in the middle of some points, or `gap` units from there in the middle of the widest gap that `links` leave.
+    """Text in the centre of some points, or `gap` units from there in the middle of the widest gap between `links`.
 
-    With a `guide`, it stands at a `share` of its travel. What is `free` gives way to other labels and to pins.
+    With a `guide`, it is at a `share` of its travel. A `free` label avoids other labels and pins.
     """
 
     text: str
@@ -88,7 +88,7 @@ class Label:
     size: float = 14.0
     color: str = "ink"
     rim: bool = False
-    """Whether it has the colour of the rim of its colour."""
+    """Whether it has the colour of the rim instead of its colour."""
     angle: float = 0.0
     guide: int | None = None
     share: float = 0.0
@@ -97,7 +97,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Scene:
-    """Parts behind and before the trails of the dots, labels, and pins that no label covers.
+    """Parts behind and in front of the trails of dots, labels, and pins that labels must not cover.
 
     Colours are names of `PALETTE`, or "#rrggbb" of bodies and dots.
     """
@@ -107,7 +107,7 @@ class Scene:
     labels: tuple[Label, ...]
     pins: tuple[Anchor, ...]
     colors: dict[str, str]
-    """Of bodies and dots."""
+    """Colours of bodies and dots."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class _Knot:
 
 
 def scene_of(shapes: Shapes) -> Scene:
-    """What a picture of shapes consists of, in whatever size."""
+    """Return the scene of shapes, independent of its size."""
     knots = _knots(shapes)
     names = [*(link.name for link in shapes.links), *shapes.dots]
     colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
@@ -150,7 +150,7 @@ def scene_of(shapes: Shapes) -> Scene:
 
 
 def _marks() -> list[Part]:
-    """Directions of the axes in the left lower corner, the scale in the right one."""
+    """Return the axes in the lower left corner, and the scale in the right one."""
     tips = [((36.0, 0.0), (28.0, 3.0), (28.0, -3.0)), ((0.0, 36.0), (3.0, 28.0), (-3.0, 28.0))]
     axes = [Stroke(((0.0, 30.0), (0.0, 0.0), (30.0, 0.0)), 1.5, "faint"), *(Stroke(x, 1, "faint", True) for x in tips)]
     lines = [((0.0, 0.0), (1.0, 0.0)), *(((end, -4.0), (end, 4.0)) for end in (0.0, 1.0))]
@@ -159,7 +159,7 @@ def _marks() -> list[Part]:
 
 
 def _support(at: Anchor, legs: bool) -> Part:
-    """Ground under a point; with legs, under a hinge."""
+    """Return the ground symbol under a point, with legs under a hinge."""
     foot = -24.0 if legs else -9.0
     strokes = [Stroke(((x, foot), (x - 7.0, foot - 8.0)), 1.2, "faint") for x in np.arange(-17.0, 24.0, 7.0).tolist()]
     strokes += [Stroke(((-24.0, foot), (24.0, foot)))]
@@ -169,7 +169,8 @@ def _support(at: Anchor, legs: bool) -> Part:
 
 
 def _guide(i: int, guide: Guide, color: str) -> list[Part]:
-    """Rails about a dash-dotted centre line where a guide is used, hatched on the ground, and the block in them."""
+    """Return rails about a dash-dotted centre line over the travel of a guide, hatched on the ground, and the block in
+    them."""
     half, grounded = _half(guide), guide.base.body == GROUND
     strokes = [Stroke(((0.0, -half), (1.0, -half)))]
     if grounded:
@@ -189,13 +190,14 @@ def _guide(i: int, guide: Guide, color: str) -> list[Part]:
 
 
 def _rim(rim: Rim, color: str) -> Part:
-    """The line of a gear, a pulley or a rack, or a disc such as a cam."""
+    """Return the outline of a gear, a pulley or a rack, or a disc such as a cam."""
     line = Stroke(rim.points, 2 if rim.filled else 4, color, rim.filled, True, metres="line")
     return Part((Anchor(rim.body, 0.0, 0.0),), (line,))
 
 
 def _link(link: Link, color: str) -> Part:
-    """A bar or plate through the points of a body, the mass at the end of an arm, nothing for a mere block."""
+    """Return a bar or plate through the points of a body, or the mass at the end of an arm; nothing for a
+    mere block."""
     width = 0 if len(set(link.points)) == 1 else 8 if link.kind == "mass" else 14
     strokes = [Stroke(link.points, width, color, rim=True, metres="hull")]
     if link.kind == "mass":
@@ -208,13 +210,13 @@ def _disc(width: float, color: str = "white", x: float = 0.0) -> Stroke:
 
 
 def _pin(knot: _Knot) -> Part:
-    """A hinge as a circle, a weld as a square."""
+    """Return a circle for a hinge, a square for a weld."""
     square = Stroke(((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)), 2, "ink", True)
     return Part(knot.anchors[:1], (square if knot.kind == "weld" else _disc(13),))
 
 
 def _tie(tie: Tie) -> Part:
-    """A rod, spring or damper from point to point, or a spiral around one."""
+    """Return a rod, spring or damper from point to point, or a spiral around one."""
     if tie.kind == "spiral":
         turns = [5 * math.pi * i / 60 for i in range(61)]
         points = [((10 + 0.7 * t) * math.cos(t), (10 + 0.7 * t) * math.sin(t)) for t in turns]
@@ -244,7 +246,7 @@ def _tie(tie: Tie) -> Part:
 
 
 def _knot_label(knot: _Knot, shapes: Shapes) -> Label:
-    """On the side that links, rails and ground leave free."""
+    """Return the label on the side without links, rails and ground."""
     points = {link.name: link.points for link in shapes.links}
     directions = [Anchor(GROUND, 0.0, -1.0) for at in knot.anchors if at.body == GROUND]
     for at in knot.anchors:
@@ -257,13 +259,13 @@ def _knot_label(knot: _Knot, shapes: Shapes) -> Label:
 
 
 def _guide_label(i: int, guide: Guide) -> Label:
-    """Under the beginning of the rails."""
+    """Return the label under the start of the rails."""
     up = Anchor(guide.base.body, -sin(guide.axis), cos(guide.axis))
     return Label(guide.name, (guide.base,), (up,), _half(guide) + 12.0, angle=guide.axis, guide=i)
 
 
 def _link_label(link: Link, guides: Sequence[Guide], color: str) -> Label:
-    """Beside the longest free stretch of a bar, in the middle of a plate, under a block."""
+    """Return the label beside the longest free stretch of a bar, in the middle of a plate, or under a block."""
 
     def label(at: Sequence[Vector], away: Sequence[Vector], gap: float) -> Label:
         places, links = (tuple(Anchor(link.name, *p) for p in group) for group in (at, away))
@@ -285,19 +287,19 @@ def _link_label(link: Link, guides: Sequence[Guide], color: str) -> Label:
 
 
 def _half(guide: Guide) -> float:
-    """Half the height between the rails of a guide [units]."""
+    """Return half the height between the rails of a guide [units]."""
     return 9.0 if guide.block is None else 15.0
 
 
 def _knots(shapes: Shapes) -> list[_Knot]:
-    """Hinges, welds and pins; those that share a point are one."""
+    """Return hinges, welds and pins, with those at a common point merged."""
     knots: dict[int, _Knot] = {}
     found: dict[Anchor, int] = {}
     for i, joint in enumerate(shapes.joints):
         if joint.kind in ("prismatic", "distance"):
             continue
         knot = _Knot((joint.name,) if joint.name else (), joint.kind, (joint.first, joint.second))
-        if joint.kind == "point_on_line":  # its guide has the name
+        if joint.kind == "point_on_line":  # its guide has the label
             knot = _Knot((), joint.kind, (joint.second,))
         for k in sorted({found[at] for at in knot.anchors if at in found}):
             other = knots.pop(k)
@@ -308,14 +310,14 @@ def _knots(shapes: Shapes) -> list[_Knot]:
 
 
 def supports_of(shapes: Shapes) -> dict[Anchor, bool]:
-    """Points held by the ground, and whether the support has legs (all but welds)."""
+    """Return points fixed to the ground, and whether the support has legs (all but welds)."""
     held = [(j.first, j.kind != "weld") for j in shapes.joints if j.kind in ("revolute", "weld", "distance")]
     held += [(at, True) for tie in shapes.ties if tie.kind != "spiral" for at in (tie.first, tie.second)]
     return {at: legs for at, legs in held if at.body == GROUND}
 
 
 def hull_of(points: Sequence[Vector]) -> list[Vector]:
-    """Corners of the convex hull of some points; the two ends where they lie on one line."""
+    """Return the corners of the convex hull of some points; the two ends if they are collinear."""
     ordered = sorted(set(points))
     tolerance = 1e-9 * max(max(x) - min(x) for x in zip(*points, strict=True)) ** 2
 

@@ -1,4 +1,4 @@
-"""Shapes: what a picture of a mechanism shows, in metres, worked out from its declaration (`geometry`)."""
+"""Shapes of a mechanism for pictures, in metres, computed from its declaration (`geometry`)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Shapes", "by_law", "ends_of", "geometry"]
 GROUND = "ground"
 
 POSE = ("x", "y", "z", "e0", "e1", "e2", "e3")
-"""Outputs that tell where a body in space is: its centre of mass [m] and its Euler parameters."""
+"""Outputs with the pose of a body in space: its centre of mass [m] and its Euler parameters."""
 
 Vector3 = tuple[float, float, float]
 
@@ -32,7 +32,7 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Anchor:
-    """A point fixed on a body, by its place [m] from the centre of mass (the ground's origin) in its axes."""
+    """A point fixed on a body, by its position [m] from the centre of mass (the ground's origin) in its axes."""
 
     body: str
     x: float
@@ -44,10 +44,10 @@ ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
 
 @dataclass(frozen=True)
 class Link:
-    """A body: the points that its joints, springs and ends have on it, at least one, from its centre of mass [m].
+    """A body: the points of its joints, springs and ends, at least one, from its centre of mass [m].
 
     `kind` is "bar" (through its points), "mass" (fewer than two points of its own: an arm to its centre of mass) or
-    "block" (rides in a guide).
+    "block" (in a guide).
     """
 
     name: str
@@ -57,7 +57,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Hinge:
-    """A joint: its kind as declared, and its point on either body."""
+    """A joint: its declared kind, and its point on either body."""
 
     name: str
     kind: str
@@ -69,7 +69,7 @@ class Hinge:
 class Guide:
     """A straight guide through `base`, in direction `axis` [rad] of the base's body; `rider` moves along it.
 
-    `block` is the direction of the guide in the rider's body [rad]; None where the rider is a pin, free to turn.
+    `block` is the direction of the guide in the rider's body [rad]; None if the rider is a pin, free to turn.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Guide:
 
 @dataclass(frozen=True)
 class Tie:
-    """What acts between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
+    """A symbol between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
 
     name: str
     kind: Literal["rod", "spring", "damper", "spring-damper", "spiral"]
@@ -91,7 +91,7 @@ class Tie:
 
 @dataclass(frozen=True)
 class Rim:
-    """A line on a body, from its centre of mass [m]: of a gear, a pulley, a rack; of a cam it is filled."""
+    """A curve on a body, from its centre of mass [m]: of a gear, a pulley, a rack; of a cam it is filled."""
 
     body: str
     points: tuple[Vector, ...]
@@ -103,7 +103,7 @@ class Rim:
 
 @dataclass(frozen=True)
 class Spot:
-    """A point fixed in a frame, by its place [m] from the frame's origin, a body's centre of mass, in its axes."""
+    """A point fixed in a frame, by its position [m] from the frame's origin, a body's centre of mass, in its axes."""
 
     frame: str
     x: float
@@ -113,7 +113,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class Frame:
-    """What moves, and how outputs tell its place: `columns` are x, y, z [m], then what its kind adds.
+    """A moving frame and its outputs: `columns` are x, y, z [m], then those of its kind.
 
     A "body" in space adds its Euler parameters; one in the "plane" has x, y and its angle [rad]; an "axis" adds a
     direction, which is the z axis of the frame; a "point" adds nothing.
@@ -128,8 +128,8 @@ class Frame:
 class Solid:
     """A body: the points of its joints, springs and ends, from its centre of mass [m].
 
-    `box` is half the edges [m] of the homogeneous box with its mass and inertia, None where there is none; `block`
-    whether a guide carries it, so that it is shown as that box.
+    `box` is half the edges [m] of the homogeneous box with its mass and inertia, None if there is none; `block` is true
+    for a body in a guide, which is shown as that box.
     """
 
     name: str
@@ -151,7 +151,7 @@ class Pivot:
 
 @dataclass(frozen=True)
 class Strut:
-    """What stretches between two points: a "bar", "rod", "spring", "damper" or "spring-damper"."""
+    """A symbol that spans two points: a "bar", "rod", "spring", "damper" or "spring-damper"."""
 
     name: str
     kind: Literal["bar", "rod", "spring", "damper", "spring-damper"]
@@ -161,7 +161,7 @@ class Strut:
 
 @dataclass(frozen=True)
 class Arrow:
-    """A force or moment that a result has: three outputs in ground axes, or one along a direction of a frame."""
+    """A force or moment in a result: three outputs in ground axes, or one along a direction of a frame."""
 
     name: str
     kind: Literal["force", "moment"]
@@ -173,7 +173,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class Space:
-    """All that a picture in space shows; `up` is the direction against gravity."""
+    """The shapes of a picture in space; `up` is the direction against gravity."""
 
     frames: tuple[Frame, ...]
     solids: tuple[Solid, ...]
@@ -184,14 +184,14 @@ class Space:
     up: Vector3
 
 
-# All of a mechanism -------------------------------------------------------------------------------------------------
+# Mechanism ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """All that a picture of a mechanism shows, in the plane or, where `space` is not None, in space alone.
+    """The shapes of a picture of a mechanism, in the plane or, if `space` is not None, in space alone.
 
-    `dots` are points that user outputs `NAME.x`, `NAME.y` give.
+    `dots` are points given by user outputs `NAME.x`, `NAME.y`.
     """
 
     name: str
@@ -206,7 +206,7 @@ class Shapes:
 
     @property
     def columns(self) -> list[str]:
-        """Names of the outputs that a picture needs."""
+        """Return the names of the outputs for a picture."""
         if self.space:
             return [column for frame in self.space.frames for column in frame.columns]
         links = [f"{link.name}.{q}" for link in self.links for q in ("x", "y", "angle")]
@@ -214,16 +214,16 @@ class Shapes:
 
     @property
     def efforts(self) -> list[str]:
-        """Names of the outputs and inputs that a film shows as arrows, where a result has them."""
+        """Return the names of the outputs and inputs that a film shows as arrows, if a result has them."""
         return [column for arrow in self.space.arrows for column in arrow.columns] if self.space else []
 
 
 def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None, traced: bool = False) -> Shapes:
-    """The shapes of a mechanism for given values of its parameters, defaults otherwise.
+    """Return the shapes of a mechanism at given values of its parameters, by default at the defaults.
 
-    Numbers of shapes that are `traced` know the expressions they come from (`Traced`). `parameters` may be the mapping
-    that a run took: start values and solver variables in it change no shape.
-    Raises DeclarationError where a shape depends on more than parameters.
+    Numbers of `traced` shapes contain their expressions (`Traced`). `parameters` may be the mapping for a run: start
+    values and solver variables in it have no effect. Raises DeclarationError if a shape depends on more than
+    parameters.
     """
     m, given = mechanism, parameters or {}
     values = {p.name: _given(m, p.name, given.get(p.name, p.default)) for p in m.parameters}
@@ -241,7 +241,7 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None, 
 def _in_plane(
     m: Mechanism, number: Callable[[Scalar], float]
 ) -> tuple[tuple[Link, ...], tuple[Hinge, ...], tuple[Guide, ...], tuple[Tie, ...]]:
-    """What there is in the plane."""
+    """Return the shapes in the plane."""
     centers = {body: [number(c) for c in body.center] for body in (m.ground, *m.bodies)}
 
     def anchor(marker: Marker) -> Anchor:
@@ -285,7 +285,7 @@ def _in_plane(
 
 
 def _rims(m: Mechanism, number: Callable[[Scalar], float]) -> Iterator[Rim]:
-    """What relations show of themselves."""
+    """Yield the curves of relations."""
     for relation in m.relations():
         for rim in relation.rims():
             x, y = (number(c) for c in rim.body.center)
@@ -294,14 +294,15 @@ def _rims(m: Mechanism, number: Callable[[Scalar], float]) -> Iterator[Rim]:
 
 
 def by_law(m: Mechanism, *places: Scalar) -> bool:
-    """Whether something moves on its body by a law of time, so that no picture of the body can hold it."""
+    """Return whether a point moves on its body by a law of time, so that no static shape contains it."""
     return any(isinstance(x, ca.SX) and ca.depends_on(x, m.time) for x in places)
 
 
 def ends_of(m: Mechanism, joint: Any) -> tuple[Any, Any] | None:
-    """The points of a joint on its bodies; where one moves by a law, that of the other, which is at the same place.
+    """Return the points of a joint on its bodies; a point moved by a law is replaced by the other, at the same
+    position.
 
-    None where a picture cannot tell: of a guide or a rod whose points move so, or where both do.
+    None if the position is unknown: for a guide or a rod with moving points, or if both points move.
     """
     first, second = (by_law(m, at.x, at.y, getattr(at, "z", 0.0)) for at in (joint.first, joint.second))
     turned = isinstance(joint, Joint) and by_law(m, joint.axis, joint.offset, joint.angle)
@@ -315,7 +316,7 @@ def ends_of(m: Mechanism, joint: Any) -> tuple[Any, Any] | None:
 def _pins(
     m: Mechanism, joints: Sequence[Hinge], anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]
 ) -> Iterator[Hinge]:
-    """Pins without a name where bars share a point that no joint names, as in natural coordinates."""
+    """Yield pins without a name for points that bars share without a joint, as in natural coordinates."""
     joined = Knots()
     for joint in joints:
         if joint.kind in ("revolute", "weld"):
@@ -335,7 +336,7 @@ def _pins(
 
 
 def _fixed(point: Point, number: Callable[[Scalar], float]) -> Anchor | None:
-    """A point on the ground, None where it moves."""
+    """Return a point on the ground, None if it moves."""
     try:
         return Anchor(GROUND, number(point.x), number(point.y))
     except DeclarationError:
@@ -343,29 +344,29 @@ def _fixed(point: Point, number: Callable[[Scalar], float]) -> Anchor | None:
 
 
 class Knots:
-    """Which points are one, as joints hold them together."""
+    """Equality of points connected by joints."""
 
     def __init__(self) -> None:
         self._groups: dict[Any, set[Any]] = {}
 
     def join(self, one: Any, other: Any) -> None:
-        """Two points, and all that is held to either, are one."""
+        """Merge two points, and all points connected to either."""
         group = self._groups.get(one, {one}) | self._groups.get(other, {other})
         self._groups.update(dict.fromkeys(group, group))
 
     def together(self, one: Any, other: Any) -> bool:
-        """Whether two points are one."""
+        """Return whether two points are connected."""
         return one == other or other in self._groups.get(one, ())
 
 
 def _spring(spring: Spring) -> str:
-    """A spring, a damper or both; nothing where it has neither strength."""
+    """Return "spring", "damper" or both; empty if neither has a strength."""
     kinds = {"spring": spring.stiffness, "damper": spring.damping}
     return "-".join(kind for kind, strength in kinds.items() if not ca.SX(strength).is_zero())
 
 
 def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, places: Sequence[str]) -> Space:
-    """What there is in space; what is declared in the plane lies in the plane z = 0 of it."""
+    """Return the shapes in space; plane parts are in the plane z = 0."""
     centers = {body: [number(c) for c in body.center] for body in (m.spatial_ground, *m.spatial_bodies)}
 
     def spot(marker: SpatialMarker) -> Spot:
@@ -413,7 +414,7 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
         moves = isinstance(first, SpatialMarker) and by_law(m, first.x, first.y, first.z, second.x, second.y, second.z)
         if isinstance(first, SpatialMarker) and along and not moves and (kind := _spring(spring)):
             struts.append(Strut("", kind, spot(first), spot(second)))
-    shown = {*drawn, *(bar.name for bar in m.drawn_bars)}  # what has a symbol of its own
+    shown = {*drawn, *(bar.name for bar in m.drawn_bars)}  # parts with their own symbol
     dots = tuple(dot for dot in plane.dots if dot not in shown)
     frames += [Frame(x, "point", tuple(f"{x}.{q}" for q in "xyz" if f"{x}.{q}" in places)) for x in dots]
 
@@ -458,7 +459,7 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
 
 
 def _box(body: SpatialBody, number: Callable[[Scalar], float]) -> Vector3 | None:
-    """Half the edges of the homogeneous box with the mass and the moments of inertia of a body."""
+    """Return half the edges of the homogeneous box with the mass and the moments of inertia of a body."""
     mass, (x, y, z) = number(body.mass), map(number, body.inertia)
     if mass <= 0:
         return None
@@ -473,7 +474,7 @@ def _given(m: Mechanism, name: str, value: Any) -> float:
 
 
 def _telescopes(joint: Joint) -> bool:
-    """Whether a joint slides one bar along another, as in a cylinder, so that the bars themselves show it."""
+    """Return whether a joint slides one bar along another, as in a cylinder, so that the bars suffice as a symbol."""
     return joint.kind == "prismatic" and None not in (joint.first.body.length, joint.second.body.length)
 
 

@@ -1,7 +1,7 @@
-"""Pictures of mechanisms in space: where everything is, what a picture must show of a motion, where it is seen from.
+"""Pictures of mechanisms in space: poses, the extent of a motion, the camera.
 
-The shapes give frames and what is fixed in them, the motion gives what must be seen (`view_of`), from which follow the
-camera and the floor (`Camera`, `Floor`).
+The shapes define frames and parts fixed in them, the motion defines the extent (`view_of`), from which the camera and
+the floor follow (`Camera`, `Floor`).
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from .surface import Size, Vector, base_of, cell_of
 __all__ = ["Camera", "Floor", "Lens", "Pose", "SpaceView", "camera_of", "floor_of", "place_of", "poses_of", "view_of"]
 
 Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Place (..., 3) [m] and Euler parameters (..., 4) of a frame, at one instant or over time."""
+"""Position (..., 3) [m] and Euler parameters (..., 4) of a frame, at one instant or over time."""
 
 OPENING = 26.0
-"""Angle [deg] that the camera sees from bottom to top: a long lens, so that sizes can be compared."""
+"""Vertical angle of view of the camera [deg]: a long lens, so that sizes can be compared."""
 
 ELEVATION = 24.0
-"""Angle [deg] by which the camera looks down."""
+"""Angle of the camera above the horizontal [deg]."""
 
 AZIMUTHS = 24
-"""Directions around the vertical from which the picture is tried."""
+"""Number of directions around the vertical that are tried for the camera."""
 
 CLOUD = 400
-"""Instants of a motion, at most, from which the camera is chosen."""
+"""Largest number of instants of a motion in the choice of the camera."""
 
 SLIDING = ("prismatic", "cylindrical", "screw")
 """Kinds of joints whose second point slides along an axis, which is drawn as a rail."""
@@ -41,7 +41,7 @@ SLIDING = ("prismatic", "cylindrical", "screw")
 
 @dataclass(frozen=True)
 class SpaceView:
-    """What a picture must show of a motion: places (N, 3) [m] that it holds, the range of each joint that slides."""
+    """Extent of a motion: positions (N, 3) [m] in the picture, the travel of each sliding joint."""
 
     cloud: NDArray[np.float64] = field(compare=False)
     up: Vector3
@@ -56,7 +56,7 @@ class SpaceView:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is seen from [m]; `opening` is the angle from bottom to top [deg]."""
+    """Position of the camera [m]; `opening` is the vertical angle of view [deg]."""
 
     eye: Vector3
     target: Vector3
@@ -69,11 +69,11 @@ class Camera:
         return _looking(np.subtract(self.eye, self.target), np.array(self.up))
 
 
-# Where it all is ----------------------------------------------------------------------------------------------------
+# Poses --------------------------------------------------------------------------------------------------------------
 
 
 def poses_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose]:
-    """Pose of every frame, the ground included. Raises InputError where a column is missing or not finite."""
+    """Return the pose of every frame, including the ground. Raises InputError if a column is missing or not finite."""
     assert shapes.space is not None
     if missing := [name for name in shapes.columns if name not in columns]:
         raise InputError(
@@ -102,7 +102,7 @@ def poses_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose
 
 
 def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> SpaceView:
-    """What a picture must show so that all shapes are in it at all instants of `columns`."""
+    """Return the extent that contains all shapes at all instants of `columns`."""
     space, poses = shapes.space, poses_of(shapes, columns)
     assert space is not None
     spots = [Spot(s.name, *p) for s in space.solids for p in (*s.points, (0.0, 0.0, 0.0))]
@@ -126,7 +126,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> SpaceView:
 
 
 def distinct(points: Sequence[Vector3], near: float) -> list[Vector3]:
-    """Points without those that are next to one before."""
+    """Return points without those close to an earlier one."""
     kept: list[Vector3] = []
     for p in points:
         if all(math.dist(p, k) > near for k in kept):
@@ -135,7 +135,7 @@ def distinct(points: Sequence[Vector3], near: float) -> list[Vector3]:
 
 
 def tree(points: Sequence[Vector3], extent: float) -> list[tuple[Vector3, Vector3]]:
-    """The shortest rods that hold points together."""
+    """Return the shortest rods that connect points."""
     points = distinct(points, 1e-6 * extent)
     inside, rods = [0], []
     while len(inside) < len(points):
@@ -147,33 +147,33 @@ def tree(points: Sequence[Vector3], extent: float) -> list[tuple[Vector3, Vector
 
 
 def _thinned(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places at some instants, those at the ends included."""
+    """Return positions at some instants, including both ends."""
     if places.ndim == 1 or len(places) <= CLOUD:
         return places
     return places[np.unique(np.linspace(0, len(places) - 1, CLOUD).astype(int))]
 
 
 def place_of(poses: Mapping[str, Pose], at: Spot) -> NDArray[np.float64]:
-    """A point (..., 3) in ground axes [m]."""
+    """Return a point (..., 3) in ground axes [m]."""
     place, turn = poses[at.frame]
     return place + rotated(turn, np.array([at.x, at.y, at.z]))
 
 
 def rotated(turn: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A vector (..., 3) of a frame in ground axes, by Euler parameters (..., 4)."""
+    """Rotate a vector (..., 3) of a frame to ground axes, by Euler parameters (..., 4)."""
     p = turn[..., 1:]
     twice = 2 * cross(p, vector)
     return vector + turn[..., :1] * twice + cross(p, twice)
 
 
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """NumPy's `cross` of vectors (..., 3), some ten times as fast for a few of them."""
+    """Return the cross product of vectors (..., 3), some ten times as fast as NumPy's for a few of them."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
 
 
 def turned_to(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Euler parameters (..., 4) of the shortest turn that leads z to a direction (..., 3)."""
+    """Return Euler parameters (..., 4) of the smallest rotation of z to a direction (..., 3)."""
     z = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     e = np.stack([1 + z[..., 2], -z[..., 1], z[..., 0], 0 * z[..., 0]], -1)
     size = np.linalg.norm(e, axis=-1, keepdims=True)
@@ -181,18 +181,18 @@ def turned_to(direction: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def camera_of(view: SpaceView, size: Size) -> Camera:
-    """The camera that sees a motion as widely spread as one can, and holds all of it with room for labels."""
+    """Return the camera that shows a motion with the widest spread, and all of it with room for labels."""
     up = np.array(view.up)
     east, north, _ = (np.array(x) for x in right_handed(view.up))
     angle = math.radians(ELEVATION)
     best: tuple[float, NDArray[np.float64]] = (-1.0, east)
     for i in range(AZIMUTHS):
-        around = 2 * math.pi * (i + 0.35) / AZIMUTHS  # never along an axis, where things hide each other
+        around = 2 * math.pi * (i + 0.35) / AZIMUTHS  # never along an axis, where parts hide each other
         flat = math.cos(around) * east + math.sin(around) * north
         towards = math.cos(angle) * flat + math.sin(angle) * up
         seen = (view.cloud - view.cloud.mean(axis=0)) @ _looking(towards, up)[:2].T
         spread = float(np.linalg.svd(seen, compute_uv=False)[-1])
-        # Of two that are alike, the one from where x points to the right.
+        # Of two equal ones, x points to the right.
         spread *= 1 + 0.02 * float(_looking(towards, up)[0] @ np.array([1.0, 0.3, 0.1]))
         if spread > best[0]:
             best = spread, towards
@@ -216,7 +216,7 @@ def camera_of(view: SpaceView, size: Size) -> Camera:
 
 
 def _looking(towards: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows to the right, up and towards the eye."""
+    """Return unit vectors to the right, up and towards the eye, as rows."""
     z = towards / np.linalg.norm(towards)
     x = np.cross(up, z)
     x /= np.linalg.norm(x)
@@ -224,31 +224,31 @@ def _looking(towards: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[n
 
 
 class Lens:
-    """From places to pixels."""
+    """Projection of positions to pixels."""
 
     def __init__(self, camera: Camera, size: Size):
         self.eye, self.axes = np.array(camera.eye), camera.axes
         self.size = size
         self.focus = size[1] / 2 / math.tan(math.radians(camera.opening) / 2)
         self.scale = self.focus / float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
-        """Pixels of a metre at the target."""
+        """Pixels per metre at the target."""
 
     def seen(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixels (..., 2), y upwards, and distance from the eye (...) [m]."""
+        """Return pixels (..., 2), y upwards, and distance from the eye (...) [m]."""
         local = (places - self.eye) @ self.axes.T
         depth = np.maximum(-local[..., 2], 1e-9)
         pixels = self.focus * local[..., :2] / depth[..., None] + np.array(self.size) / 2
         return pixels, np.linalg.norm(local, axis=-1)
 
     def one(self, place: NDArray[np.float64]) -> Vector:
-        """Pixels of one place."""
+        """Return the pixels of one position."""
         x, y = self.seen(place)[0]
         return float(x), float(y)
 
 
 @dataclass(frozen=True)
 class Floor:
-    """Grid lines at multiples of `cell` [m] in two directions, from `low` to `high` of them, at a height along `up`."""
+    """Grid lines at multiples of `cell` [m] in two directions, from `low` to `high`, at a height along `up`."""
 
     east: Vector3
     north: Vector3
@@ -259,7 +259,7 @@ class Floor:
 
 
 def floor_of(view: SpaceView, scale: float, base: float) -> Floor:
-    """The floor under a motion; `scale` is in pixels per metre."""
+    """Return the floor under a motion; `scale` is in pixels per metre."""
     east, north, _ = right_handed(view.up)
     cell = cell_of(46 * base, scale)
     flat = view.cloud @ np.array([east, north]).T

@@ -1,4 +1,4 @@
-"""What pictures are painted on: pixels of Pillow, or the text of an SVG file; colours, and labels that keep apart."""
+"""Surfaces for pictures: pixels of Pillow, or the text of an SVG file; colours, and placement of labels."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ BACKGROUND, GRID, ZERO = "#fbfcfd", "#eceff3", "#d3dae2"
 INK, FAINT, STEEL, WHITE = "#2b3440", "#7d8995", "#dde3e9", "#ffffff"
 PALETTE = {"ink": INK, "faint": FAINT, "steel": STEEL, "white": WHITE, "grid": GRID, "zero": ZERO}
 RIM = 0.58
-"""Colours by name, and the share of its light that the rim of a colour has; a live page has others where it is dark."""
+"""Brightness of the rim of a colour over that of the colour."""
 
 COLORS = ("#6b9bc7", "#e3b05f", "#76b18f", "#d0826f", "#9d8fc6", "#58a9ae", "#c98ca9", "#9aa4ae")
-"""Of bodies and of dots, in the order of declaration."""
+"""Colours of bodies and of dots, in the order of declaration."""
 
 SAMPLES = 3
 """Pixels painted for each pixel shown, along either axis."""
 
 PASSES = 60
-"""Passes in which labels push each other apart, at most."""
+"""Most passes in which labels push each other apart."""
 
 PUSHED = 2.5
-"""Half sizes of a label that others may push it away in a film; while it would stand further off, it is left out. The
-scripts of pages have the same number."""
+"""Largest displacement of a label in a film in its half sizes; beyond it the label is left out. The scripts of pages
+have the same number."""
 
 FONTS = 'system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 """Fonts of pages and of SVG files."""
@@ -42,7 +42,7 @@ FONTS = 'system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 
 @dataclass(frozen=True)
 class Text:
-    """A text about a place [pixels, y upwards]; `anchor` is "m" where that is its middle, "l" where it begins there."""
+    """A text about a position [pixels, y upwards]; `anchor` is "m" for its middle, "l" for its start."""
 
     text: str
     x: float
@@ -53,24 +53,24 @@ class Text:
 
 
 class Surface(Protocol):
-    """What a picture is painted on."""
+    """A surface to paint a picture on."""
 
     size: Size
     pushed: float
-    """Half sizes of a label that it may be pushed away by others."""
+    """Largest displacement of a label by others in its half sizes."""
 
     def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
-        """A line with round ends in pixels, y upwards: a disc where it has one point, a closed area where it is filled.
+        """Paint a line with round ends in pixels, y upwards: a disc if it has one point, a closed area if filled.
 
-        An area of no width has no line around it.
+        An area of zero width has no outline.
         """
 
     def text(self, text: Text) -> None:
-        """A text with a rim in the colour of the background."""
+        """Paint a text with a rim in the colour of the background."""
 
 
 class Raster:
-    """A surface of pixels, painted larger than it is shown."""
+    """A surface of pixels, painted at a larger scale and reduced."""
 
     def __init__(self, size: Size, pushed: float = math.inf):
         self.size, self.pushed = size, pushed
@@ -79,7 +79,7 @@ class Raster:
 
     @property
     def image(self) -> Image.Image:
-        """What is painted so far."""
+        """Return the current image."""
         return self._image.reduce(SAMPLES)
 
     def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
@@ -105,7 +105,7 @@ class Raster:
 
 
 class Svg:
-    """A surface that becomes an SVG file."""
+    """A surface that writes an SVG file."""
 
     pushed = math.inf
 
@@ -121,7 +121,7 @@ class Svg:
 
     @property
     def file(self) -> str:
-        """The text of the file, the same for the same picture."""
+        """Return the text of the file, reproducibly."""
         return "\n".join([*self._parts, "</svg>\n"])
 
     def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
@@ -131,7 +131,7 @@ class Svg:
             self._parts.append(f'<circle cx="{x}" cy="{y}" r="{_short(width / 2)}" fill="{color}"/>')
             return
         shape, fill = ("polygon", color) if filled else ("polyline", "none")
-        width = width or 0.5  # without a line, the edges of two areas that touch would shine through
+        width = width or 0.5  # without an outline, the seam between adjacent areas would be visible
         drawn = " ".join(f"{x},{y}" for x, y in places)
         about = f'fill="{fill}" stroke="{color}" stroke-width="{_short(width)}"'
         self._parts.append(f'<{shape} points="{drawn}" {about}/>')
@@ -147,11 +147,11 @@ class Svg:
 def placed(
     texts: Sequence[Text], size: Size, pins: Sequence[tuple[float, float, float]] = (), pushed: float = math.inf
 ) -> list[Text]:
-    """Texts about their middles, moved so that none covers another, one of the `pins` (x, y, radius) or the rim; those
-    that are `pushed` further than so many of their half sizes are left out.
+    """Move texts so that none covers another, one of the `pins` (x, y, radius) or the rim; leave out those that would
+    be moved by more than `pushed` of their half sizes.
 
-    Each pass moves every two that overlap apart along the axis that takes less, half the way each, so that labels of a
-    film glide. The scripts of pages have the same rules (`apart`).
+    Each pass moves every two overlapping texts apart along the axis of the smaller overlap, half the way each, so that
+    labels of a film move smoothly. The scripts of pages have the same rules (`apart`).
     """
     boxes = [[t.x, t.y, width_of(t.text, t.size) / 2 + 2, 0.55 * t.size + 1] for t in texts]
     for _ in range(PASSES):
@@ -184,27 +184,27 @@ def placed(
 
 
 def base_of(size: Size) -> float:
-    """Size of a picture compared with 640 x 480."""
+    """Return the size of a picture relative to 640 x 480."""
     return min(size[0] / 640, size[1] / 480)
 
 
 def shade(color: str, share: float = RIM) -> str:
-    """A colour #rrggbb with this share of its light, towards black."""
+    """Return a colour #rrggbb with this share of its brightness."""
     return "#" + "".join(f"{int(int(color[i : i + 2], 16) * share):02x}" for i in (1, 3, 5))
 
 
 def rim_of(color: str) -> str:
-    """The colour of the rim of something; both may be names."""
+    """Return the colour of the rim of a colour, either by name or as #rrggbb."""
     return INK if color in ("white", "steel", "faint") else shade(PALETTE.get(color, color))
 
 
 def rounded(points: Iterable[Any]) -> tuple[Vector, ...]:
-    """Points to a hundredth of a pixel."""
+    """Round points to a hundredth of a pixel."""
     return tuple((round(float(x), 2), round(float(y), 2)) for x, y in points)
 
 
 def cell_of(pixels: float, scale: float) -> float:
-    """Distance of grid lines [m], at least so many pixels: 1, 2 or 5 times a power of ten."""
+    """Return the distance of grid lines [m] of at least this many pixels: 1, 2 or 5 times a power of ten."""
     wanted = pixels / scale
     power = 10.0 ** math.floor(math.log10(wanted))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= wanted * (1 - 1e-9))
@@ -216,10 +216,10 @@ def _font(size: float) -> ImageFont.FreeTypeFont:
 
 
 def width_of(text: str, size: float) -> float:
-    """Width of a text [pixels], about that of other fonts."""
+    """Return the approximate width of a text [pixels] in any of the fonts."""
     return _font(SAMPLES * size).getlength(text) / SAMPLES
 
 
 def _short(number: float) -> str:
-    """A number to a hundredth, without zeros that say nothing."""
+    """Format a number to a hundredth, without trailing zeros."""
     return f"{round(number, 2) + 0.0:.2f}".rstrip("0").rstrip(".")

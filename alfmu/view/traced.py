@@ -1,4 +1,4 @@
-"""Numbers that know their expressions in parameters, so that what is made of them follows the parameters."""
+"""Numbers with their expressions in parameters, so that shapes can follow the parameters."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["Traced", "cos", "sin", "tracer"]
 
 
 def _operator(f: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """A binary operator of traced numbers, and what Python takes where the number stands on its right."""
+    """Return a binary operator for traced numbers, and its reflected form."""
     return lambda a, b: a._with(b, f), lambda a, b: a._with(b, lambda x, y: f(y, x))
 
 
 class Traced(float):
     """A number with its expression.
 
-    Two are equal where their expressions are so at parameters that are all a little off (`generic`), so that no two
-    points are taken as one because their lengths happen to be equal.
+    Two are equal if their expressions are equal at slightly perturbed parameters (`generic`), so that points are not
+    merged because their lengths happen to be equal.
     """
 
     expression: ca.SX
@@ -64,17 +64,17 @@ class Traced(float):
 
 
 def sin(x: float) -> float:
-    """The sine of a number, traced or not."""
+    """Return the sine of a number, traced or not."""
     return Traced.of(math.sin(x), ca.sin(x.expression), math.sin(x.generic)) if isinstance(x, Traced) else math.sin(x)
 
 
 def cos(x: float) -> float:
-    """The cosine of a number, traced or not."""
+    """Return the cosine of a number, traced or not."""
     return Traced.of(math.cos(x), ca.cos(x.expression), math.cos(x.generic)) if isinstance(x, Traced) else math.cos(x)
 
 
 def tracer(m: Mechanism, values: Mapping[str, float]) -> Callable[[Scalar], float]:
-    """What turns an expression in parameters into a number that knows it."""
+    """Return a function that turns an expression in parameters into a traced number."""
     symbols = ca.vertcat(*(p.symbol for p in m.parameters))
     usual = [values[p.name] for p in m.parameters]
     points = ca.DM([usual, _generic(m, usual)]).T
@@ -98,7 +98,7 @@ def tracer(m: Mechanism, values: Mapping[str, float]) -> Callable[[Scalar], floa
 
 
 def _generic(m: Mechanism, usual: list[float]) -> list[float]:
-    """Parameters that are all a little off their values, each by another share, and within their bounds."""
+    """Return parameters that are slightly perturbed by different shares within their bounds."""
     found = []
     for i, (p, value) in enumerate(zip(m.parameters, usual, strict=True), 1):
         share = 1e-3 * (0.5 + (i * 0.6180339887498949) % 1.0)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import Call, Choice, Factor, Lanes, Loop, Solve, Step
 from alfmu.kernel.memory import PACE, Layout
 from alfmu.kernel.stream import Instructions
@@ -113,7 +114,7 @@ class Complex:
     """The motion of an instance that is initialised, from a state of its own, with parameters of its own."""
 
     def __init__(self, unit: Instance, q: NDArray, v: NDArray, p: NDArray):
-        self.e, self.layout = unit.equations, Layout(unit.equations)
+        self.e, self.layout = whole(unit.equations), Layout(unit.equations)
         self.m: dict[str, NDArray[np.complex128]] = {
             name: np.array(unit.memory[name], complex) for name in self.layout.fields
         }

@@ -1,6 +1,6 @@
-"""Checks of any FMU: what a checker of files sees, records of runs, and calls that only a running FMU can answer.
+"""Checks of any FMU: static checks, records of runs, and calls of a running FMU.
 
-`validation.validate` is what users call. `unit` makes the calls of FMI 2 and 3; `calls`, `values` and `motion` hold the
-checks; `child` runs them in a process of its own, as an FMU is native code. Modules that this process needs import
-neither CasADi nor the rest of alfmu.
+Users call `validation.validate`. `unit` makes the calls of FMI 2 and 3; `calls`, `values` and `motion` contain the
+checks; `child` runs them in its own process, as an FMU is native code. Modules that this process needs import neither
+CasADi nor the rest of alfmu.
 """

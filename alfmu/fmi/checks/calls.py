@@ -1,4 +1,4 @@
-"""Calls with illegal arguments, in the wrong order, and again and again: which status has to come back."""
+"""Checks of the status of calls with illegal arguments, in the wrong order, and repeated many times."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .registry import RISKY, NotApplicable, Task, Unjudged, check, judge
 from .unit import DISCARD, FATAL, WARNING, Broken, Session, Unit, Variable, shown
 
 LEAK = 10_000
-"""Memory [bytes] that each instance may leave behind: a study of 100,000 runs then takes a gigabyte. Pages and the
-allocator make some hundred bytes of noise in the mean of 200 instances."""
+"""Memory [bytes] that an instance may leak: a study of 100,000 runs then leaks a gigabyte. Pages and the allocator add
+some hundred bytes of noise to the mean of 200 instances."""
 
 _INSTANCES, _SECONDS, _WARM = 200, 3.0, 40
-"""Instances that are made and freed, the time [s] after which no more are, and those before memory is looked at."""
+"""Number of instances that are created and freed, their time limit [s], and the number before memory is measured."""
 
 _ILLEGAL = (
     "When detecting illegal arguments or a function call not allowed in the current state, the FMU returns Error; it "
@@ -25,9 +25,10 @@ _ILLEGAL = (
 
 
 def refused(unit: Unit, status: int, running: bool) -> str:
-    """How a call with an illegal argument was refused, at once or by the next call that counts; empty where it was not.
+    """Return how a call with an illegal argument was rejected, at once or by the next call that counts; empty if it was
+    not.
 
-    FMUs whose wrapper has no status for it refuse a value when the initialisation ends, or by the next step.
+    FMUs whose wrapper has no status for it reject a value when the initialisation ends, or in the next step.
     """
     if status >= DISCARD:
         return f"by {shown(status)}"
@@ -41,14 +42,14 @@ def refused(unit: Unit, status: int, running: bool) -> str:
 
 
 def unused(session: Session) -> list[int]:
-    """Value references that no variable has."""
+    """Return value references without a variable."""
     known = {v.reference for v in session.variables} | {v.valueReference for v in session.description.modelVariables}
     near = max(known, default=0) + 1000
     return [each for each in (near, 0xFFFFFFFE) if each not in known]
 
 
 def sample(v: Variable) -> object:
-    """A value that a variable could have."""
+    """Return a legal value of a variable."""
     if v.start is not None:
         return v.start
     if v.items:
@@ -80,7 +81,7 @@ def version(s: Session, task: Task) -> str:
 
 
 def _got(s: Session, kind: str, reference: int) -> tuple[int, list[object]]:
-    """Status and values of a reference, read as of a type by a new instance."""
+    """Return status and values of a reference, read as this type by a new instance."""
     unit = s.ready()
     found = unit.get_raw(kind, [reference])
     unit.end()
@@ -308,7 +309,7 @@ def errors(s: Session, task: Task) -> str:
     if status <= WARNING:
         raise Unjudged("it refuses no unknown reference; see reference.get")
     faults = [] if said else [f"{s.name(f'Get{s.types[1]}')} ends with {shown(status)} and logs nothing"]
-    # The standard allows categories that are not declared.
+    # The standard allows undeclared categories.
     other = sorted({category for category, _ in said} - known) if known else []
     remark = f"; remark: the category {other[0]!r} is not declared" if other else ""
     return judge(faults, f"{said[0][1][:200]}{remark}" if said else "")
@@ -331,7 +332,7 @@ def two(s: Session, task: Task) -> str:
     rows = []
     for k in range(12):
         rows.append(driven(first, 1, begin=k)[-1])
-        driven(second, 1, begin=3 * k)  # with other inputs
+        driven(second, 1, begin=3 * k)  # a run with other inputs
     first.end()
     second.end()
     return judge(unlike(s, alone[1:], rows, "beside a second instance"))

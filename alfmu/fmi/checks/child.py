@@ -1,7 +1,7 @@
-"""The process in which an FMU runs while it is checked: what it does there cannot take the checker down.
+"""The process in which an FMU is checked, so that a crash does not affect the checker.
 
 `python -m alfmu.fmi.checks.child FOLDER` reads `task.json` in that folder and writes one file with a finding for each
-check. Where the system can, each check runs in a copy of this process, so that checks do not see each other.
+check. If the system can fork, each check runs in a copy of this process, so that checks are independent.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from .unit import Broken, Journal, Once, Session
 __all__ = ["CURRENT", "JOURNAL", "RECORD", "TASK", "all_checks", "main", "result_file"]
 
 TASK, JOURNAL, CURRENT = "task.json", "journal", "current"
-"""Files in the folder: what is to be done, the call that is being made, the check that runs."""
+"""Files in the folder: the task, the current call, the current check."""
 
 RECORD = "record."
-"""How ids of records begin; the name of the record follows."""
+"""Prefix of ids of records, before the name of the record."""
 
 _MODULES = calls, values, motion
-"""All that have checks."""
+"""Modules with checks."""
 
 
 def all_checks(records: list[str]) -> dict[str, Check]:
-    """Every check by its id, those of records behind `run.default`."""
+    """Return every check by its id, those of records after `run.default`."""
 
     def replaying(number: int) -> Callable[[Session, Task], str]:
         return lambda session, task: motion.replayed(session, task, number)
@@ -68,17 +68,17 @@ def all_checks(records: list[str]) -> dict[str, Check]:
 
 
 def result_file(folder: Path, id: str) -> Path:
-    """Where the finding of a check stands; names of records may be of any length."""
+    """Return the path of the finding of a check; names of records may be of any length."""
     return folder / f"finding-{hashlib.sha256(id.encode()).hexdigest()}.json"
 
 
 def main(folder: Path) -> int:
-    """Run the checks that are still to be done; 0 where all have a finding."""
+    """Run the remaining checks; return 0 if all have a finding."""
     task = json.loads((folder / TASK).read_text(encoding="utf-8"))
     checks = all_checks([record["name"] for record in task["records"]])
     given = Task(task["records"], task["tolerance"])
     fork = hasattr(os, "fork") and not task["together"]
-    # Whether it is valid is a check of its own, made before; what it says wrongly is no reason to check nothing else.
+    # Its validity is a separate check, made before; an invalid description does not prevent the others.
     description = read_model_description(task["fmu"], validate=False)
     for id in task["checks"]:
         if result_file(folder, id).exists():
@@ -91,7 +91,7 @@ def main(folder: Path) -> int:
                 os._exit(0)
             _, status = os.waitpid(child, 0)
             if status or not result_file(folder, id).exists():
-                # The process that watches takes this one for the one that died, with what it was doing.
+                # Exit as the crashed copy did, so that the parent reports its status and current call.
                 os._exit(128 + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status))
         else:
             _one(folder, checks[id], description, task, given)
@@ -99,7 +99,7 @@ def main(folder: Path) -> int:
 
 
 def _one(folder: Path, check: Check, description: ModelDescription, task: dict, given: Task) -> None:
-    """Write the finding of one check."""
+    """Run one check and write its finding."""
     version = description.fmiVersion[:1]
     result, detail, session = UNJUDGED, "", None
     if check.after and (earlier := result_file(folder, check.after)).exists():
@@ -123,7 +123,7 @@ def _one(folder: Path, check: Check, description: ModelDescription, task: dict, 
         except Unjudged as reason:
             result, detail = UNJUDGED, str(reason)
         except AttributeError as error:
-            # fmpy looks all functions of the interface up when it loads the library.
+            # fmpy resolves all functions of the interface when it loads the library.
             if session is not None:
                 raise
             result, detail = FAILED, f"the library lacks a function of FMI ({error})"

@@ -1,4 +1,4 @@
-"""Steps, states, resets and derivatives: whether an FMU moves as it says, and can do so again."""
+"""Checks of steps, states, resets and derivatives: whether an FMU behaves as described, and repeatably."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from .unit import DISCARD, WARNING, Broken, Session, Unit, Variable, shown
 __all__ = ["driven", "excite", "unlike"]
 
 _COUNT = 20
-"""Steps of a run that is repeated."""
+"""Number of steps of a repeated run."""
 
 _STIR = 1e-3
-"""Size [1] of the changes of inputs in such runs, over their nominal value: seen in every bit, and always possible."""
+"""Relative changes of inputs in such runs [1], over their nominal value: visible in every bit, and always feasible."""
 
 _ROUND_OFF = 1e-13
-"""Difference [1] of runs that have to be the same, over the largest value: some hundred last digits. What is forgotten
-makes more, and a sum in another order, as by several threads, makes less."""
+"""Relative difference of runs that must agree [1]: some hundred last digits. A state that is not restored causes more,
+and a different order of summation, as with several threads, less."""
 
 _VARIED = 0.05
-"""Largest difference [1] that other sizes of steps may make after a few of them, over 1 and the value: more is an error
-of the step and not of the integrator."""
+"""Largest difference [1] due to other step sizes after a few steps, over 1 plus the value; a larger one is an error of
+stepping rather than of the integrator."""
 
 _DIFFERENCE = 1e-4
-"""Largest difference [1] of a derivative from central differences, over 1 and the largest one by that input, beside ten
-times what two sizes of differences disagree by."""
+"""Largest difference [1] of a derivative from central differences, over 1 plus the largest one by that input, in
+addition to ten times the disagreement of two difference sizes."""
 
 _SLOPE = 1e-3
-"""The same for derivatives by time, from differences over steps."""
+"""The same limit for derivatives by time, from differences over steps."""
 
 
 def excite(unit: Unit, k: int) -> None:
-    """Move the continuous inputs a little, in a way that depends on k."""
+    """Change the continuous inputs slightly, depending on k."""
     for i, v in enumerate(unit.session.real_inputs):
         unit.must(unit.set(v, moved(v, _STIR * math.sin(1.0 + 0.7 * k + i))), f"Set{v.type} of {v.name}")
 
 
 def moved(v: Variable, by: float) -> float:
-    """A value of a variable beside its start, by a share of its nominal value, within its bounds."""
+    """Return a value that differs from the start of a variable by a share of its nominal value, within its bounds."""
     start = 0.0 if v.start is None else float(v.start)
     size = v.nominal or max(1.0, abs(start))
     low = -math.inf if v.minimum is None else v.minimum
@@ -53,7 +53,7 @@ def moved(v: Variable, by: float) -> float:
 
 
 def driven(unit: Unit, count: int, begin: int = 0, size: float | None = None) -> list[np.ndarray]:
-    """Outputs where it is and after each of so many steps with moving inputs."""
+    """Return the outputs before and after each of `count` steps with moving inputs."""
     numbers = unit.session.numbers
     rows = [unit.read(numbers)]
     for k in range(begin, begin + count):
@@ -64,7 +64,7 @@ def driven(unit: Unit, count: int, begin: int = 0, size: float | None = None) ->
 
 
 def unlike(s: Session, wanted: Sequence[np.ndarray], got: Sequence[np.ndarray], when: str) -> list[str]:
-    """The first outputs that differ by more than round-off, in sentences."""
+    """Return the first outputs that differ by more than round-off, as sentences."""
     with np.errstate(invalid="ignore"):  # infinities
         allowed = _ROUND_OFF * np.abs(wanted).max(axis=0)
         for k, (a, b) in enumerate(zip(wanted, got, strict=True)):
@@ -125,7 +125,7 @@ def restored(s: Session, task: Task) -> str:
         faults = faults or unlike(s, first, driven(unit, _COUNT, begin=5), f"restored {turn}")
     unit.forget(state)
     unit.end()
-    # Without consequence as long as nobody uses the handle again, and pythonfmu's library does so.
+    # Harmless unless the handle is used again; pythonfmu's library leaves it set.
     remark = "remark: FreeFMUState does not set the handle of the state to NULL, as the standard says"
     return judge(faults, "" if state.value is None else remark)
 
@@ -213,7 +213,7 @@ def reset(s: Session, task: Task) -> str:
     starts, first = s.apart(begin), s.apart(lambda: driven(s.ready(), _COUNT))
     try:
         faults, rows = s.apart(lambda: used(True))
-    except Broken:  # with that parameter
+    except Broken:  # the parameter has no valid start
         faults, rows = s.apart(lambda: used(False))
     return judge(faults + unlike(s, first, rows, "after Reset"))
 
@@ -311,7 +311,7 @@ def sizes(s: Session, task: Task) -> str:
 
 
 def _jacobian(unit: Unit, outputs: Sequence[Variable], v: Variable, at: float) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences of outputs by an input, and what those of half the size differ by."""
+    """Return central differences of outputs by an input, and their change when the difference is halved."""
 
     def by(h: float) -> np.ndarray:
         rows = []
@@ -327,7 +327,7 @@ def _jacobian(unit: Unit, outputs: Sequence[Variable], v: Variable, at: float) -
 
 
 def _by_differences(s: Session) -> tuple[Unit, list[Variable], list[Variable], np.ndarray, np.ndarray]:
-    """A unit that has moved, its continuous outputs and inputs, the Jacobian by differences and its error."""
+    """Return a unit after some steps, its continuous outputs and inputs, the Jacobian by differences and its error."""
     outputs, inputs = s.real_outputs, s.real_inputs
     if not outputs or not inputs:
         raise NotApplicable("there are no continuous inputs and outputs")
@@ -357,7 +357,7 @@ def _range(v: Variable) -> tuple[float, float]:
 def _compared(
     claimed: np.ndarray, wanted: np.ndarray, error: np.ndarray, said: Callable[[int], str], tolerance: float
 ) -> tuple[list[str], float]:
-    """Where derivatives differ from differences, and by how much at most, over 1 and the largest."""
+    """Return where derivatives deviate from differences, and the largest deviation over 1 plus the largest value."""
     scale = 1 + np.abs(wanted).max(initial=0.0)
     apart = np.abs(claimed - wanted)
     allowed = tolerance * scale + 10 * error
@@ -536,7 +536,7 @@ def capabilities(s: Session, task: Task) -> str:
 
 
 def replayed(s: Session, task: Task, number: int) -> str:
-    """Run a record again and compare with what it says came out; rows may have inputs before or after they are set."""
+    """Repeat a record and compare the results; rows may have inputs before or after they are set."""
     record = task.records[number]
     start, step = record["start_time"], record["step_size"]
     count = round((record["stop_time"] - start) / step)
@@ -572,7 +572,7 @@ def replayed(s: Session, task: Task, number: int) -> str:
     rows = {"held": [unit.read(outputs)], "set": [unit.read(outputs)]}
     for t, onward in pairwise(times):
         unit.time = t
-        unit.step(onward - t)  # as the run was recorded, to the last bit
+        unit.step(onward - t)  # the same sum as in the recording, for equal round-off
         rows["held"].append(unit.read(outputs))
         apply(unit, onward)
         rows["set"].append(unit.read(outputs))

@@ -1,4 +1,4 @@
-"""What was found of an FMU as text, as a page, as a table in Markdown, as a picture, as JSON."""
+"""Reports of checks as text, HTML, Markdown, SVG and JSON."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["FORMS", "check_form", "html", "lines", "markdown", "save", "summary"
 
 _COLOURS = {PASSED: "#2b7a3d", FAILED: "#b3261e", NOT_APPLICABLE: "#7a7a7a", UNJUDGED: "#9a6700"}
 _COLOURS |= {RISKY: "#a04000", NOTED: "#1f5fa8"}
-"""Dark enough on white for text: contrast is 4.5 or more."""
+"""Dark enough for text on white: the contrast is at least 4.5."""
 
 _MARKS = {PASSED: "✓", FAILED: "✗", NOT_APPLICABLE: "–", UNJUDGED: "?", RISKY: "!", NOTED: "i"}
 
 _SHOWN = (FAILED, RISKY, NOTED, UNJUDGED)
-"""Results that are shown unless every one is, by weight."""
+"""Results that are shown by default, in order of severity."""
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1b; max-width: 78rem; margin: 2rem auto; padding: 0 1.2rem; }
@@ -42,7 +42,8 @@ _COLUMNS = "".join(f'<col style="width: {width}">' for width in ("14%", "16%", "
 
 
 def summary(report: Report) -> str:
-    """One line: how many problems, or that most could not be judged, and how many checks had which result."""
+    """Return one line: the number of problems, or that most checks could not be judged, and the number of checks by
+    result."""
     counts = report.counts()
     nouns = {RISKY, NOTED}
     each = ", ".join(counted(n, result) if result in nouns else f"{n} {result}" for result, n in counts.items() if n)
@@ -52,10 +53,11 @@ def summary(report: Report) -> str:
 
 
 def lines(report: Report, every: bool = False) -> list[str]:
-    """The checks that failed, show a risk, have a note, or could not be judged, or every one, and the summary.
+    """Return the checks that failed, show a risk, have a note, or could not be judged (or every check), and the
+    summary.
 
-    What failed says where the standard demands it.
-    Where many could not be judged for one reason, as none can be once the first run failed, they stand in one line.
+    A failure cites the section of the standard. Many checks that could not be judged for one reason share a line, as
+    all do if the first run fails.
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for f in report.findings:
@@ -76,7 +78,7 @@ def lines(report: Report, every: bool = False) -> list[str]:
 
 
 def markdown(report: Report) -> str:
-    """A table, for a message to whoever made the FMU."""
+    """Return a Markdown table, for a message to the author of the FMU."""
 
     def cell(text: str) -> str:
         return escape(text, quote=False).replace("|", "\\|").replace("\n", " ")
@@ -95,7 +97,7 @@ def markdown(report: Report) -> str:
 
 
 def html(report: Report) -> str:
-    """A page that needs nothing else."""
+    """Return a self-contained HTML page."""
     counts = "".join(
         f'<li style="color:{_COLOURS[result]}"><b>{number}</b> {result}</li>'
         for result, number in report.counts().items()
@@ -121,7 +123,7 @@ def html(report: Report) -> str:
 
 
 def svg(report: Report) -> str:
-    """A picture: a line for each check."""
+    """Return an SVG picture with a line for each check."""
     row, top, wide = 20, 58, 960
     high = top + row * len(report.findings) + 14
     texts = []
@@ -149,17 +151,17 @@ def as_json(report: Report) -> str:
 
 
 FORMS: dict[str, Callable[[Report], str]] = {".html": html, ".md": markdown, ".svg": svg, ".json": as_json}
-"""Forms of a report by the suffix of its file."""
+"""Formats of a report by the suffix of its file."""
 
 
 def check_form(path: str | Path) -> None:
-    """InputError where no report is written under such a name."""
+    """Raise InputError if a report has no format of this suffix."""
     if Path(path).suffix.lower() not in FORMS:
         raise InputError(f"{path} has to end in {', '.join(FORMS)}")
 
 
 def save(report: Report, path: str | Path) -> None:
-    """Write a report in the form that the suffix tells; InputError where it tells none, WriteError."""
+    """Write a report in the format of the suffix; raise InputError for an unknown suffix, or WriteError."""
     check_form(path)
     write(path, FORMS[Path(path).suffix.lower()](report).encode())
 
@@ -169,6 +171,6 @@ def _facts(report: Report) -> str:
 
 
 def _by_weight(report: Report) -> list[Finding]:
-    """Failed ones first, then risks and notes, and those that could not be judged."""
+    """Return findings in order of severity: failed, risks, notes, could not be judged."""
     order = (*_SHOWN, PASSED, NOT_APPLICABLE)
     return sorted(report.findings, key=lambda f: order.index(f.result))

@@ -1,4 +1,4 @@
-"""The checks by their ids, and how a check says what it found."""
+"""The checks by their ids, and the exceptions by which a check reports its result."""
 
 from __future__ import annotations
 
@@ -29,36 +29,36 @@ __all__ = [
 
 PASSED, FAILED, NOT_APPLICABLE, UNJUDGED = "passed", "failed", "not applicable", "could not be judged"
 RISKY, NOTED = "risk", "note"
-"""Results of a check. What the standard forbids fails. A risk is what it does not forbid and what hides mistakes of
-importers; a note is worth knowing."""
+"""Results of a check. A violation of the standard fails. A risk is allowed but hides mistakes of importers; a note is
+only worth knowing."""
 
 
 class Fault(Exception):
-    """What the FMU does is not what the standard says."""
+    """The FMU violates the standard."""
 
 
 class Noted(Exception):
-    """What the FMU does is allowed, and worth knowing."""
+    """The FMU's behaviour is allowed, and worth knowing."""
 
 
 class NotApplicable(Exception):
-    """The FMU has nothing that this check is about."""
+    """The FMU has no feature to which this check applies."""
 
 
 class Unjudged(Exception):
-    """The check cannot tell, and why."""
+    """The check cannot be judged, for the given reason."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found: `result` is one of passed, failed, risk, note, not applicable, could not be judged."""
+    """Finding of one check: `result` is one of passed, failed, risk, note, not applicable, could not be judged."""
 
     id: str
     title: str
     section: str
-    """Where the standard says it."""
+    """Section of the standard."""
     demand: str
-    """What the standard says."""
+    """Requirement of the standard."""
     result: str
     detail: str = ""
 
@@ -68,7 +68,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Task:
-    """What the checks are given beside the FMU: the records of runs, as plain data, and how near they have to come."""
+    """Further input of the checks: the records of runs, as plain data, and the tolerance of their results."""
 
     records: Sequence[Mapping[str, Any]] = ()
     tolerance: float = 1e-6
@@ -76,9 +76,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Check:
-    """A check: what the standard demands, where it says so by version, and the function that finds out.
+    """A check: the requirement of the standard, its section by version, and the function that checks it.
 
-    The function returns what it saw, and raises Fault, NotApplicable or Unjudged.
+    The function returns a description of its observation, and raises Fault, NotApplicable or Unjudged.
     """
 
     id: str
@@ -87,22 +87,22 @@ class Check:
     sections: Mapping[str, str]
     run: Callable[[Session, Task], str | None] | None = field(repr=False)
     after: str | None = "run.default"
-    """The check without which this one tells nothing."""
+    """Check that must pass before this one is meaningful."""
     fault: str = FAILED
-    """Result where the FMU does not do it: a risk where the standard does not demand it of the FMU."""
+    """Result if the FMU fails it: a risk if the standard does not require it of the FMU."""
 
     def finding(self, version: str, result: str, detail: str = "") -> Finding:
         return Finding(self.id, self.title, self.sections.get(version, ""), self.demand, result, detail)
 
 
 CHECKS: dict[str, Check] = {}
-"""By their ids, in the order in which they run and are reported."""
+"""Checks by their ids, in the order in which they run and are reported."""
 
 
 def check(
     id: str, title: str, demand: str, fmi2: str, fmi3: str, after: str | None = "run.default", fault: str = FAILED
 ) -> Callable[[Callable[[Session, Task], str | None]], Callable[[Session, Task], str | None]]:
-    """Register a function as a check; `fmi2` and `fmi3` say where each version has it."""
+    """Register a function as a check; `fmi2` and `fmi3` are the sections of each version."""
 
     def registered(function: Callable[[Session, Task], str | None]) -> Callable[[Session, Task], str | None]:
         sections = {"2": f"FMI 2.0.5, {fmi2}", "3": f"FMI 3.0, {fmi3}"}
@@ -113,7 +113,7 @@ def check(
 
 
 def judge(faults: Sequence[str], passed: str = "") -> str:
-    """What was seen, or Fault with the first of the faults."""
+    """Return `passed`, or raise Fault with the first of the faults."""
     if faults:
         more = f"; and {len(faults) - 3} more" if len(faults) > 3 else ""
         raise Fault("; ".join(faults[:3]) + more)

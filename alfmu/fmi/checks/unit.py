@@ -1,4 +1,4 @@
-"""An FMU for co-simulation behind the same calls for FMI 2 and 3, each of which hands back its status."""
+"""An FMU for co-simulation with the same calls for FMI 2 and 3, each of which returns its status."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ __all__ = [
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-"""Of FMI; the place is the number."""
+"""Names of status values of FMI by number."""
 
 LONGEST = 500
-"""Bytes of a call in the journal."""
+"""Largest length of a call in the journal in bytes."""
 
 TYPES = {
     "2": ("Real", "Integer", "Boolean", "String"),
@@ -49,10 +49,10 @@ TYPES = {
         *("Boolean", "String"),
     ),
 }
-"""Types with functions to get and set them; binaries and clocks of FMI 3 are left out."""
+"""Types with functions to get and set them; Binary and Clock of FMI 3 are left out."""
 
 _STATE_2 = {"Deserialize": "DeSerialize"}
-"""Names of FMI 2 for functions of the state, which FMI 3 writes otherwise."""
+"""Names of state functions in FMI 2 that FMI 3 spells differently."""
 
 
 _ONCE = "canBeInstantiatedOnlyOncePerProcess is true, and this check takes more than one instance"
@@ -61,15 +61,15 @@ Result = TypeVar("Result")
 
 
 class Broken(Exception):
-    """A call that has to succeed did not: its name, its status, and what the FMU logged."""
+    """A required call failed: its name, its status, and the FMU's log messages."""
 
 
 class Once(Exception):
-    """An FMU that can be instantiated only once per process would be so twice."""
+    """An FMU that can be instantiated only once per process would be instantiated twice."""
 
 
 class Journal:
-    """The call that is being made, in a file that outlives the process."""
+    """The current call, in a file that survives a crash."""
 
     def __init__(self, path: Path):
         path.write_bytes(bytes(LONGEST))
@@ -82,13 +82,13 @@ class Journal:
 
     @staticmethod
     def read(path: Path) -> str:
-        """The call that was being made; nothing where none was."""
+        """Return the current call; empty if there is none."""
         return path.read_bytes().partition(b"\0")[0].decode("utf-8", "replace") if path.is_file() else ""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A scalar variable of an FMU; `type` is that of the functions that get and set it."""
+    """A scalar variable of an FMU; `type` selects the functions that get and set it."""
 
     name: str
     reference: int
@@ -101,7 +101,7 @@ class Variable:
     minimum: float | None
     maximum: float | None
     items: tuple[int, ...]
-    """Numbers of an enumeration."""
+    """Item values of an enumeration."""
     nominal: float | None
     unit: str | None
 
@@ -125,7 +125,7 @@ class Variable:
 
 
 def _initial(v: ModelVariable, version: str) -> str | None:
-    """`initial` as it is, or by the defaults of both versions."""
+    """Return `initial`, explicit or by the defaults of both versions."""
     if v.initial or v.causality in ("input", "independent"):
         return v.initial
     if v.variability == "constant" or v.causality in ("parameter", "structuralParameter"):
@@ -142,7 +142,7 @@ def _value(text: str, kind: str) -> Any:
 
 
 def _raw(self: Any, name: str, *arguments: Any) -> Any:
-    """A call of fmpy that hands back the status, and raises nothing."""
+    """Call a function of fmpy and return the status instead of raising."""
     return self._functions[name](*arguments)
 
 
@@ -156,7 +156,7 @@ class FMU3Calls(fmi3.FMU3Slave):  # type: ignore[misc]
 
 @dataclass
 class Session:
-    """An FMU that is unpacked: its description and its library, of which any number of units can be made."""
+    """An unpacked FMU: its description and its library, from which units are created."""
 
     folder: Path
     description: ModelDescription
@@ -164,7 +164,7 @@ class Session:
     log: list[tuple[int, str, str]] = field(default_factory=list)
     """Messages since the latest call: status, category, text."""
     fatal: str = ""
-    """The call that ended with Fatal, after which the standard allows no other."""
+    """The call that returned Fatal, after which the standard allows no other."""
 
     def __post_init__(self) -> None:
         d = self.description
@@ -176,7 +176,7 @@ class Session:
         )
         self.journal.say("")
         self.types = TYPES[self.version]
-        # fmpy reads some of these attributes under the names of the other version.
+        # fmpy reads some of these attributes by their names in the other version.
         root = tree((self.folder / "modelDescription.xml").read_bytes(), "modelDescription.xml")
         flags = (element.attrib.items() for element in root.findall("CoSimulation"))
         self.flags = {key: text.strip() for each in flags for key, text in each}
@@ -195,7 +195,7 @@ class Session:
         self.once, self.made = self.flag("canBeInstantiatedOnlyOncePerProcess"), 0
 
     def flag(self, *names: str) -> bool:
-        """Whether one of these capabilities is declared."""
+        """Return whether one of these capabilities is declared."""
         return any(self.flags.get(name) in ("true", "1") for name in names)
 
     def of(self, *causalities: str) -> list[Variable]:
@@ -207,25 +207,25 @@ class Session:
 
     @property
     def real_inputs(self) -> list[Variable]:
-        """Inputs that change continuously."""
+        """Continuous inputs."""
         return [v for v in self.of("input") if v.type in ("Real", "Float64") and v.variability == "continuous"]
 
     @property
     def real_outputs(self) -> list[Variable]:
-        """Outputs that change continuously."""
+        """Continuous outputs."""
         return [v for v in self.outputs if v.type in ("Real", "Float64") and v.variability == "continuous"]
 
     @property
     def numbers(self) -> list[Variable]:
-        """Outputs that are numbers or truths."""
+        """Numerical and Boolean outputs."""
         return [v for v in self.outputs if v.type != "String"]
 
     def name(self, function: str) -> str:
         return f"fmi{self.version}{function}"
 
     def apart(self, run: Callable[[], Result]) -> Result:
-        """What a run with an instance of its own gives, which is data: in a copy of this process where the FMU can be
-        instantiated only once in each."""
+        """Return the result of a run with a separate instance, in a copy of this process if only one instance is
+        allowed."""
         if not self.once:
             return run()
         if not hasattr(os, "fork"):
@@ -235,7 +235,7 @@ class Session:
             said: tuple[bool, object]
             try:
                 said = True, run()
-            except Exception as error:  # goes on where this process would have gone on with it
+            except Exception as error:  # raised again in the parent process
                 said = False, error
             with open(into, "wb") as file:
                 file.write(pickle.dumps(said))
@@ -244,7 +244,7 @@ class Session:
         with open(out, "rb") as file:
             data = file.read()
         _, status = os.waitpid(child, 0)
-        if status or not data:  # as if it had been this one
+        if status or not data:  # the copy died: fail as it did
             os._exit(128 + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status))
         good, found = pickle.loads(data)
         if not good:
@@ -252,7 +252,7 @@ class Session:
         return found
 
     def unit(self, name: str = "one", token: str | None = None, logging: bool = True) -> Unit:
-        """A new instance; Broken where there is none, Once where it would be one too many."""
+        """Create an instance; raise Broken if that fails, Once if only one is allowed per process."""
         self.made += 1
         if self.once and self.made > 1:
             raise Once(_ONCE)
@@ -261,7 +261,7 @@ class Session:
         return unit
 
     def ready(self, values: Mapping[str, Any] | None = None, name: str = "one") -> Unit:
-        """A new instance, initialised, with these values set before initialisation."""
+        """Create and initialise an instance, with these values set before initialisation."""
         unit = self.unit(name)
         unit.begin(values)
         return unit
@@ -289,7 +289,7 @@ def _number(value: Any, default: Any) -> Any:
 
 
 class Unit:
-    """An instance. Every call goes into the journal before it is made; `status` is that of the latest."""
+    """An instance. Every call is written to the journal first; `status` is that of the latest."""
 
     def __init__(self, session: Session, name: str):
         self.session, self.name = session, name
@@ -299,7 +299,7 @@ class Unit:
     # Calls ------------------------------------------------------------------------------------------------------------
 
     def call(self, function: str, *arguments: Any, said: str = "") -> int:
-        """The status of a function of FMI, by its name without the prefix."""
+        """Call a function of FMI by its name without the prefix, and return the status."""
         s = self.session
         full = s.name(function)
         after = f" (after {s.fatal} had ended with Fatal)" if s.fatal else ""
@@ -312,16 +312,16 @@ class Unit:
         return status
 
     def must(self, status: int, function: str) -> None:
-        """Broken where a call did not succeed."""
+        """Raise Broken if a call did not succeed."""
         if status > WARNING:
             raise Broken(f"{self.session.name(function)} ended with {shown(status)}{self.words()}")
 
     def words(self) -> str:
-        """What the FMU said at the latest call, as an end of a sentence."""
+        """Return the FMU's messages of the latest call, as the end of a sentence."""
         texts = [text for _, _, text in self.session.log if text]
         return f": {texts[-1][:200]}" if texts else ""
 
-    # Life -------------------------------------------------------------------------------------------------------------
+    # Life cycle -------------------------------------------------------------------------------------------------------
 
     def instantiate(self, token: str | None = None, logging: bool = True) -> None:
         s, library = self.session, self.session.library
@@ -347,7 +347,7 @@ class Unit:
             raise Broken(f"the FMU cannot be instantiated{self.words()}")
 
     def begin(self, values: Mapping[str, Any] | None = None, start: float | None = None) -> None:
-        """Initialise, with these values set before; Broken where a call fails."""
+        """Initialise with these values set before; raise Broken if a call fails."""
         self.must(self.enter(start), "EnterInitializationMode")
         for name, value in (values or {}).items():
             v = self.session.by_name[name]
@@ -355,7 +355,7 @@ class Unit:
         self.must(self.exit(), "ExitInitializationMode")
 
     def setup(self, start: float | None = None) -> int:
-        """`fmi2SetupExperiment`; OK in FMI 3, which has none."""
+        """Call `fmi2SetupExperiment`; return OK in FMI 3, which has none."""
         s = self.session
         self.time = s.start if start is None else start
         if s.version == "3":
@@ -373,7 +373,7 @@ class Unit:
         return self.call("EnterInitializationMode", no, 0.0, self.time, no, 0.0, said=f"startTime={self.time:g}")
 
     def show_starts(self) -> None:
-        """Make start values readable: FMI 3 gives them after instantiation, FMI 2 when initialisation has begun."""
+        """Make start values readable: FMI 3 allows it after instantiation, FMI 2 in initialisation mode."""
         if self.session.version == "2":
             self.must(self.enter(), "EnterInitializationMode")
 
@@ -394,14 +394,14 @@ class Unit:
         self.component = None
 
     def end(self) -> None:
-        """Terminate and free, where nothing forbids it."""
+        """Terminate and free the instance, unless that is forbidden."""
         if self.component and not self.session.fatal:
             self.free()
 
     # Values -----------------------------------------------------------------------------------------------------------
 
     def get_raw(self, kind: str, references: Sequence[int]) -> tuple[int, list[Any]]:
-        """Status and values of a type, by references."""
+        """Return status and values of a type, by references."""
         s = self.session
         values = (_ctype(s.version, kind) * len(references))()
         array = (ctypes.c_uint * len(references))(*references)
@@ -429,7 +429,7 @@ class Unit:
         return self.set_raw(v.type, [v.reference], [value])
 
     def read(self, variables: Iterable[Variable]) -> np.ndarray:
-        """Numbers of these variables; Broken where one cannot be read."""
+        """Return the values of numerical variables; raise Broken if one cannot be read."""
         variables = list(variables)
         found = np.empty(len(variables))
         for kind in dict.fromkeys(v.type for v in variables):
@@ -442,7 +442,7 @@ class Unit:
     # Steps ------------------------------------------------------------------------------------------------------------
 
     def step_raw(self, time: float, size: float) -> int:
-        """Status of a communication step; one that FMI 3 ended early is a Discard here."""
+        """Return the status of a communication step; one that FMI 3 ended early counts as Discard."""
         s, said = self.session, f"from {time:g} s, by {size:g} s"
         if s.version == "2":
             return self.call("DoStep", time, size, 1, said=said)
@@ -453,7 +453,7 @@ class Unit:
         return DISCARD if status <= WARNING and (ended.value or early.value) else status
 
     def step(self, size: float | None = None) -> None:
-        """A communication step from where it is; Broken where it fails."""
+        """Make a communication step from the current time; raise Broken if it fails."""
         size = self.session.step if size is None else size
         self.must(self.step_raw(self.time, size), f"DoStep from {self.time:g} s by {size:g} s")
         self.time += size
@@ -475,7 +475,7 @@ class Unit:
         self.must(self.call(name, ctypes.byref(state)), name)
 
     def write(self, state: ctypes.c_void_p) -> bytes:
-        """A state as bytes."""
+        """Serialise a state."""
         size, version = ctypes.c_size_t(), self.session.version
         name = state_call("SerializedFMUStateSize", version)
         self.must(self.call(name, state, ctypes.byref(size)), name)
@@ -498,7 +498,7 @@ class Unit:
     def directional(
         self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float], adjoint: bool = False
     ) -> tuple[int, np.ndarray]:
-        """Status, and J seed (or J' seed) for the derivatives J of unknowns by knowns."""
+        """Return the status, and J seed (or J' seed) for the derivatives J of unknowns by knowns."""
         s = self.session
         rows, columns = ([v.reference for v in each] for each in (unknowns, knowns))
         arrays = [(ctypes.c_uint * len(each))(*each) for each in (rows, columns)]
@@ -530,7 +530,7 @@ class Unit:
 
 
 def state_call(name: str, version: str) -> str:
-    """The name of a function of the state as a version of FMI writes it."""
+    """Return the name of a function of the state in a version of FMI."""
     if version == "2":
         name = name.replace("FMUState", "FMUstate")
         for ours, theirs in _STATE_2.items():
@@ -555,7 +555,7 @@ def _ctype(version: str, kind: str) -> Any:
 
 
 def _plain(values: Any, kind: str) -> list[Any]:
-    """Values of an array; truths of FMI 2 are numbers there."""
+    """Return values of an array; Booleans of FMI 2 are numbers there."""
     return [bool(each) for each in values] if kind == "Boolean" else list(values)
 
 

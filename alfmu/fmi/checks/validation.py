@@ -1,4 +1,4 @@
-"""Validate an FMU: static checks first, then records of runs and calls in a process that may die."""
+"""Validate an FMU: static checks first, then records of runs and calls in a separate process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from hashlib import new as digest_by
 from pathlib import Path
@@ -33,46 +33,46 @@ from .unit import Journal
 __all__ = ["OTHERS_AGREE", "TIMEOUT", "Report", "examine", "known_checks", "validate"]
 
 TIMEOUT = 120.0
-"""Time [s] that a check may take: minutes are for FMUs that take a second for a step."""
+"""Time limit of a check [s]: minutes, for FMUs that take a second per step."""
 
 OTHERS_AGREE = 1e-3
-"""Largest difference [1] from what other tools recorded, which seldom say how good it is."""
+"""Largest difference [1] from results of other tools, which seldom state their accuracy."""
 
 _RESULTS = (PASSED, FAILED, RISKY, NOTED, NOT_APPLICABLE, UNJUDGED)
 
 _DIED = 70
-"""Exit code of the process where the checker itself is at fault."""
+"""Exit code of the process for an error of the checker itself."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was found of an FMU, check by check."""
+    """The findings of all checks of an FMU."""
 
     path: str
     name: str
     fmi: str
     tool: str
-    """What made it, as it says."""
+    """Generating tool according to the description."""
     findings: tuple[Finding, ...]
     seconds: float
 
     @property
     def problems(self) -> list[str]:
-        """The errors of the standard, in sentences, with where it says so."""
+        """Violations of the standard as sentences, with the section."""
         return [f"{f.id}: {f.detail} ({f.section})" for f in self.findings if f.result == FAILED]
 
     @property
     def judged(self) -> bool:
-        """Whether more checks could be judged than could not, of those that apply."""
+        """Whether more of the applicable checks were judged than not."""
         counts = self.counts()
         return counts[UNJUDGED] <= sum(counts[each] for each in (PASSED, FAILED, RISKY, NOTED))
 
     def counts(self) -> dict[str, int]:
-        """How many checks had each result."""
+        """Number of checks by result."""
         return {result: sum(f.result == result for f in self.findings) for result in _RESULTS}
 
     def as_data(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the report as data for JSON."""
         facts = {"fmu": self.path, "model": self.name, "fmi": self.fmi, "tool": self.tool}
         return {**facts, "counts": self.counts(), "findings": [f.as_data() for f in self.findings]}
 
@@ -80,14 +80,13 @@ class Report:
 def validate(
     path: str | Path, *, static: bool = False, checks: Sequence[str] | None = None, tolerance: float | None = None
 ) -> list[str]:
-    """Errors of an FMU of any tool against the standard: an empty list means that none was found.
+    """Return violations of the FMI standard by an FMU of any tool; an empty list means that none was found.
 
-    Its archive, its description (by fmpy) and the records in it are looked at first. Then its code runs, in a process
-    of its own: the recorded runs have to come out again within `tolerance` [1] (1e-6 for FMUs of alfmu, 1e-3 for
-    others, over 1 and the largest value), and calls of FMI have to do what the standard says. **This executes the code
-    of the FMU**, with all rights of the user; `static` leaves it out. `checks` are ids of checks or patterns such as
-    `state.*`, None for all. Raises ExportError where the file is no FMU that can be opened, InputError where there is
-    no such check.
+    Its archive, its description (by fmpy) and its records are checked first. Then its code runs, in a separate process:
+    recorded runs must be reproduced within `tolerance` [1] (1e-6 for FMUs of alfmu, 1e-3 for others, over 1 plus the
+    largest value), and calls of FMI must follow the standard. **This executes the code of the FMU**, with all rights of
+    the user; `static` prevents it. `checks` are ids of checks or patterns such as `state.*`, None for all. Raises
+    ExportError if the file is not an FMU that can be opened, InputError if no check matches.
     """
     return examine(path, static=static, checks=checks, tolerance=tolerance).problems
 
@@ -102,9 +101,10 @@ def examine(
     progress: Callable[[str], object] = lambda id: None,
     together: bool = False,
 ) -> Report:
-    """The same with all that was found; `progress` is told the id of each check before it runs.
+    """Validate an FMU as `validate` does, and return all findings.
 
-    `timeout` [s] ends a check that does not. With `together` all checks run in one process, as they do on Windows.
+    `progress` is called with the id of each check before it runs, and `timeout` [s] limits each check. With `together`
+    all checks run in one process, as they do on Windows.
     """
     began = time.monotonic()
     if not (timeout > 0 and (tolerance is None or tolerance > 0)):
@@ -129,7 +129,7 @@ def examine(
 
 
 def known_checks() -> dict[str, Check]:
-    """Every check by its id, those of files first; records of an FMU have checks `record.NAME` besides."""
+    """Return every check by its id, static ones first; records of an FMU add checks `record.NAME`."""
     return {**_STATIC, **all_checks([])}
 
 
@@ -138,7 +138,7 @@ def _matches(id: str, patterns: Iterable[str]) -> bool:
 
 
 def _chosen(patterns: Sequence[str] | None, records: list[str]) -> list[str]:
-    """Ids of the checks that run; InputError for a pattern that fits none."""
+    """Return ids of the selected checks; raise InputError for a pattern without a match."""
     known = list(all_checks(records))
     if patterns is None:
         return known
@@ -191,12 +191,12 @@ _STATIC = {
 
 
 def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescription]:
-    """What can be found of files without running anything, in an FMU that is unpacked here."""
+    """Run the static checks of an unpacked FMU."""
     description = description_of(path, valid=False)
     version = description.fmiVersion[:1]
     try:
         problems = [f"{problem}" for problem in validate_fmu(str(path))]
-    except Exception as error:  # fmpy raises whatever its parts raised
+    except Exception as error:  # fmpy passes on exceptions of any kind
         raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     extract(str(path), str(folder))
     found = {
@@ -218,13 +218,13 @@ def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescrip
 
 
 def _values(description: ModelDescription) -> list[str]:
-    """What of units, types and start values does not fit."""
+    """Return inconsistencies of units, types and start values."""
     faults = []
     units = {each.name for each in description.unitDefinitions}
     for v in description.modelVariables:
         simple = v.declaredType
         low, high = (getattr(v, key, None) or getattr(simple, key, None) for key in ("min", "max"))
-        # fmpy looks at units of variables, and not at those of their types.
+        # fmpy checks units of variables, but not those of their types.
         unit = None if v.unit else getattr(simple, "unit", None)
         if unit and unit not in units:
             faults.append(f"{v.name} has the unit {unit} by its type, and it is not defined")
@@ -256,7 +256,7 @@ def _library(check: Check, folder: Path, description: ModelDescription) -> Findi
 
 
 def _related(folder: Path) -> tuple[list[str], str | None]:
-    """What is wrong with files that the manifest of FMI-LS-REF names; None instead of a text where there is none."""
+    """Return errors in files named by the manifest of FMI-LS-REF, and a note, None without a manifest."""
     try:
         related = listed(folder)
     except InputError as error:
@@ -281,12 +281,12 @@ def _related(folder: Path) -> tuple[list[str], str | None]:
 
 
 def _good(folder: Path) -> list[Record]:
-    """The records that can be run, those of one name once."""
+    """Return the valid records, one for each name."""
     found = [each for each in records_in(folder) if isinstance(each, Record)]
     return list({each.name: each for each in found}.values())
 
 
-# The process ----------------------------------------------------------------------------------------------------------
+# Process --------------------------------------------------------------------------------------------------------------
 
 
 def _dynamic(
@@ -299,7 +299,7 @@ def _dynamic(
     progress: Callable[[str], object],
     together: bool,
 ) -> list[Finding]:
-    """The findings of checks that run the FMU."""
+    """Return the findings of checks that run the FMU."""
     version, records = description.fmiVersion[:1], _good(folder)
     checks = all_checks([each.name for each in records])
     checked_folder(folder, path)
@@ -320,7 +320,16 @@ def _dynamic(
             died = (box / CURRENT).read_text(encoding="utf-8") if (box / CURRENT).exists() else left[0]
             if not result_file(box, died).exists():
                 _write(box, checks[died].finding(version, result or checks[died].fault, detail))
-        return [Finding(**json.loads(result_file(box, id).read_text(encoding="utf-8"))) for id in ids]
+        found = [Finding(**json.loads(result_file(box, id).read_text(encoding="utf-8"))) for id in ids]
+    if any(v.type == "Clock" for v in description.modelVariables):
+        found = [_without_ticks(each) if each.result == FAILED else each for each in found]
+    return found
+
+
+def _without_ticks(finding: Finding) -> Finding:
+    """Return a failure of an FMU with clocks as not judged, since the checker sends no clock ticks."""
+    why = f"its clocks tick in event mode, which is not used here: {finding.detail}"
+    return replace(finding, result=UNJUDGED, detail=why)
 
 
 def _write(box: Path, finding: Finding) -> None:
@@ -328,10 +337,10 @@ def _write(box: Path, finding: Finding) -> None:
 
 
 def _watched(box: Path, timeout: float, progress: Callable[[str], object]) -> tuple[str, str]:
-    """Run the process until it ends or a check takes too long.
+    """Run the process until it ends or a check exceeds its time.
 
-    Gives the result and the reason of the check that it was making then, for the case that it has none: no result is
-    that of a fault.
+    Returns result and reason for the check that was running and has no finding; an empty result stands for
+    `Check.fault`.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[3]), *_search()])}
     command = [sys.executable, "-m", f"{__package__}.child", str(box)]
@@ -373,7 +382,7 @@ def _search() -> list[str]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started here, and those that it started."""
+    """Kill a process started here, and its children."""
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -383,7 +392,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _how(code: int) -> str:
-    """How a process ended."""
+    """Return how a process ended, as text."""
     number = -code if code < 0 else code - 128
     with suppress(ValueError):
         return signal.Signals(number).name
@@ -391,7 +400,7 @@ def _how(code: int) -> str:
 
 
 def _plain(record: Record) -> dict[str, Any]:
-    """A record as data."""
+    """Return a record as data."""
 
     def table(result: Result | None) -> dict[str, Any] | None:
         if result is None:

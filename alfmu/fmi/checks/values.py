@@ -1,4 +1,4 @@
-"""Start values, bounds, numbers that are none, enumerations, and what depends on what."""
+"""Checks of start values, bounds, NaN and infinity, enumerations, and dependencies."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .registry import RISKY, NotApplicable, Noted, Task, Unjudged, check, judge
 from .unit import WARNING, Broken, Session, Unit, Variable, shown
 
 _PARAMETERS = 60
-"""Variables of which the influence on the start is tried, each in an instance of its own."""
+"""Number of variables whose influence on the start is tested, each in its own instance."""
 
 _DIGITS = {"Float32": 1e-6}
-"""Relative difference [1] of a start value from that of the description: the last of the digits that any writer of
-decimals keeps, which are 6 of Float32 and 15 of other types."""
+"""Relative difference [1] of a start value from the description: the last of the digits that decimals preserve, 6 for
+Float32 and 15 for other types."""
 
 _SEEN = 1e-9
-"""Change [1] of an output, over 1 and its value, that is no round-off."""
+"""Change [1] of an output, over 1 plus its value, above round-off."""
 
 
 @check(
@@ -102,7 +102,7 @@ def _above(v: Variable) -> float | int | None:
 
 
 def _beyond(v: Variable, limit: float, sign: int) -> float | int | None:
-    """A value beyond a bound; None where the type has none."""
+    """Return a value beyond a bound; None if the type has none."""
     if v.type in ("Real", "Float32", "Float64"):
         return limit + sign * max(1.0, abs(limit)) if math.isfinite(limit) else None
     value = int(limit) + sign
@@ -112,7 +112,7 @@ def _beyond(v: Variable, limit: float, sign: int) -> float | int | None:
 
 
 def _handled(s: Session, v: Variable, value: Any, running: bool) -> str:
-    """Nothing where a value is refused, "taken" where all stays finite with it, or what goes wrong."""
+    """Return "" if a value is rejected, "taken" if all outputs stay finite with it, or else the error."""
     unit = s.ready() if running else s.unit()
     calls: list[Callable[[], int]] = [lambda: unit.set(v, value)]
     if not running:
@@ -178,7 +178,7 @@ def types(s: Session, task: Task) -> str:
 
 
 def _items(s: Session, whole: list[Variable], listed: list[Variable]) -> list[str]:
-    """Values that are none of their type, after some steps."""
+    """Return values that are illegal for their type after some steps."""
     faults = []
     unit = s.ready()
     driven(unit, 3)
@@ -195,7 +195,7 @@ def _items(s: Session, whole: list[Variable], listed: list[Variable]) -> list[st
 
 
 def _other_item(s: Session, v: Variable) -> list[str]:
-    """Whether an enumeration takes what is no item of it."""
+    """Return the error of an enumeration that accepts a value outside its items."""
     other = max(v.items) + 1
     unit = s.unit()
     status = unit.set(v, other)
@@ -208,7 +208,7 @@ def _other_item(s: Session, v: Variable) -> list[str]:
 
 
 def _declared(s: Session, unknowns: Any) -> dict[str, set[str] | None]:
-    """By the names of unknowns, the names of what they depend on; None stands for everything."""
+    """Return the names of each unknown's dependencies, by its name; None stands for everything."""
     return {
         each.variable.name: None if each.dependencies is None else {v.name for v in each.dependencies}
         for each in unknowns
@@ -252,7 +252,7 @@ def dependencies(s: Session, task: Task) -> str:
 
 
 def _other(v: Variable, at: Any) -> Any:
-    """Another value that a variable may have; None where there is none."""
+    """Return another legal value of a variable; None if there is none."""
     if v.type == "Boolean":
         return not at
     if v.items:
@@ -287,7 +287,7 @@ def initial(s: Session, task: Task) -> str:
                 return None
             unit.begin()
             return unit.read(outputs)
-        except Broken:  # such a start may not be possible
+        except Broken:  # this start may be impossible
             return None
         finally:
             unit.end()

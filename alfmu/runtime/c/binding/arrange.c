@@ -85,7 +85,8 @@ static void sort(const Kind_run *run, int *order, int *beside, int count)
     }
 }
 
-/* Which operations use what each makes, from ends[i] to ends[i + 1] of an array, and how many others each waits for. */
+/* List the users of each result, from ends[i] to ends[i + 1] of an array, and count the operands that each operation
+   waits for. */
 static int *users_of(Room *room, const Operations *o, int values, int *ends, int *missing)
 {
     int *maker = arrange_integers(room, (size_t)values, -1), *users = NULL, total = 0;
@@ -128,7 +129,8 @@ static int *users_of(Room *room, const Operations *o, int values, int *ends, int
 static void urgency(Room *room, const Operations *o, const int *users, const int *ends, const int *missing,
     int *changes, int *chains)
 {
-    int *order = arrange_integers(room, (size_t)o->count, 0), *left = arrange_integers(room, (size_t)o->count, 0), count = 0;
+    int *order = arrange_integers(room, (size_t)o->count, 0), *left = arrange_integers(room, (size_t)o->count, 0),
+        count = 0;
     if (room->missing)
         return;
     for (int i = 0; i < o->count; i++) {
@@ -152,7 +154,7 @@ static void urgency(Room *room, const Operations *o, const int *users, const int
     }
 }
 
-/* Operations as those of a kind, and where what they make is put. */
+/* Operations written as those of one kind, and the places of their results. */
 typedef struct {
     const int *neutral;
     int *heads, *operands, (*made)[2];
@@ -182,15 +184,16 @@ static int short_one(const Heap *ready, int kind)
     return -1;
 }
 
-/* The operations in runs. The next run is of the kind that has an operation on which the longest sequence of other kinds
-   waits, and takes all of its kind that are ready, ordered by their operands; with neutral numbers it also takes
-   operations that would be a short one of their own. */
+/* The operations in runs. The next run is of the kind that has an operation on which the longest sequence of other
+   kinds waits, and takes all of its kind that are ready, ordered by their operands; with neutral numbers it also
+   takes operations that would be a short one of their own. */
 static void in_runs(Room *room, const Operations *o, int values, Runs *runs)
 {
     const size_t count = (size_t)o->count;
     int *ends = arrange_integers(room, count + 2, 0), *missing = arrange_integers(room, count, 0);
     int *changes = arrange_integers(room, count, 0), *chains = arrange_integers(room, count, 0);
-    int *pool = arrange_integers(room, 3 * count, 0), *order = arrange_integers(room, count, 0), *beside = arrange_integers(room, count, 0);
+    int *pool = arrange_integers(room, 3 * count, 0), *order = arrange_integers(room, count, 0),
+        *beside = arrange_integers(room, count, 0);
     int *places = arrange_integers(room, (size_t)values, 0), *waits = arrange_integers(room, (size_t)values, 0);
     int *in_run = arrange_integers(room, (size_t)values, -1);
     Kind_run run = {0, arrange_integers(room, count, 0), arrange_integers(room, MOST_OPERANDS * count, 0),
@@ -327,10 +330,10 @@ static void others(Sums *f, int *slots, int *following[2], int *firsts[2], int *
     }
 }
 
-/* A function in runs, by arrays. Of each instruction `codes` has the kind (-1 where it makes nothing here; a sum is PLUS,
-   MINUS, NEGATIVE or PRODUCT) and two operands, -1 for none, a cosine its angle as the second one. `opposite` says of
-   constants which of `constants` is their negative, -1 of others; `constants` becomes the values of these, -1 where there
-   is none, from 1, -1 and -0 on, which come first. What is made is as in `alfmu_in_runs`. */
+/* A function in runs, by arrays. Of each instruction `codes` has the kind (-1 where it makes nothing here; a sum is
+   PLUS, MINUS, NEGATIVE or PRODUCT) and two operands, -1 for none, a cosine its angle as the second one. `opposite`
+   says of constants which of `constants` is their negative, -1 of others; `constants` becomes the values of these,
+   -1 where there is none, from 1, -1 and -0 on, which come first. What is made is as in `alfmu_in_runs`. */
 API int alfmu_arrange(int count, const int *codes, const int *operands, const int *opposite, int constant_count,
     int *constants, int *heads, int *operands_then, int *made_then)
 {

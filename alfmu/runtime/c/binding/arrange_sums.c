@@ -26,7 +26,7 @@ static void append(Sums *f, int k, int last)
     f->length[k]++;
 }
 
-/* The summands of a + b or a - b; what becomes part of it is no longer a sum of its own. */
+/* Collect the summands of a + b or a - b; a sum that becomes part of another is no longer one of its own. */
 static void join(Sums *f, int k, int a, int b, int difference)
 {
     const int begins[2] = {f->uses[a] == 1 ? f->length[a] : 0, f->uses[b] == 1 ? f->length[b] : 0};
@@ -86,12 +86,13 @@ static int negative(Sums *f, int value)
     return f->negatives[value];
 }
 
-/* Of products that are subtracted one factor negated instead: few factors, which many have in common. */
+/* Negate one factor of each subtracted product: few factors, which many products share. */
 void without_differences(Sums *f)
 {
     Room *room = &f->room;
     int left = 0;
-    int *ends = arrange_integers(room, (size_t)f->count + 2, 0), *there = arrange_integers(room, 2 * (size_t)f->terms, 0);
+    int *ends = arrange_integers(room, (size_t)f->count + 2, 0),
+        *there = arrange_integers(room, 2 * (size_t)f->terms, 0);
     int *pool = arrange_integers(room, 3 * (size_t)f->count, 0);
     if (room->missing)
         return;
@@ -147,7 +148,7 @@ static void factors(Sums *f, int x, const int *neutral)
     f->made.used += 2;
 }
 
-/* A sum as operations, each of which begins with what the one before it gives. */
+/* Write a sum as operations, each of which begins with the result of the one before. */
 void arrange_write(Sums *f, int k)
 {
     Operations *o = &f->made;

@@ -16,7 +16,7 @@ typedef struct {
     int terms, *negative, *factor, *other, *next;
     /* Summands: a value (`linear_factor`), or a product of two, and the one that is added after it; -1 for none. */
     int *begin, *end, *length;
-    /* Of each sum that is one of its own; without a length there is none. */
+    /* Data of each sum; a length of zero means that there is none. */
     int *negatives, *constants, values;
     Operations made;
 } Sums;

@@ -1,4 +1,4 @@
-/* What the library offers beside the functions of FMI: scenes and instances for a binding such as library.py. */
+/* Functions beside those of FMI: scenes and instances for a binding such as library.py. */
 
 #include <math.h>
 #include <stddef.h>
@@ -21,6 +21,7 @@
 #include "run.h"
 #include "scene.h"
 #include "scene_sizes.h"
+#include "settings.h"
 #include "state.h"
 #include "topology.h"
 #include "variables.h"
@@ -70,7 +71,7 @@ API const char *alfmu_text(const Instance *i)
     return i->text;
 }
 
-/* Whether there is a warning that was not read yet: whoever reads it writes 0. */
+/* Flag of a warning that was not read yet; its reader sets it to 0. */
 API int *alfmu_warns(Instance *i)
 {
     return &i->warns;
@@ -124,8 +125,9 @@ API int alfmu_choose(Instance *i, int reference, const char *value)
             strcat(known, choice->values[k]);
         }
     }
-    return (int)instance_say(i, REFUSED, "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)",
-        s->name, s->variables[reference].name, value, known, s->variables[reference].name, value);
+    return (int)instance_say(i, REFUSED,
+        "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)", s->name,
+        s->variables[reference].name, value, known, s->variables[reference].name, value);
 }
 
 API const char *alfmu_chosen(const Instance *i, int reference)
@@ -158,13 +160,13 @@ API int alfmu_begin(Instance *i, double start, double stop)
     INSIDE(int, instance_begin(i, start, stop));
 }
 
-/* How an input changes in the next communication step, per second; it is held in those after it. */
+/* Set the rate of an input in the next communication step; it is constant in those after it. */
 API int alfmu_slope(Instance *i, int reference, double value)
 {
     INSIDE(int, instance_set_slope(i, reference, value));
 }
 
-/* From here on parameters are fixed, or can be changed again. */
+/* Fix the parameters, or permit changes again. */
 API void alfmu_run_on(Instance *i, int running)
 {
     i->flags.phase = running ? STEPPING : INITIALIZING;
@@ -180,13 +182,13 @@ API int alfmu_initialize(Instance *i)
     INSIDE(int, instance_initialize(i));
 }
 
-/* What `alfmu_step` begins with, for a caller that makes the step itself. */
+/* The first part of `alfmu_step`, for a caller that makes the step itself. */
 API int alfmu_ready(Instance *i, double start, double h)
 {
     INSIDE(int, instance_ready(i, start, h));
 }
 
-/* How often something jumps by itself in that step, and the times just before and just after each where there is room. */
+/* Return the number of breaks in that step, and the times just before and just after each if there is room. */
 API int alfmu_breaks(const Instance *i, double *times)
 {
     if (times)
@@ -211,11 +213,12 @@ typedef struct {
 
 static Python python;
 
-/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an instance, the
-   arguments are the start and the length; NULL is an exception. */
+/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an
+   instance, the arguments are the start and the length; NULL is an exception. */
 static void *step_from_python(void *self, void *const *arguments, ptrdiff_t count)
 {
-    const double start = count > 0 ? python.number(arguments[0]) : NAN, h = count > 1 ? python.number(arguments[1]) : NAN;
+    const double start = count > 0 ? python.number(arguments[0]) : NAN,
+                 h = count > 1 ? python.number(arguments[1]) : NAN;
     void *instance = python.address(self), *thread;
     int outcome;
     if (python.failed())
@@ -234,7 +237,7 @@ typedef struct {
     const char *doc;
 } Method;
 
-/* What Python makes a built-in function of, which has to last as long as that does. */
+/* Description of a built-in function of Python; it must live as long as that function. */
 API const Method *alfmu_python_step(const Python *functions)
 {
     static const Method method = {"step", step_from_python, 0x80, NULL};
@@ -284,14 +287,14 @@ API int alfmu_restore(Instance *i, const unsigned char *state, size_t size)
     INSIDE(int, state_restore(i, state, size));
 }
 
-/* Where q, v, computed angles, work and time stand, in this order, as long as the instance lives. */
+/* Return the address of q, v, computed angles, work and time, in this order; it is valid while the instance lives. */
 API double *alfmu_state(Instance *i)
 {
     return i->m + i->scene->z;
 }
 
-/* What has no variable: zeta and omega of stabilised formulations, and whether steps end with projections (-1: as the
-   formulation has it). */
+/* Set numbers without variables: zeta and omega of stabilised formulations, and whether steps end with projections
+   (-1: the formulation decides). */
 API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
 {
     return (int)instance_stabilise(i, zeta, omega, projection);
@@ -302,7 +305,7 @@ API int alfmu_mobility(Instance *i, int which, int *freedom, int *redundant, int
     return (int)instance_mobility(i, (Counted_rows)which, freedom, redundant, here, place);
 }
 
-/* Whether redundant constraints would brake the motion that begins at the start. */
+/* Return whether redundant constraints would brake the motion from the start. */
 API int alfmu_brakes(const Instance *i)
 {
     return i->flags.brakes;
@@ -311,7 +314,28 @@ API int alfmu_brakes(const Instance *i)
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */
 API int alfmu_penalize(Instance *i, const double *penalties)
 {
-    return (int)instance_penalize(i, penalties);
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return (int)instance_say(i, REFUSED,
+                "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above", s->name, r + 1,
+                penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    arena_reset(i);
+    settings_upload_arguments(i);
+    instance_remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = topology_change(i, i->active);
+    if (outcome != DONE)
+        instance_go_back(i);
+    arena_reset(i);
+    return (int)outcome;
 }
 
 API void alfmu_penalties(const Instance *i, double *penalties)
@@ -359,8 +383,7 @@ static int goes_on(Instance *i)
     return on;
 }
 
-/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where the run
-   was interrupted, within a communication step too. */
+/* Make the run and return the number of rows. */
 API long alfmu_run(Instance *i, const Run *r, int *outcome)
 {
     Going going = {r, 0, clock()};

@@ -1,9 +1,9 @@
-/* Runs with derivatives, for a binding: tangents of what is wanted at each communication point, and adjoints of a function
-   of all that was wanted.
+/* Runs with derivatives, for a binding: tangents of what is wanted at each communication point, and adjoints of a
+   function of all that was wanted.
 
-   A run that is to be swept back is divided into windows. The tape of the last window is kept, and of the others the state
-   in which they begin: they are run again, to the same bits, when the sweep comes to them. So memory is bounded, and the
-   whole takes two runs and a sweep at most. */
+   A run that is to be swept back is divided into windows. The tape of the last window is kept, and of the others the
+   state in which they begin: they are run again, to the same bits, when the sweep comes to them. So memory is
+   bounded, and the whole takes two runs and a sweep at most. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -81,10 +81,10 @@ static int goes_on(const Run *r, long row, clock_t *asked)
     return r->progress(row);
 }
 
-/* A run with tangents. `seeds` has the directions (directions) of each parameter, `input_seeds` those of each input at each
-   row (NULL for none); `derivatives` (rows, wanted, directions) is written. Returns how many rows there are. */
-API long alfmu_tangent_run(
-    Gradient *g, const Run *r, int directions, const double *seeds, const double *input_seeds, double *derivatives, int *outcome)
+/* A run with tangents. `seeds` has the directions (directions) of each parameter, `input_seeds` those of each input
+   at each row (NULL for none); `derivatives` (rows, wanted, directions) is written. Returns how many rows there are. */
+API long alfmu_tangent_run(Gradient *g, const Run *r, int directions, const double *seeds, const double *input_seeds,
+    double *derivatives, int *outcome)
 {
     Instance *i = g->instance;
     const Scene *s = i->scene;
@@ -219,8 +219,8 @@ static void sweep_rows(Gradient *g, const Run *r, long first, long end, const do
     g->tape->used = used;
 }
 
-/* The derivatives of the sum of all values of a recorded run times their weights (rows, wanted): by each parameter, and by
-   each input at each row. It can be asked for with other weights. */
+/* The derivatives of the sum of all values of a recorded run times their weights (rows, wanted): by each parameter,
+   and by each input at each row. It can be asked for with other weights. */
 API int alfmu_adjoint_run(Gradient *g, const Run *r, const double *weights, double *of_parameters, double *of_inputs)
 {
     Instance *i = g->instance;
@@ -257,6 +257,7 @@ API int alfmu_adjoint_run(Gradient *g, const Run *r, const double *weights, doub
     g->swept = g->window_count > 1;
     state_restore(i, end, size);
     free(end);
-    memcpy(of_parameters, g->adjoints + tape_place_of(i, i->values), (size_t)i->scene->parameters * sizeof *of_parameters);
+    memcpy(
+        of_parameters, g->adjoints + tape_place_of(i, i->values), (size_t)i->scene->parameters * sizeof *of_parameters);
     return g->lost ? NO_MEMORY : outcome;
 }

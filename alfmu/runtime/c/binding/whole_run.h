@@ -13,7 +13,7 @@ typedef struct {
     const int *wanted; /* references, by columns of `values` */
     int wanted_count;
     double *values;
-    int (*progress)(long done); /* some times a second, where there is one; zero interrupts the run */
+    int (*progress)(long done); /* callback a few times a second, or NULL; zero interrupts the run */
 } Run;
 
 #endif

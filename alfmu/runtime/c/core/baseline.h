@@ -1,10 +1,10 @@
-/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older systems,
-   too. Newer versions of these differ in errno alone. */
+/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older
+   systems, too. Newer versions of these differ in errno alone. */
 
 #ifndef ALFMU_BASELINE_H
 #define ALFMU_BASELINE_H
 
-#include <math.h> /* which says what the C library is */
+#include <math.h> /* defines the macros of the C library */
 
 #if defined(__GLIBC__) && defined(__GNUC__)
 #if defined(__x86_64__)

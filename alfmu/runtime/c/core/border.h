@@ -1,5 +1,6 @@
-/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way: inside,
-   nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two registers. */
+/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way:
+   inside, nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two
+   registers. */
 
 #ifndef ALFMU_BORDER_H
 #define ALFMU_BORDER_H
@@ -11,7 +12,7 @@
 #define ALFMU_SSE 1
 #endif
 
-/* What the host had, where it was not the usual. */
+/* The environment of the host, if it was not the usual one. */
 typedef struct {
     int changed;
 #if defined(ALFMU_SSE)
@@ -89,7 +90,7 @@ static inline void border_out(const Border *b)
 
 #endif
 
-/* What a call gives, made inside. */
+/* The result of a call that runs inside. */
 #define INSIDE(TYPE, CALL) \
     do { \
         const Border border = border_in(); \

@@ -1,9 +1,10 @@
 /* Inputs that move something: inside a communication step each is a polynomial of time from where the motion is.
 
-   The highest derivative that is known of an input (its value, its rate or its acceleration) goes on by the polynomial of
-   its declared order through the newest communication points, which tells where the input will be at the end of the step.
-   The motion goes there from where it is: by a quintic with the acceleration of both ends where that is known of the input,
-   otherwise by a cubic with the rates of both ends. So places never jump, nor do velocities. */
+   The highest derivative that is known of an input (its value, its rate or its acceleration) goes on by the
+   polynomial of its declared order through the newest communication points, which tells where the input will be at
+   the end of the step. The motion goes there from where it is: by a quintic with the acceleration of both ends where
+   that is known of the input, otherwise by a cubic with the rates of both ends. So places never jump, nor do
+   velocities. */
 
 #include "driving_inputs.h"
 
@@ -21,13 +22,13 @@
 /* A step over the one before [1], from which on the motion only goes on. */
 #define SHORT 1e-6
 
-static double *polynomial(const Instance *i, int which)
+static double *polynomial_of(const Instance *i, int which)
 {
     const Scene *s = i->scene;
     return i->discrete + s->held + (which - s->followed_count) * POLYNOMIAL;
 }
 
-static Given given(const Instance *i, int which)
+static Given read_given(const Instance *i, int which)
 {
     const Scene *s = i->scene;
     const Followed *f = s->followed + which;
@@ -54,9 +55,9 @@ static void input_polynomial_at(const double *c, double time, double *found)
     }
 }
 
-/* A point heard of an input at a time, in place of what was heard there or later, or so little before that differences
-   would be round-off. */
-static void hear(double *heard, const Given *g, double time, double little)
+/* Add a point of an input at a time. It replaces later points, and earlier ones so close that differences would be
+   round-off. */
+static void append_point(double *heard, const Given *g, double time, double little)
 {
     int count = heard[LEVEL] == g->level ? (int)heard[KNOWN_POINTS] : 0, later = 0;
     while (later < count && heard[TIMES + later] >= time - little)
@@ -70,12 +71,12 @@ static void hear(double *heard, const Given *g, double time, double little)
     heard[LEVEL] = g->level;
 }
 
-/* Where an input will be after h [s]: value, rate, acceleration. */
-static void foreseen(const double *heard, const Given *g, int order, double h, double *end)
+/* Extrapolate an input by h [s]: value, rate, acceleration. */
+static void extrapolate_input(const double *heard, const Given *g, int order, double h, double *end)
 {
     const double *t = heard + TIMES, *y = heard + VALUES;
     const int degree = order < (int)heard[KNOWN_POINTS] - 1 ? order : (int)heard[KNOWN_POINTS] - 1;
-    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* of what is known, over powers of the time from now */
+    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* differences of the known points over powers of the time from now */
     if (degree > 0)
         c[1] = (y[0] - y[1]) / (t[0] - t[1]);
     if (degree > 1) {
@@ -93,7 +94,7 @@ static void foreseen(const double *heard, const Given *g, int order, double h, d
                 term *= h > 0.0 ? (k - r) / h : 0.0;
             end[d] += term;
         }
-    for (int d = 0; d < g->level; d++) { /* What is known of the lower ones now. */
+    for (int d = 0; d < g->level; d++) { /* The lower derivatives are known now. */
         double term = 1.0;
         for (int k = d; k < g->level; k++, term *= h / (k - d))
             end[d] += g->value[k] * term;
@@ -109,8 +110,8 @@ void inputs_begin(Instance *i, double time)
     memset(i->input_history, 0, (size_t)s->followed_count * HEARD * sizeof *i->input_history);
     tape_clearing(i, i->input_history, (size_t)s->followed_count * HEARD);
     for (int k = 0; k < s->followed_count; k++) {
-        const Given g = given(i, k);
-        double *c = polynomial(i, k);
+        const Given g = read_given(i, k);
+        double *c = polynomial_of(i, k);
         memset(c, 0, POLYNOMIAL * sizeof *c);
         c[0] = time;
         c[1] = g.value[0];
@@ -124,14 +125,15 @@ void inputs_begin(Instance *i, double time)
     }
 }
 
-/* The polynomial of an input for a step of h [s], from where the one before has come. In a step as brief as `little`, or
-   much shorter than the one before, the motion only goes on: it could make up for what it lacks only by any acceleration. */
+/* The polynomial of an input for a step of h [s], from where the one before has come. In a step as brief as
+   `little`, or much shorter than the one before, the motion only goes on: it could make up for what it lacks only by
+   any acceleration. */
 void input_aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little)
 {
     double now[3], end[3];
     input_polynomial_at(c, start, now);
-    hear(heard, g, start, little);
-    foreseen(heard, g, f->order, h, end);
+    append_point(heard, g, start, little);
+    extrapolate_input(heard, g, f->order, h, end);
     memset(c, 0, POLYNOMIAL * sizeof *c);
     c[0] = start;
     c[1] = now[0];
@@ -159,28 +161,31 @@ Outcome inputs_aim(Instance *i, double start, double h)
     const Scene *s = i->scene;
     for (int k = 0; k < s->followed_count; k++) { /* Nothing changes where one is refused. */
         const Variable *v = s->variables + s->parameters + s->choices + s->followed[k].input;
-        const double value = given(i, k).value[0], limit = s->followed[k].jump;
+        const double value = read_given(i, k).value[0], limit = s->followed[k].jump;
         double now[3];
         char own[QUANTITY], there[QUANTITY], most[QUANTITY];
-        input_polynomial_at(polynomial(i, k), start, now);
+        input_polynomial_at(polynomial_of(i, k), start, now);
         if (!(fabs(value - now[0]) <= limit))
             return instance_say(i, REFUSED,
                 "%s, t = %.6g s: %s is %s, and what it moves has come to %s: a jump of %.3g %s, more than %s, "
-                "which no rigid mechanism follows; change it less from one communication step to the next, give its rate "
+                "which no rigid mechanism follows; change it less from one communication step to the next, give its "
+                "rate "
                 "too (derivatives=1 of the input), or declare a larger jump",
-                s->name, start, v->name, quantity_in_unit(v->unit, value, own), quantity_in_unit(v->unit, now[0], there), fabs(value - now[0]), v->unit,
+                s->name, start, v->name, quantity_in_unit(v->unit, value, own),
+                quantity_in_unit(v->unit, now[0], there), fabs(value - now[0]), v->unit,
                 quantity_in_unit(v->unit, limit, most));
     }
     for (int k = 0; k < s->followed_count; k++) {
-        const Given g = given(i, k);
+        const Given g = read_given(i, k);
         tape_aim(i, k, g.level, start, h);
-        input_aim(s->followed + k, &g, polynomial(i, k), i->input_history + k * HEARD, start, h, instance_least_step(i));
+        input_aim(
+            s->followed + k, &g, polynomial_of(i, k), i->input_history + k * HEARD, start, h, instance_least_step(i));
     }
     return DONE;
 }
 
-/* What is aimed at depends on values in proportion, its times being what they are: its tangents are what `input_aim` makes of
-   theirs. */
+/* The polynomial is linear in the values of an input for given times: `input_aim`, applied to their tangents, gives
+   its tangents. */
 
 static void tape_aim(Instance *i, int which, int level, double start, double h)
 {
@@ -194,9 +199,9 @@ static void tape_aim(Instance *i, int which, int level, double start, double h)
     saved[SAVED_LEVEL] = level;
     saved[SAVED_START] = start;
     saved[SAVED_STEP] = h;
-    saved[SAVED_FROM] = polynomial(i, which)[0];
+    saved[SAVED_FROM] = polynomial_of(i, which)[0];
     saved[SAVED_LITTLE] = instance_least_step(i);
-    i->tape->words[e->words] = tape_place_of(i, polynomial(i, which));
+    i->tape->words[e->words] = tape_place_of(i, polynomial_of(i, which));
     i->tape->words[e->words + 1] = tape_place_of(i, i->input_history + which * HEARD);
     i->tape->words[e->words + 2] = tape_place_of(i, i->m + s->u + s->followed[which].input);
 }

@@ -5,13 +5,15 @@
 
 #include "instance.h"
 #include "scene.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
-/* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
+#if HAS_MOVING_INPUTS
+/* The points of an input: their number, the derivative that they are of, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 
-/* What is given of an input: value, rate and acceleration, and the highest of them. */
+/* The given value, rate and acceleration of an input, and the highest derivative that is given. */
 typedef struct {
     double value[3];
     int level;
@@ -22,6 +24,10 @@ enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED_LITTLE, S
 void inputs_begin(Instance *i, double time);
 void input_aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little);
 Outcome inputs_aim(Instance *i, double start, double h);
+#else
+static inline void inputs_begin(Instance *i, double time) { (void)i, (void)time; }
+static inline Outcome inputs_aim(Instance *i, double start, double h) { return (void)i, (void)start, (void)h, DONE; }
+#endif
 
 #include "internal_end.h"
 

@@ -27,7 +27,8 @@ void constraints_evaluate(
     const size_t arena = arena_mark(i), l = (size_t)s->l;
     const double *x[] = {q, v, instance_field(i, s->p)};
     double *y[] = {mass ? mass : arena_alloc(i, (size_t)s->mass.entries),
-        matrix ? matrix : arena_alloc(i, (size_t)s->constraint.entries), phi ? phi : arena_alloc(i, l), cv ? cv : arena_alloc(i, l)};
+        matrix ? matrix : arena_alloc(i, (size_t)s->constraint.entries), phi ? phi : arena_alloc(i, l),
+        cv ? cv : arena_alloc(i, l)};
     function_call(i, s->constraints, x, y);
     arena_release(i, arena);
 }
@@ -71,7 +72,7 @@ void energy_record(Instance *i, const double *v, double *into)
     function_call_recorded(i, s->energy, x, y);
 }
 
-/* What a motion does in an instant is what energies change by, from those at the first of four places. */
+/* Add the change of the energies in an instant, from those at the first of four places, to the work. */
 void energy_add_jump(Instance *i, double *energies)
 {
     double *q = instance_field(i, i->scene->z), *work = q + i->scene->work;
@@ -81,7 +82,7 @@ void energy_add_jump(Instance *i, double *energies)
     tape_sum(i, work, 3, from, factors);
 }
 
-/* The kinetic one where all velocities are of one size. */
+/* Return the kinetic energy if all velocities have this size. */
 double energy_at_speed(Instance *i, double speed)
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;

@@ -1,8 +1,8 @@
 /* A mechanism in motion: values by reference, and all that a communication step reads and changes.
 
-   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene comes
-   from its file: its functions and programs work on the memory `m` laid out by `Layout` in alfmu/kernel/memory.py, and on
-   the workspace behind it. */
+   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene
+   comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
+   alfmu/kernel/memory.py, and on the workspace behind it. */
 
 #ifndef ALFMU_INSTANCE_H
 #define ALFMU_INSTANCE_H
@@ -24,7 +24,7 @@
 #define MOST_STEPS 1000000
 #endif
 
-/* What an instance counts beside the tally of its memory, and the largest errors that it has seen. */
+/* Counters of an instance beside the tally of its memory, and the largest errors so far. */
 enum {
     PATIENT_STEPS,
     READS,
@@ -37,10 +37,11 @@ enum {
     ENERGY_START,
     BALANCE,      /* of energies after the last communication step: energy - energy at the start - work [J] */
     ENERGY_SCALE, /* largest kinetic energy and largest work so far [J] */
-    STEP_ERROR,   /* what the last communication step changed of the balance, over that */
+    STEP_ERROR,   /* change of the balance in the last communication step, over that scale */
     RUN_ERROR,    /* largest balance over it */
-    AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
-    DRIFT,        /* how far the motion is off by what the balance makes of rates, where no work is done [rad or m] */
+    /* balance left by communication steps at rest, which is round-off of work and no part of the balance [J] */
+    AT_REST,
+    DRIFT,        /* distance that the motion is off, from the balance, where no work is done [rad or m] */
     COUNTED
 };
 
@@ -72,7 +73,7 @@ typedef enum {
 
 typedef struct {
     int phase, initialized, known, scaled, fast, whole, pending, brakes, given;
-    int warned; /* of what, as bits */
+    int warned; /* bits of the warnings given so far */
     int choice[CHOICES];
 } Flags;
 
@@ -85,7 +86,8 @@ typedef struct Instance {
     double *values, *requested, *active, *discrete, *input_history, *impulses, *dissipated, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty, *length;
-    double *peaks;         /* largest magnitudes within the last communication step, and what they are found with */
+    /* largest magnitudes within the last communication step, and the samples that they are found from */
+    double *peaks;
     double *jacobian;      /* of the last communication step */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
@@ -99,26 +101,30 @@ typedef struct Instance {
     int broken;      /* how many */
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
-    long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
+    /* evaluations in the tally that steps took from the outputs instead of making them, since the motion began */
+    long shared;
     int within; /* whether the next step goes on in a communication step that began before */
     int crossings; /* jumps that were crossed by the shortest of steps, since there was a longer one */
     long left;  /* internal steps that this communication step may still take */
     double stop; /* time [s] past which the host does not step, as it said; INFINITY where it said none */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
-    int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */
-    void *run;                        /* what that is about */
+    /* called now and then within a run in one call, or NULL; zero ends the run */
+    int (*go_on)(struct Instance *i);
+    void *run;                        /* argument of `go_on` */
     long looks;                       /* how often it might have been asked */
     int ended;                        /* whether it ended the run */
     size_t used, room; /* of scratch */
-    char text[1024];   /* what happened last */
+    char text[1024];   /* last message */
     int warns;         /* whether there is a warning that nobody has read yet */
     char warning[1024];
-    struct Tape *tape; /* what is done is written on it, where there is one (record.h) */
-    struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (instant_derivatives.c) */
-    struct Gradient *of_step;  /* of communication steps, where the scene has an interface Jacobian (interface_jacobian.c) */
+    struct Tape *tape; /* tape that records the calls, or NULL (record.h) */
+    /* derivatives of outputs at an instant, once a host has asked for them (instant_derivatives.c) */
+    struct Gradient *gradient;
+    /* derivatives of communication steps, if the scene has an interface Jacobian (interface_jacobian.c) */
+    struct Gradient *of_step;
 } Instance;
 
-/* What an instance warns of once in a run. */
+/* Warnings that an instance gives once in a run. */
 enum {
     WARNED_OF_BALANCE = 1,
     WARNED_OF_ROUND_OFF = 2,
@@ -154,7 +160,7 @@ static inline double *instance_field(const Instance *i, int offset)
     return i->m + offset;
 }
 
-/* One of the numbers that what can be read ends with. */
+/* One of the diagnostics stored after the outputs. */
 static inline double instance_diagnostic(const Instance *i, int which)
 {
     return i->m[i->scene->seen + i->scene->seen_size - SEEN + which];
@@ -194,8 +200,8 @@ static inline double *instance_states(const Instance *i)
     return instance_field(i, i->scene->z) + i->scene->work + 1;
 }
 
-/* The length of what is left of a communication step or up to an event, from which on no error control is of use: methods
-   that have one leave it to RK4. A host that sums up its steps makes such a last one of what its sum lacks. */
+/* Remainder of a communication step, or distance to an event, below which error control is of no use: other methods
+   leave it to RK4. A host that sums up its steps may add such a last step. */
 static inline double instance_least_step(const Instance *i)
 {
     return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));

@@ -7,7 +7,7 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-/* Where a format and its arguments stand among those of a function. */
+/* Positions of a format and of its first argument among the arguments of a function. */
 #if !defined(PRINTF_LIKE)
 #if defined(__GNUC__)
 #define PRINTF_LIKE(format_at, first) __attribute__((format(printf, format_at, first)))

@@ -1,6 +1,6 @@
 /* Runs the functions and programs of a scene. A function works on the registers of an instance: the constants of the
-   scene, then the arguments, then the result of each operation. The loader has checked every place, so nothing is checked
-   here. */
+   scene, then the arguments, then the result of each operation. The loader has checked every place, so nothing is
+   checked here. */
 
 #include "interpret.h"
 
@@ -18,9 +18,10 @@
 #include "record.h"
 #include "scene.h"
 
-/* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places of 16
-   and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an operation
-   in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n operands. */
+/* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places
+   of 16 and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an
+   operation in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n
+   operands. */
 #define SUM1(a, b, c) (a) + (b) * (c)
 #define SUM2(a, b, c, d, e) (a) + (b) * (c) + (d) * (e)
 #define SUM4(a, b, c, d, e, f, g, h, i) (a) + (b) * (c) + (d) * (e) + (f) * (g) + (h) * (i)
@@ -45,15 +46,16 @@
         for (; count; count--, NEXT(operands)) \
             *d++ = value; \
         break;
-#define SUMS \
-    SUM(SUM1_KIND, 3, SUM1(OPERAND(0), OPERAND(1), OPERAND(2))) \
-    SUM(SUM2_KIND, 5, SUM2(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4))) \
-    SUM(SUM4_KIND, 9, \
-        SUM4(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4), OPERAND(5), OPERAND(6), OPERAND(7), OPERAND(8))) \
-    SUM(PRODUCTS_KIND, 4, PRODUCTS(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3))) \
-    BINARY(PRODUCT_KIND, a *b) \
-    BINARY(PLUS_KIND, a + b) \
-    BINARY(MINUS_KIND, a - b) \
+#define SUMS                                                                                                           \
+    SUM(SUM1_KIND, 3, SUM1(OPERAND(0), OPERAND(1), OPERAND(2)))                                                        \
+    SUM(SUM2_KIND, 5, SUM2(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4)))                                \
+    SUM(SUM4_KIND, 9,                                                                                                  \
+        SUM4(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4), OPERAND(5), OPERAND(6), OPERAND(7),           \
+            OPERAND(8)))                                                                                               \
+    SUM(PRODUCTS_KIND, 4, PRODUCTS(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3)))                                    \
+    BINARY(PRODUCT_KIND, a *b)                                                                                         \
+    BINARY(PLUS_KIND, a + b)                                                                                           \
+    BINARY(MINUS_KIND, a - b)                                                                                          \
     BINARY(OVER_KIND, a / b)
 /* Rare operations are computed by rare_operations.c. */
 #define OTHERS \
@@ -199,7 +201,8 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
         case SUM4_KIND:
             for (; count; count--, at += 9) {
                 const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6);
-                *d++ = SUM4(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]);
+                *d++ = SUM4(
+                    FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]);
             }
             break;
         case PRODUCTS_KIND:
@@ -226,7 +229,7 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
     }
 }
 
-/* What the operations of a function give, once its arguments stand in the registers. */
+/* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
     if (f->narrow)
@@ -259,7 +262,7 @@ void function_call(Instance *i, int which, const double *const *x, double *const
             y[j][e] = r[result(f, k++)];
 }
 
-/* The same with arguments and results in the memory. */
+/* Call a function with arguments and results in the memory. */
 static void call_at(Instance *i, const Function *f, const int32_t *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
@@ -298,7 +301,8 @@ static void call_at(Instance *i, const Function *f, const int32_t *at)
     }
 }
 
-/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not finite. */
+/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not
+   finite. */
 static void solve_dense(Instance *i, int size, const double *matrix, const double *right, double *solution)
 {
     if (isfinite(linear_largest(matrix, size * size)))
@@ -472,7 +476,7 @@ double *lanes_align(double *place)
     return place + (behind ? (line - behind) / sizeof *place : 0);
 }
 
-/* What registers begin with. */
+/* Load the constants into the registers. */
 void registers_load(Instance *i)
 {
     const Scene *s = i->scene;

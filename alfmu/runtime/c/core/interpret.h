@@ -8,13 +8,14 @@
 
 #include "internal_begin.h"
 
-/* What the operations of a function give, once its arguments stand in the registers. */
+/* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values);
 
 /* A function of the scene on arrays; a program on the memory. */
 void function_call(Instance *i, int which, const double *const *x, double *const *y);
 
-/* Registers with what they begin with, once there is room for them: `lanes` from the first place that suits. */
+/* Return the first place at which lanes fill whole cache lines; load the constants into the registers, once these are
+   allocated. */
 double *lanes_align(double *place);
 
 void registers_load(Instance *i);

@@ -11,7 +11,7 @@
 #define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
 #endif
 #endif
-#if defined(BY_PROCESSOR) /* The loader chooses what this processor has, before a thread sanitizer is there. */
+#if defined(BY_PROCESSOR) /* The loader chooses the version for this processor before a thread sanitizer starts. */
 #define PART 4
 #else
 #define BY_PROCESSOR

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 19
+#define SCENE_VERSION 20
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -250,6 +250,7 @@
     X(method) \
     X(rk4_choice) \
     X(automatic) \
+    X(reuses) \
     X(implicit) \
     X(method_cost) \
     X(short_cost) \
@@ -276,17 +277,23 @@
     X(workspace) \
     X(most) \
     X(patient) \
-    X(du) \
     X(slopes) \
     X(within) \
     X(q) \
     X(v) \
-    X(dy) \
     X(struck) \
     X(lost) \
     X(again) \
     X(stabilisation) \
     X(projects) \
+    X(of_least_norm) \
+    X(on_branch) \
+    X(onward) \
+    X(by_classic) \
+    X(by_penalty) \
+    X(by_stiffness) \
+    X(by_baumgarte) \
+    X(by_dae) \
     X(impulse) \
     X(watch1) \
     X(watch2) \
@@ -323,11 +330,8 @@
     X(instant) \
     X(limit) \
     X(move) \
-    X(move_on_branch) \
     X(close) \
     X(impact) \
-    X(sensitivity) \
-    X(limit_sensitivity) \
     X(reach) \
     X(beside) \
     X(branch_step) \
@@ -337,23 +341,10 @@
     X(stiff_step) \
     X(regular_step) \
     X(short_beside) \
-    X(onward) \
-    X(short_onward) \
     X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
-    X(keep) \
-    X(gripping) \
-    X(move_classic) \
-    X(move_penalty) \
-    X(move_stiffness) \
-    X(move_baumgarte) \
-    X(move_dae) \
-    X(instant_classic) \
-    X(instant_penalty) \
-    X(instant_stiffness) \
-    X(instant_baumgarte) \
-    X(instant_dae)
+    X(gripping)
 
 #define SCENE_REALS(X) \
     X(no_slope) \
@@ -372,11 +363,8 @@
     X(instant) \
     X(limit) \
     X(move) \
-    X(move_on_branch) \
     X(close) \
     X(impact) \
-    X(sensitivity) \
-    X(limit_sensitivity) \
     X(reach) \
     X(beside) \
     X(branch_step) \
@@ -386,29 +374,16 @@
     X(stiff_step) \
     X(regular_step) \
     X(short_beside) \
-    X(onward) \
-    X(short_onward) \
     X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
-    X(keep) \
-    X(gripping) \
-    X(move_classic) \
-    X(move_penalty) \
-    X(move_stiffness) \
-    X(move_baumgarte) \
-    X(move_dae) \
-    X(instant_classic) \
-    X(instant_penalty) \
-    X(instant_stiffness) \
-    X(instant_baumgarte) \
-    X(instant_dae)
+    X(gripping)
 
 #define SCENE_OTHERS(X) \
-    X(classic) \
-    X(penalty) \
-    X(stiffness) \
-    X(baumgarte) \
-    X(dae)
+    X(by_classic) \
+    X(by_penalty) \
+    X(by_stiffness) \
+    X(by_baumgarte) \
+    X(by_dae)
 
 #endif

@@ -8,7 +8,7 @@
 #define SWEEPS 60
 #define SURE 1e-8 /* of the largest singular value */
 
-static double product(const double *x, const double *y, int count)
+static double dot_product(const double *x, const double *y, int count)
 {
     double sum = 0.0;
     for (int i = 0; i < count; i++)
@@ -16,7 +16,7 @@ static double product(const double *x, const double *y, int count)
     return sum;
 }
 
-static void rotate(double *x, double *y, int count, double c, double s)
+static void rotate_columns(double *x, double *y, int count, double c, double s)
 {
     for (int i = 0; i < count; i++) {
         const double before = x[i];
@@ -25,25 +25,25 @@ static void rotate(double *x, double *y, int count, double c, double s)
     }
 }
 
-static void swap(double *x, double *y, int count)
+static void swap_columns(double *x, double *y, int count)
 {
-    rotate(x, y, count, 0.0, 1.0);
+    rotate_columns(x, y, count, 0.0, 1.0);
     for (int i = 0; i < count; i++)
         x[i] = -x[i];
 }
 
 /* Makes two columns orthogonal, as Hestenes (1958) does; returns whether they were not yet. */
-static int made_orthogonal(double *x, double *y, int rows, double *vx, double *vy, int columns)
+static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns)
 {
-    const double xx = product(x, x, rows), yy = product(y, y, rows), xy = product(x, y, rows);
+    const double xx = dot_product(x, x, rows), yy = dot_product(y, y, rows), xy = dot_product(x, y, rows);
     double ratio, t, c;
     if (fabs(xy) <= DBL_EPSILON * sqrt(xx) * sqrt(yy))
         return 0;
     ratio = (yy - xx) / (2.0 * xy);
     t = (ratio < 0.0 ? -1.0 : 1.0) / (fabs(ratio) + sqrt(1.0 + ratio * ratio));
     c = 1.0 / sqrt(1.0 + t * t);
-    rotate(x, y, rows, c, c * t);
-    rotate(vx, vy, columns, c, c * t);
+    rotate_columns(x, y, rows, c, c * t);
+    rotate_columns(vx, vy, columns, c, c * t);
     return 1;
 }
 
@@ -57,7 +57,7 @@ void linear_singular_values(int rows, int columns, double *a, double *v, double 
         moved = 0;
         for (int i = 0; i < columns; i++)
             for (int j = i + 1; j < columns; j++)
-                moved |= made_orthogonal(
+                moved |= orthogonalise_columns(
                     a + i * rows, a + j * rows, rows, v + i * columns, v + j * columns, columns);
     }
     for (int i = 0; i < columns; i++)
@@ -68,9 +68,9 @@ void linear_singular_values(int rows, int columns, double *a, double *v, double 
             if (s[j] > s[top])
                 top = j;
         if (top != i) {
-            swap(a + i * rows, a + top * rows, rows);
-            swap(v + i * columns, v + top * columns, columns);
-            swap(s + i, s + top, 1);
+            swap_columns(a + i * rows, a + top * rows, rows);
+            swap_columns(v + i * columns, v + top * columns, columns);
+            swap_columns(s + i, s + top, 1);
         }
     }
 }
@@ -93,7 +93,7 @@ void linear_least_norm(int rows, int columns, const double *a, const double *r, 
     for (int i = 0; i < few && s[i] > least * s[0] && s[i] > 0.0; i++) {
         /* The columns of u are those of U times s. */
         const double *left = wide ? v + i * few : u + i * many, *right = wide ? u + i * many : v + i * few;
-        const double part = product(left, r, rows) / (s[i] * s[i]);
+        const double part = dot_product(left, r, rows) / (s[i] * s[i]);
         for (int j = 0; j < columns; j++)
             x[j] += part * right[j];
     }
@@ -121,7 +121,7 @@ double linear_largest(const double *x, int count)
 
 double linear_norm(const double *x, int count)
 {
-    return sqrt(product(x, x, count));
+    return sqrt(dot_product(x, x, count));
 }
 
 double *envelope_entry(const Envelope *e, double *a, int i, int j)
@@ -137,7 +137,7 @@ void envelope_factor(const Envelope *e, double *a, double least)
         for (int j = e->first[i]; j < i; j++) {
             const double *above = a + e->start[j];
             const int k = e->first[i] > e->first[j] ? e->first[i] : e->first[j];
-            row[j] -= product(row + k, above + k, j - k);
+            row[j] -= dot_product(row + k, above + k, j - k);
         }
         for (int j = e->first[i]; j < i; j++) {
             const double before = row[j];
@@ -153,7 +153,7 @@ void envelope_solve(const Envelope *e, const double *a, const double *b, double 
     for (int i = 0; i < e->size; i++)
         work[e->place[i]] = b[i];
     for (int i = 0; i < e->size; i++)
-        work[i] -= product(a + e->start[i] + e->first[i], work + e->first[i], i - e->first[i]);
+        work[i] -= dot_product(a + e->start[i] + e->first[i], work + e->first[i], i - e->first[i]);
     for (int i = 0; i < e->size; i++)
         work[i] /= a[e->start[i] + i];
     for (int i = e->size; i--;)
@@ -204,7 +204,7 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
                     a[i * size + j] -= by * a[p * size + j];
             }
         }
-        /* The same rows right of them, then what is left. */
+        /* Update the same rows to the right, then the remaining ones. */
         for (int p = k; p < end; p++)
             for (int i = p + 1; i < end; i++)
                 for (int j = end; j < size; j++)

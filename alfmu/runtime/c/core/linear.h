@@ -7,8 +7,8 @@
 
 #include "internal_begin.h"
 
-/* Where the lower half of a sparse symmetric matrix stands, and its factors: rows in an order that keeps the entries of
-   each near its diagonal, each row from its first entry on. */
+/* Envelope of the lower half of a sparse symmetric matrix and of its factors: rows in an order that keeps the
+   entries of each near its diagonal, each row from its first entry on. */
 typedef struct {
     int size;
     const int *place;       /* of each unknown in the order */
@@ -27,8 +27,8 @@ size_t linear_least_norm_work(int rows, int columns);
    alone. `work` holds least_norm_work(rows, columns) numbers. */
 void linear_least_norm(int rows, int columns, const double *a, const double *r, double least, double *x, double *work);
 
-/* Whether a small change of the matrix, square, leaves the rank that the last call found: below the root of round-off no digit of
-   a derivative is left. */
+/* Return whether the rank found last survives a small change of the square matrix: below the root of round-off no
+   digit of a derivative is left. */
 int linear_rank_is_sure(int side, double least, const double *work);
 
 /* The largest |x[i]|, 0 where there is none; not a number where one is not. */
@@ -39,14 +39,15 @@ double linear_norm(const double *x, int count);
 
 double *envelope_entry(const Envelope *e, double *a, int i, int j);
 
-/* Factors L D L' of a, in its place; what is not above zero of D becomes `least`. */
+/* Factorise a = L D L' in place; pivots that are not above zero become `least`. */
 void envelope_factor(const Envelope *e, double *a, double least);
 
 /* x with L D L' x = b; x and b may be the same. `work` holds `size` numbers. */
 void envelope_solve(const Envelope *e, const double *a, const double *b, double *x, double *work);
 
 /* Factors of the matrix of blocks * blocks parts (n, n), and a solution by them. */
-void linear_factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
+void linear_factor(
+    int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
 
 void linear_solve(int n, int s, const double *a, const double *order, const double *const *right, double *x);
 

@@ -38,7 +38,7 @@ void instance_warn(Instance *i, int of, const char *format, ...)
     va_end(arguments);
 }
 
-/* A value for a message: some C libraries write the sign of what is no number, which means nothing. */
+/* Return a value for a message: some C libraries print the sign of NaN, which is dropped. */
 double message_number(double value)
 {
     return isnan(value) ? fabs(value) : value;

@@ -5,7 +5,7 @@
 
 #include "internal_begin.h"
 
-/* What a rare operation gives for its operands a and b, and its derivatives by them. */
+/* Value of a rare operation for its operands a and b, and its partial derivatives. */
 double operation_value(int kind, double a, double b);
 
 void operation_partials(int kind, double a, double b, double of[2]);

@@ -43,8 +43,8 @@ void tape_clear(Tape *t)
     t->factors = -1;
 }
 
-/* More room, twice what there was; 0 where there is no memory. */
-static int widened(void **array, size_t *room, size_t needed, size_t each)
+/* Double the room of an array until it suffices; return 0 if there is no memory. */
+static int widen_array(void **array, size_t *room, size_t needed, size_t each)
 {
     size_t wanted = *room ? *room : BEGIN_ROOM;
     void *made;
@@ -66,9 +66,9 @@ Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t number
     Entry *e;
     if (!t || t->paused || t->lost)
         return NULL;
-    t->lost = !(widened((void **)&t->entries, &t->room.entries, t->used.entries + 1, sizeof *t->entries)
-        && widened((void **)&t->words, &t->room.words, t->used.words + words, sizeof *t->words)
-        && widened((void **)&t->numbers, &t->room.numbers, t->used.numbers + numbers, sizeof *t->numbers));
+    t->lost = !(widen_array((void **)&t->entries, &t->room.entries, t->used.entries + 1, sizeof *t->entries)
+        && widen_array((void **)&t->words, &t->room.words, t->used.words + words, sizeof *t->words)
+        && widen_array((void **)&t->numbers, &t->room.numbers, t->used.numbers + numbers, sizeof *t->numbers));
     if (t->lost)
         return NULL;
     e = t->entries + t->used.entries++;
@@ -92,6 +92,12 @@ void tape_cut(Instance *i, Mark mark)
     }
 }
 
+void tape_begin_reading(Instance *i)
+{
+    if (i->tape)
+        i->tape->reading = i->tape->used;
+}
+
 int tape_pause(Instance *i, int paused)
 {
     const int before = i->tape ? i->tape->paused : 0;
@@ -100,9 +106,9 @@ int tape_pause(Instance *i, int paused)
     return before;
 }
 
-/* Where what has no derivative stands in the memory: step size, step control, tallies, and settings but for what stands for
-   penalties where a rank is frozen, which is the last of them. */
-static int passive(const Scene *s, ptrdiff_t in_memory)
+/* Return whether a place of the memory has no derivative: step size, step control, tallies, and settings but the
+   penalties of a frozen rank, which are the last of them. */
+static int has_no_derivative(const Scene *s, ptrdiff_t in_memory)
 {
     return in_memory >= (s->brakes ? s->dt : s->k) && in_memory < s->past;
 }
@@ -110,7 +116,7 @@ static int passive(const Scene *s, ptrdiff_t in_memory)
 int32_t tape_place_of(const Instance *i, const double *number)
 {
     const ptrdiff_t place = number - i->numbers, end = i->scratch + i->room - i->numbers;
-    if (number < i->numbers || place >= end || passive(i->scene, number - i->m))
+    if (number < i->numbers || place >= end || has_no_derivative(i->scene, number - i->m))
         return -1;
     return (int32_t)place;
 }
@@ -132,7 +138,7 @@ void tape_call_at(Instance *i, const Function *f, const int32_t *at)
     words = i->tape->words + e->words;
     saved = i->tape->numbers + e->numbers;
     for (int j = 0; j < each; j++)
-        words[j] = passive(s, at[j]) ? -1 : (int32_t)(at[j] + base);
+        words[j] = has_no_derivative(s, at[j]) ? -1 : (int32_t)(at[j] + base);
     for (int j = 0; j < f->inputs; saved += f->lengths[j++])
         memcpy(saved, i->m + at[j], (size_t)f->lengths[j] * sizeof *saved);
 }
@@ -313,18 +319,20 @@ static void tape_correction(Instance *i, Taped kind, const unsigned char *held, 
     to[n + count] = part;
 }
 
-void tape_closing(Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part)
+void tape_closing(
+    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part)
 {
     tape_correction(i, CLOSED, held, q, NULL, dq, lam, part);
 }
 
-void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam)
+void tape_rating(
+    Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam)
 {
     tape_correction(i, RATED, held, q, v, dv, lam, 1.0);
 }
 
-/* S5: a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the combinations that
-   are kept have the projector P = sum v v', whose differential is the sum over each kept k and each other j of
+/* S5: a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the combinations
+   that are kept have the projector P = sum v v', whose differential is the sum over each kept k and each other j of
    (v_j v_k' + v_k v_j') (b_k' dA v_j + b_j' dA v_k) / (s_k^2 - s_j^2). */
 
 void tape_holding(Instance *i, const double *q, const double *matrix)

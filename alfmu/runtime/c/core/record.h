@@ -1,10 +1,10 @@
-/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it was
-   called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers, accepted steps
-   and ranks are those that were taken.
+/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it
+   was called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers,
+   accepted steps and ranks are those that were taken.
 
-   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies) has
-   the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between calls needs
-   no words here. */
+   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies)
+   has the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between
+   calls needs no words here. */
 
 #ifndef ALFMU_RECORD_H
 #define ALFMU_RECORD_H
@@ -14,6 +14,7 @@
 
 #include "instance.h"
 #include "scene.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
@@ -23,7 +24,8 @@ typedef enum {
     CLEARED,      /* to, how many */
     COMBINED,     /* a number as a sum: to, from each; the factor of each */
     FACTORED,     /* n, blocks, terms, weights, parts, factors; weights and parts */
-    SOLVED,       /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    SOLVED,
     LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
     CLOSED,       /* a Gauss-Newton step of the start (start_derivatives.c) */
     RATED,        /* a correction of the start's velocities (start_derivatives.c) */
@@ -36,7 +38,7 @@ typedef struct {
     size_t words, numbers;
 } Entry;
 
-/* How far a tape has come. */
+/* A position on a tape. */
 typedef struct {
     size_t entries, words, numbers;
 } Mark;
@@ -57,6 +59,7 @@ typedef struct Tape Tape;
 /* Numbers of an entry: arguments of the closure (and of the constraints), which rows are held, x, lam; the part. */
 enum { PLACE_Q, PLACE_P, PLACE_STARTS, PLACE_V, PLACE_RATES, PLACE_COUNT };
 
+#if HAS_DERIVATIVES
 Tape *tape_new(void);
 void tape_free(Tape *t);
 size_t tape_bytes(const Tape *t);
@@ -65,10 +68,13 @@ void tape_clear(Tape *t);
 /* Room for an entry with so many words and numbers; NULL where there is none, or no tape. */
 Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers);
 
-/* What an instance does from here on is on its tape, where it has one. */
+/* Mark a position on the tape, and cut the tape there. */
 Mark tape_mark(const Instance *i);
 
 void tape_cut(Instance *i, Mark mark);
+
+/* Outputs are read from here on. */
+void tape_begin_reading(Instance *i);
 
 /* Writes nothing down from here on, or goes on; returns how it was before. */
 int tape_pause(Instance *i, int paused);
@@ -86,13 +92,69 @@ void tape_solve(Instance *i, int n, int blocks, const double *factors, const dou
 void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x);
 size_t arguments_of(const Function *f);
 
-/* What an entry of a tape says of a step of the assembly, and of a correction of its velocities. */
-void tape_closing(Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
+/* Record a step of the assembly, and a correction of its velocities. */
+void tape_closing(
+    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
 
-void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
+void tape_rating(
+    Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
 
-/* The same of constraints that are combined to those of a frozen rank, at q. */
+/* Record the constraints of a frozen rank at q. */
 void tape_holding(Instance *i, const double *q, const double *matrix);
+#else
+static inline Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers)
+{
+    return (void)i, (void)kind, (void)what, (void)words, (void)numbers, NULL;
+}
+static inline Mark tape_mark(const Instance *i)
+{
+    const Mark none = {0, 0, 0};
+    return (void)i, none;
+}
+static inline void tape_cut(Instance *i, Mark mark) { (void)i, (void)mark; }
+static inline void tape_begin_reading(Instance *i) { (void)i; }
+static inline int tape_pause(Instance *i, int paused) { return (void)i, paused; }
+static inline int32_t tape_place_of(const Instance *i, const double *number) { return (void)i, (void)number, -1; }
+static inline void tape_call_at(Instance *i, const Function *f, const int32_t *at) { (void)i, (void)f, (void)at; }
+static inline void tape_call(Instance *i, int which, const double *const *x, double *const *y)
+{
+    (void)i, (void)which, (void)x, (void)y;
+}
+static inline void tape_copy(Instance *i, const double *to, const double *from, size_t count)
+{
+    (void)i, (void)to, (void)from, (void)count;
+}
+static inline void tape_clearing(Instance *i, const double *to, size_t count) { (void)i, (void)to, (void)count; }
+static inline void tape_sum(Instance *i, const double *to, int terms, const double *const *from, const double *by)
+{
+    (void)i, (void)to, (void)terms, (void)from, (void)by;
+}
+static inline void tape_factor(Instance *i, int n, int blocks, int terms, const double *weights,
+    const double *const *parts, const double *factors, const double *order)
+{
+    (void)i, (void)n, (void)blocks, (void)terms, (void)weights, (void)parts, (void)factors, (void)order;
+}
+static inline void tape_solve(Instance *i, int n, int blocks, const double *factors, const double *order,
+    const double *const *right, const double *x)
+{
+    (void)i, (void)n, (void)blocks, (void)factors, (void)order, (void)right, (void)x;
+}
+static inline void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x)
+{
+    (void)i, (void)side, (void)matrix, (void)right, (void)x;
+}
+static inline void tape_closing(
+    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part)
+{
+    (void)i, (void)held, (void)q, (void)dq, (void)lam, (void)part;
+}
+static inline void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v,
+    const double *dv, const double *lam)
+{
+    (void)i, (void)held, (void)q, (void)v, (void)dv, (void)lam;
+}
+static inline void tape_holding(Instance *i, const double *q, const double *matrix) { (void)i, (void)q, (void)matrix; }
+#endif
 
 #include "internal_end.h"
 

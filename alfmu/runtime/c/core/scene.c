@@ -1,7 +1,7 @@
 /* Loads a scene from its file, and checks everything in it once, so that nothing has to be checked while it runs.
 
-   A file is `ALFMU\r\n\x1a`, the version, the length of the whole, a check sum of what follows it, an identity, and the body;
-   all numbers are little-endian. */
+   A file is `ALFMU\r\n\x1a`, the version, the length of the whole, a check sum of what follows it, an identity, and
+   the body; all numbers are little-endian. */
 
 #include "scene.h"
 
@@ -12,14 +12,15 @@
 #include <string.h>
 
 #include "layout.h"
+#include "scene_features.h"
 #include "scene_functions.h"
 #include "scene_programs.h"
 #include "scene_reader.h"
 #include "scene_sizes.h"
 #include "scene_tables.h"
 
-/* Limits of stops, and what they are of. */
-static void limits(Reader *r)
+/* Read the limits of stops. */
+static void read_limits(Reader *r)
 {
     Scene *s = r->scene;
     const Function *f = reader_check_between(s->stops, 0, s->function_count) ? s->functions + s->stops : NULL;
@@ -31,10 +32,11 @@ static void limits(Reader *r)
     }
     s->limited = made;
     s->limit_count = count;
-    function_is_shaped(r, "stops", s->stops, 0, 2, 2, s->n, s->own + s->held, count, (int64_t)count * s->n < INT32_MAX ? count * s->n : 0);
+    function_is_shaped(r, "stops", s->stops, 0, 2, 2, s->n, s->own + s->held, count,
+        (int64_t)count * s->n < INT32_MAX ? count * s->n : 0);
 }
 
-/* Whether what the runtime itself reads and writes is within the memory. */
+/* Check that the fields that the runtime accesses are within the memory. */
 static void check_memory(Reader *r)
 {
     const Scene *s = r->scene;
@@ -44,16 +46,22 @@ static void check_memory(Reader *r)
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
         {s->k, scene_settings_length(s)}, {s->dt, 1}, {s->control, CONTROL}, {s->tally, TALLY}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
-      handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
-          {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
-          {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
-          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
-          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
+      handed[] = {{s->most, 1}, {s->patient, 1}, {s->slopes, s->inputs + 1}, {s->within, 1}, {s->q, s->n}, {s->v, s->n},
+          {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH}, {s->watch4, WATCH},
+          {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n}, {s->v3, s->n},
+          {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->of_least_norm, 1},
+          {s->on_branch, 1}, {s->onward, 1},
+#define CHOSEN(name) {s->name, 1},
+          SCENE_OTHERS(CHOSEN)
+#undef CHOSEN
+              {s->struck, s->n},
+          {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!reader_check_between(s->size, 1, MOST_NUMBERS) || !reader_check_between(s->workspace, 0, MOST_NUMBERS))
         reader_spoil(r, "its memory has %d numbers", s->size);
     if (s->counted > s->angles || s->counted > s->held)
         reader_spoil(r, "its angles contradict each other");
-    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->change != s->time + 2 || s->near != s->time + 4)
+    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->change != s->time + 2
+        || s->near != s->time + 4)
         reader_spoil(r, "its state contradicts itself");
     if (!reader_check_between(s->monitor_position, -1, s->outputs - s->event_count)
         || !reader_check_between(s->monitor_velocity, -1, s->outputs - s->event_count)
@@ -92,6 +100,24 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     for (; count; count--, at++)
         sum = table[0][(sum ^ *at) & 255] ^ sum >> 8;
     return sum;
+}
+
+/* Check that this library, which may be of one scene alone, has the features that the scene needs. */
+static void check_features(Reader *r)
+{
+    const Scene *s = r->scene;
+    const struct {
+        int has, needed;
+        const char *what;
+    } features[] = {{HAS_FRICTION, s->frictions, "dry friction"},
+        {HAS_MOVING_INPUTS, s->followed_count, "inputs that move something"},
+        {HAS_SWITCHES, s->switches, "Boolean inputs"}, {HAS_BREAKS, s->break_count, "forces that jump"},
+        {HAS_LAWS, s->leap_count, "laws of motion"}, {HAS_PEAKS, s->peaks, "peaks"},
+        {HAS_ERROR_CONTROL, s->method, "this solver.method"},
+        {HAS_INTERFACE_JACOBIAN, s->entries, "an interface Jacobian"}};
+    for (size_t k = 0; k < sizeof features / sizeof *features; k++)
+        if (features[k].needed && !features[k].has)
+            reader_spoil(r, "this library was compiled for a scene without %s", features[k].what);
 }
 
 static void read_body(Reader *r)
@@ -137,11 +163,12 @@ static void read_body(Reader *r)
     if (!r->bad)
         tables_read_leaps(r);
     if (!r->bad)
-        limits(r);
+        read_limits(r);
     if (!r->bad && r->at != r->end)
         tables_read_jacobian(r);
     if (!r->bad && r->at != r->end)
         reader_spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+    check_features(r);
 }
 
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
@@ -156,8 +183,8 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     if (size < HEAD || memcmp(bytes, magic, sizeof magic - 1))
         reader_spoil(&r, "it is not a scene file");
     else if (bytes_little(bytes + 8, 4) != SCENE_VERSION)
-        reader_spoil(&r, "its version is %u and this runtime reads %u; export it again", (unsigned)bytes_little(bytes + 8, 4),
-            (unsigned)SCENE_VERSION);
+        reader_spoil(&r, "its version is %u and this runtime reads %u; export it again",
+            (unsigned)bytes_little(bytes + 8, 4), (unsigned)SCENE_VERSION);
     else if (bytes_little(bytes + 12, 4) != size)
         reader_spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)bytes_little(bytes + 12, 4));
     else if (bytes_little(bytes + 16, 8) != (uint32_t)~scene_check_sum(CHECK_BEGIN, bytes + 24, size - 24))

@@ -26,7 +26,7 @@ typedef struct {
     int instant; /* whether it follows inputs at once */
 } Variable;
 
-/* A variable that is text, and what it can be. */
+/* A text variable and its possible values. */
 typedef struct {
     int count, start;
     const char *const *values;
@@ -54,36 +54,36 @@ typedef struct {
     double jump;
 } Followed;
 
-/* What is heard of it: how many points, of which derivative, their times and values. */
+/* History of such an input: the number of points, the derivative that they are of, their times and values. */
 #define HEARD_POINTS 3
 #define HEARD (2 + 2 * HEARD_POINTS)
 
-/* A law of time that may jump, or not be finite: what it is, the units of it and of its rate, the constraint with which alone it counts, -1
-   where it always does. */
+/* A law of time that may jump or may not be finite: its name, its unit and that of its rate, and the constraint that
+   it belongs to, -1 if it is always active. */
 typedef struct {
     const char *what, *unit, *rate_unit;
     int row;
 } Leap;
 
-/* A limit of a stop: its name, and the unit of what it limits. */
+/* A limit of a stop: its name and its unit. */
 typedef struct {
     const char *name, *unit;
 } Limit;
 
-/* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the direction
-   in which it slides stand among what is kept; whether its load is not unique. */
+/* A joint with dry friction: its row, which is in force while it sticks; places of its sticking displacement and of
+   its sliding direction among the discrete states; whether its load is not unique. */
 typedef struct {
     int row, value, slip, shared;
 } Friction;
 
-/* Where the nonzeros of a matrix stand, by columns. */
+/* Nonzeros of a matrix, by columns. */
 typedef struct {
     int rows, columns, entries;
     const int *offsets, *indices;
 } Pattern;
 
-/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it, which
-   is one of so many directions. */
+/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it,
+   which is one of so many directions. */
 typedef struct {
     int output, input, direction;
 } Jacobian_entry;
@@ -97,7 +97,7 @@ typedef struct {
     const int32_t *wide;
     size_t words;
     int registers; /* numbers that it works on, constants included */
-    Compiled *compiled; /* in its place, where there is one */
+    Compiled *compiled; /* compiled code that replaces it, or NULL */
 } Function;
 
 /* Calls of functions on the memory of an instance, choices, loops. */
@@ -106,8 +106,8 @@ typedef struct {
     size_t words;
 } Program;
 
-/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory or the
-   workspace something is (-1 for none). */
+/* The content of a scene file, written by alfmu/kernel/tables.py. Numbers name functions and programs, or are places
+   in the memory or the workspace (-1: none). */
 typedef struct {
     const char *name;
     char guid[40];
@@ -130,7 +130,7 @@ typedef struct {
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
     const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */
-    const int *break_levels; /* of what changes its sign where something jumps or bends by itself */
+    const int *break_levels; /* level of each function whose change of sign is a jump or a bend */
     const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
     int timed;               /* whether time is the last coordinate */
     int followed_count;

@@ -11,28 +11,27 @@
 #include "scene_reader.h"
 #include "scene_sizes.h"
 
-/* Whether runs keep within their list and use what is there before them; `values` counts what they give. `next` reads
-   the word at a place. */
+/* State of the check of a function: runs must stay within their list and use known values only. */
 typedef struct {
     const Function *f;
     size_t at;
-    int64_t known; /* places before what comes next */
+    int64_t known; /* number of places known so far */
     Reader *reader;
 } Checked;
 
-static int64_t word(const Checked *c, size_t at)
+static int64_t word_at(const Checked *c, size_t at)
 {
     return c->f->narrow ? (int64_t)c->f->narrow[at] : (int64_t)c->f->wide[at];
 }
 
-static int operands_of(int64_t kind)
+static int operand_count(int64_t kind)
 {
     static const unsigned char counts[] = {OPERAND_COUNTS};
     return counts[kind];
 }
 
-/* Whether an operation of `count` passes uses what is known before it; `more` are values that each pass adds. */
-static int within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
+/* Return whether an operand is known in each pass; each pass adds `more` values. */
+static int are_within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
 {
     const int64_t last = first + (passes - 1) * step;
     /* Between them both sides change evenly, so that the ends tell. */
@@ -40,38 +39,38 @@ static int within_passes(int64_t first, int64_t step, int64_t known, int64_t pas
 }
 
 /* The operands of an operation in passes, from where the check is. */
-static void checked_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
+static void check_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
 {
-    for (int k = 0; k < operands_of(kind); k++, c->at += 2)
-        if (!within_passes(word(c, c->at), word(c, c->at + 1), known, passes, more))
+    for (int k = 0; k < operand_count(kind); k++, c->at += 2)
+        if (!are_within_passes(word_at(c, c->at), word_at(c, c->at + 1), known, passes, more))
             reader_spoil(c->reader, "a loop uses what is not known yet");
 }
 
 /* One pass of a loop, of which there are `passes`, up to `end`. */
-static void checked_body(Checked *c, size_t end, int64_t passes, int64_t values)
+static void check_body(Checked *c, size_t end, int64_t passes, int64_t values)
 {
     int64_t made = 0;
     while (end - c->at >= 2 && !c->reader->bad) {
-        const int64_t kind = word(c, c->at);
-        int64_t count = word(c, c->at + 1);
+        const int64_t kind = word_at(c, c->at);
+        int64_t count = word_at(c, c->at + 1);
         c->at += 2;
         if (kind < 0 || kind >= KIND_COUNT) {
             reader_spoil(c->reader, "there is no operation %d in a loop", (int)kind);
             return;
         }
-        if (count < 0 || (uint64_t)count > (end - c->at) / (2 * (unsigned)operands_of(kind))) {
+        if (count < 0 || (uint64_t)count > (end - c->at) / (2 * (unsigned)operand_count(kind))) {
             reader_spoil(c->reader, "a loop of a function is damaged");
             return;
         }
         for (; count > 0; count--, made += VALUES_OF(kind))
-            checked_passes(c, kind, c->known + made, passes, values);
+            check_passes(c, kind, c->known + made, passes, values);
     }
     if (c->at != end || made != values)
         reader_spoil(c->reader, "a loop of a function is damaged");
 }
 
-/* What stands in wide functions alone; 0 where it is none of it. */
-static int checked_loop(Checked *c, int64_t kind, int64_t count)
+/* Check loops, which only wide functions have. Return 0 if there is none here. */
+static int check_loop(Checked *c, int64_t kind, int64_t count)
 {
     const size_t left = c->f->words - c->at;
     if (!c->f->wide || (kind != LOOP_KIND && kind != EACH_KIND && kind != GATHER_KIND))
@@ -84,26 +83,26 @@ static int checked_loop(Checked *c, int64_t kind, int64_t count)
             return 1;
         }
         for (int64_t k = 0; k < count; k++, c->at++)
-            if (word(c, c->at) < 0 || word(c, c->at) >= c->known)
+            if (word_at(c, c->at) < 0 || word_at(c, c->at) >= c->known)
                 reader_spoil(c->reader, "a function copies what is not known yet");
         c->known += count;
     } else if (kind == EACH_KIND) {
-        const int64_t each = word(c, c->at);
-        if (each < 0 || each >= KIND_COUNT || left - 1 < 2 * (size_t)operands_of(each)) {
+        const int64_t each = word_at(c, c->at);
+        if (each < 0 || each >= KIND_COUNT || left - 1 < 2 * (size_t)operand_count(each)) {
             reader_spoil(c->reader, "a loop of a function is damaged");
             return 1;
         }
         c->at++;
-        checked_passes(c, each, c->known, count, 0);
+        check_passes(c, each, c->known, count, 0);
         c->known += count * VALUES_OF(each);
     } else {
-        const int64_t values = word(c, c->at), body = word(c, c->at + 1);
+        const int64_t values = word_at(c, c->at), body = word_at(c, c->at + 1);
         if (values < 1 || values > MOST_NUMBERS / count || body < 0 || (uint64_t)body > left - 2) {
             reader_spoil(c->reader, "a loop of a function is damaged");
             return 1;
         }
         c->at += 2;
-        checked_body(c, c->at + (size_t)body, count, values);
+        check_body(c, c->at + (size_t)body, count, values);
         c->known += count * values;
     }
     if (c->known > MOST_NUMBERS)
@@ -111,7 +110,7 @@ static int checked_loop(Checked *c, int64_t kind, int64_t count)
     return 1;
 }
 
-static void checked_function(Reader *r, Function *f)
+static void check_function(Reader *r, Function *f)
 {
     Checked c = {f, 0, r->scene->constant_count, r};
     for (int k = 0; k < f->inputs; k++)
@@ -123,27 +122,27 @@ static void checked_function(Reader *r, Function *f)
             reader_spoil(r, "a function is damaged");
             return;
         }
-        operation = word(&c, c.at);
-        count = word(&c, c.at + 1);
+        operation = word_at(&c, c.at);
+        count = word_at(&c, c.at + 1);
         c.at += 2;
-        if (checked_loop(&c, operation, count))
+        if (check_loop(&c, operation, count))
             continue;
         if (operation < 0 || operation >= KIND_COUNT) {
             reader_spoil(r, "there is no operation %d", (int)operation);
             return;
         }
-        operands = operands_of(operation);
+        operands = operand_count(operation);
         if (count < 0 || (uint64_t)count > (f->words - c.at) / (unsigned)operands) {
             reader_spoil(r, "a function is damaged");
             return;
         }
         for (; count > 0; count--, c.known += VALUES_OF(operation))
             for (int k = 0; k < operands; k++, c.at++)
-                if (word(&c, c.at) < 0 || word(&c, c.at) >= c.known)
+                if (word_at(&c, c.at) < 0 || word_at(&c, c.at) >= c.known)
                     reader_spoil(r, "an operation uses what is not known yet");
     }
     for (size_t k = 0; k < (size_t)f->results && !r->bad; k++)
-        if (word(&c, f->words + k) < 0 || word(&c, f->words + k) >= c.known)
+        if (word_at(&c, f->words + k) < 0 || word_at(&c, f->words + k) >= c.known)
             reader_spoil(r, "a function gives what it does not know");
     if (c.known > MOST_NUMBERS) {
         reader_spoil(r, "a function is too long");
@@ -155,7 +154,8 @@ static void checked_function(Reader *r, Function *f)
 }
 
 /* Places from differences to those before, `step` words from each other; from `first` on they count back from `end`. */
-static void sum_up(const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
+static void sum_differences(
+    const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
 {
     uint16_t sum = 0;
     for (size_t k = 0; k < count; k++) {
@@ -166,7 +166,7 @@ static void sum_up(const uint16_t *differences, size_t count, uint32_t first, ui
 
 /* Words and results of a function whose places have 16 bits. In the file there are the kinds of its runs and how many
    operations each has, then the operands, then the results; of a run all first operands come before the second ones. */
-static void narrow_function(Reader *r, Function *f, int64_t first)
+static void read_narrow(Reader *r, Function *f, int64_t first)
 {
     size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
     const uint16_t *head = narrow_integers(r, &heads), *operand = narrow_integers(r, &left);
@@ -177,14 +177,14 @@ static void narrow_function(Reader *r, Function *f, int64_t first)
         return;
     for (; k + 1 < heads; k += 2) {
         const unsigned kind = head[k], count = head[k + 1];
-        const unsigned each = kind < KIND_COUNT ? (unsigned)operands_of(kind) : 0;
+        const unsigned each = kind < KIND_COUNT ? (unsigned)operand_count(kind) : 0;
         if (!each || count > left / each)
             break;
         made[words++] = (uint16_t)kind;
         made[words++] = (uint16_t)count;
         end += count * VALUES_OF(kind);
         for (unsigned j = 0; j < each; j++, operand += count)
-            sum_up(operand, count, (uint32_t)first, end, made + words + j, each);
+            sum_differences(operand, count, (uint32_t)first, end, made + words + j, each);
         words += count * each;
         left -= count * each;
     }
@@ -192,13 +192,13 @@ static void narrow_function(Reader *r, Function *f, int64_t first)
         reader_spoil(r, "a function is damaged");
         return;
     }
-    sum_up(result, results, (uint32_t)first, end, made + words, 1);
+    sum_differences(result, results, (uint32_t)first, end, made + words, 1);
     f->narrow = made;
     f->words = words;
     f->results = (int)results;
 }
 
-static void function(Reader *r, Function *f)
+static void read_function(Reader *r, Function *f)
 {
     size_t inputs = 0, outputs = 0;
     const int32_t *in = reader_integers(r, -1, &inputs), *out = reader_integers(r, -1, &outputs);
@@ -246,14 +246,14 @@ static void function(Reader *r, Function *f)
         f->words = words;
         f->results = (int)all;
     } else {
-        narrow_function(r, f, known);
+        read_narrow(r, f, known);
     }
     if (!r->bad && f->results != all)
         reader_spoil(r, "a function gives %d numbers in place of %d", f->results, (int)all);
-    checked_function(r, f);
+    check_function(r, f);
 }
 
-/* Whether a function that the runtime calls takes and gives what it hands over. */
+/* Check the arguments and results of a function that the runtime calls. */
 void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...)
 {
     const Scene *s = r->scene;
@@ -273,9 +273,9 @@ void function_is_shaped(Reader *r, const char *name, int which, int needed, int 
     }
     va_start(lengths, outputs);
     for (int k = 0; k < inputs + outputs; k++) {
-        const int wanted = va_arg(lengths, int);
-        if (f->lengths[k] != wanted)
-            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], wanted);
+        const int needed_length = va_arg(lengths, int);
+        if (f->lengths[k] != needed_length)
+            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], needed_length);
     }
     va_end(lengths);
 }
@@ -292,17 +292,21 @@ void functions_read(Reader *r)
     count = reader_length(r);
     made = reader_has(r, count, 20) ? reader_alloc(r, count + 1, sizeof *made) : NULL;
     for (size_t k = 0; k < count && !r->bad; k++)
-        function(r, made + k);
+        read_function(r, made + k);
     s->functions = made;
     s->function_count = (int)count;
-    function_is_shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, scene_driven(s), P, 1, s->mass.entries, s->constraint.entries, n, l);
-    function_is_shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
+    function_is_shaped(
+        r, "dynamics", s->dynamics, 1, 5, 4, n, n, scene_driven(s), P, 1, s->mass.entries, s->constraint.entries, n, l);
+    function_is_shaped(
+        r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
     function_is_shaped(r, "energy", s->energy, 1, 3, 2, n, n, P, 1, 1);
-    function_is_shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
+    function_is_shaped(
+        r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
     function_is_shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     function_is_shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
     function_is_shaped(r, "sliding", s->sliding, s->frictions > 0, 3, 1, n, n, P, s->frictions);
-    function_is_shaped(r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
+    function_is_shaped(
+        r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
     function_is_shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
     function_is_shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
     function_is_shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);

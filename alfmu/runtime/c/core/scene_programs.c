@@ -9,12 +9,12 @@
 #include "scene.h"
 #include "scene_reader.h"
 
-static int within(const Reader *r, int64_t place, int64_t length)
+static int is_within(const Reader *r, int64_t place, int64_t length)
 {
     return place >= 0 && length >= 0 && place + length <= (int64_t)r->scene->size + r->scene->workspace;
 }
 
-static void checked_program(Reader *r, const int32_t *code, size_t words, int depth)
+static void check_program(Reader *r, const int32_t *code, size_t words, int depth)
 {
     const Scene *s = r->scene;
     size_t at = 0;
@@ -26,65 +26,68 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
         switch (code[at]) {
         case CALL_CODE: {
             const Function *f = left ? s->functions + c[0] : NULL;
-            if (!left || !reader_check_between(c[0], 0, s->function_count) || left - 1 < (size_t)(f->inputs + f->outputs)) {
+            if (!left || !reader_check_between(c[0], 0, s->function_count)
+                || left - 1 < (size_t)(f->inputs + f->outputs)) {
                 reader_spoil(r, "a program calls what is not there");
                 return;
             }
             for (int k = 0; k < f->inputs + f->outputs; k++)
-                if (!within(r, c[1 + k], f->lengths[k]))
+                if (!is_within(r, c[1 + k], f->lengths[k]))
                     reader_spoil(r, "a program leaves the memory");
             at += 2 + (size_t)(f->inputs + f->outputs);
             break;
         }
         case CHOICE_CODE:
-            if (left < 3 || !within(r, c[0], 1) || c[1] < 0 || c[2] < 0 || (size_t)c[1] > left - 3
+            if (left < 3 || !is_within(r, c[0], 1) || c[1] < 0 || c[2] < 0 || (size_t)c[1] > left - 3
                 || (size_t)c[2] > left - 3 - (size_t)c[1]) {
                 reader_spoil(r, "a choice of a program is damaged");
                 return;
             }
-            checked_program(r, c + 3, (size_t)c[1], depth + 1);
-            checked_program(r, c + 3 + c[1], (size_t)c[2], depth + 1);
+            check_program(r, c + 3, (size_t)c[1], depth + 1);
+            check_program(r, c + 3 + c[1], (size_t)c[2], depth + 1);
             at += 4 + (size_t)c[1] + (size_t)c[2];
             break;
         case LOOP_CODE:
-            if (left < 3 || !within(r, c[0], 1) || (c[1] < 0 && !within(r, -1 - (int64_t)c[1], 1)) || c[2] < 0
+            if (left < 3 || !is_within(r, c[0], 1) || (c[1] < 0 && !is_within(r, -1 - (int64_t)c[1], 1)) || c[2] < 0
                 || (size_t)c[2] > left - 3) {
                 reader_spoil(r, "a loop of a program is damaged");
                 return;
             }
-            checked_program(r, c + 3, (size_t)c[2], depth + 1);
+            check_program(r, c + 3, (size_t)c[2], depth + 1);
             at += 4 + (size_t)c[2];
             break;
         case FACTOR_CODE: {
             int64_t side, parts;
-            if (left < 6 || !reader_check_between(c[0], 1, 10000) || !reader_check_between(c[1], 1, 100) || !reader_check_between(c[2], 1, 100)) {
+            if (left < 6 || !reader_check_between(c[0], 1, 10000) || !reader_check_between(c[1], 1, 100)
+                || !reader_check_between(c[2], 1, 100)) {
                 reader_spoil(r, "a factorisation of a program is damaged");
                 return;
             }
             side = (int64_t)c[0] * c[1];
             parts = (int64_t)c[1] * c[2];
-            if (parts > MOST_ARGUMENTS || left < 6 + (size_t)parts || !within(r, c[3], c[1] * parts)
-                || !within(r, c[4 + parts], side * side) || !within(r, c[5 + parts], side)) {
+            if (parts > MOST_ARGUMENTS || left < 6 + (size_t)parts || !is_within(r, c[3], c[1] * parts)
+                || !is_within(r, c[4 + parts], side * side) || !is_within(r, c[5 + parts], side)) {
                 reader_spoil(r, "a factorisation of a program is damaged");
                 return;
             }
             for (int64_t k = 0; k < parts; k++)
-                if (!within(r, c[4 + k], (int64_t)c[0] * c[0]))
+                if (!is_within(r, c[4 + k], (int64_t)c[0] * c[0]))
                     reader_spoil(r, "a program leaves the memory");
             at += 7 + (size_t)parts;
             break;
         }
         case SOLVE_CODE: {
             int64_t side;
-            if (left < 5 || !reader_check_between(c[0], 1, 10000) || !reader_check_between(c[1], 1, MOST_ARGUMENTS) || left < 5 + (size_t)c[1]) {
+            if (left < 5 || !reader_check_between(c[0], 1, 10000) || !reader_check_between(c[1], 1, MOST_ARGUMENTS)
+                || left < 5 + (size_t)c[1]) {
                 reader_spoil(r, "a solution of a program is damaged");
                 return;
             }
             side = (int64_t)c[0] * c[1];
-            if (!within(r, c[2], side * side) || !within(r, c[3], side) || !within(r, c[4 + c[1]], side))
+            if (!is_within(r, c[2], side * side) || !is_within(r, c[3], side) || !is_within(r, c[4 + c[1]], side))
                 reader_spoil(r, "a program leaves the memory");
             for (int k = 0; k < c[1]; k++)
-                if (!within(r, c[4 + k], c[0]))
+                if (!is_within(r, c[4 + k], c[0]))
                     reader_spoil(r, "a program leaves the memory");
             at += 6 + (size_t)c[1];
             break;
@@ -94,7 +97,7 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
                 reader_spoil(r, "a dense system of a program is damaged");
                 return;
             }
-            if (!within(r, c[1], (int64_t)c[0] * c[0]) || !within(r, c[2], c[0]) || !within(r, c[3], c[0]))
+            if (!is_within(r, c[1], (int64_t)c[0] * c[0]) || !is_within(r, c[2], c[0]) || !is_within(r, c[3], c[0]))
                 reader_spoil(r, "a program leaves the memory");
             else if (c[0] > r->scene->dense)
                 r->scene->dense = c[0];
@@ -110,7 +113,7 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
             c += 2;
             for (int32_t lane = 0; lane < code[at + 1]; lane++)
                 for (int k = 0; k < f->inputs + f->outputs; k++)
-                    if (!within(r, *c++, f->lengths[k]))
+                    if (!is_within(r, *c++, f->lengths[k]))
                         reader_spoil(r, "a program leaves the memory");
             at = (size_t)(c - code);
             if (f->narrow && f->registers > s->lane_registers)
@@ -123,14 +126,6 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
     }
 }
 
-int scene_move_program(const Scene *s, int formulation)
-{
-#define OF(name) , s->move_##name
-    const int programs[] = {s->move SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation];
-}
-
 void programs_read(Reader *r)
 {
     Scene *s = r->scene;
@@ -139,7 +134,7 @@ void programs_read(Reader *r)
     for (size_t k = 0; k < count && !r->bad; k++) {
         made[k].code = reader_integers(r, -1, &made[k].words);
         if (!r->bad)
-            checked_program(r, made[k].code, made[k].words, 0);
+            check_program(r, made[k].code, made[k].words, 0);
     }
     s->programs = made;
     s->program_count = (int)count;
@@ -151,9 +146,6 @@ void programs_read(Reader *r)
     if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
         || (s->stiff_step >= 0 && s->method != 1)
         || (s->short_step >= 0 && (s->method != 1 || s->short_cost < 1 || s->method_cost < 1))
-        || (s->l && (s->move < 0 || s->close < 0 || s->keep < 0 || s->impact < 0)))
+        || (s->l && (s->move < 0 || s->close < 0 || s->impact < 0)))
         reader_spoil(r, "a program is missing");
-    for (int k = 0; !r->bad && s->l && k < s->choice[s->formulation].count; k++)
-        if (scene_move_program(s, k) < 0)
-            reader_spoil(r, "the program of a formulation is missing");
 }

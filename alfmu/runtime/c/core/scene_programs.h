@@ -9,7 +9,6 @@
 #include "internal_begin.h"
 
 /* The program that leads to the end of a step by a formulation. */
-int scene_move_program(const Scene *s, int formulation);
 
 void programs_read(Reader *r);
 

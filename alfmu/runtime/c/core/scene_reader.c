@@ -39,7 +39,7 @@ uint64_t bytes_little(const unsigned char *at, int bytes)
     return value;
 }
 
-/* Whether there can be so many that have at least so many bytes each; what is not there takes no memory. */
+/* Return whether the file is long enough for `count` items of some bytes each, before memory is allocated for them. */
 int reader_has(Reader *r, size_t count, size_t bytes)
 {
     if (count > (size_t)(r->end - r->at) / bytes)
@@ -93,7 +93,7 @@ const char *reader_text(Reader *r)
     return made;
 }
 
-/* Integers of 4 bytes, and how many; `count` is what there have to be, or -1. */
+/* Read integers of 4 bytes and their number, which must be `count` unless that is -1. */
 int32_t *reader_integers(Reader *r, int count, size_t *found)
 {
     const size_t size = reader_length(r);

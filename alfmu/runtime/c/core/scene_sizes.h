@@ -9,7 +9,7 @@
 
 #include "internal_begin.h"
 
-/* What is kept beside the peaks: whether the begin of the step before is known, its time, q and v. */
+/* Values stored beside the peaks: whether the begin of the previous step is known, its time, q and v. */
 enum { KNOWN_BEFORE, TIME_BEFORE, STATE_BEFORE };
 
 int scene_variable_count(const Scene *s);
@@ -17,7 +17,7 @@ int scene_first_output(const Scene *s);
 int scene_settings_length(const Scene *s);
 size_t scene_state_length(const Scene *s);
 
-/* Quantities of first-order equations, and the length of what the equations call u: inputs, and behind them states. */
+/* Number of first-order states, and length of u in the equations: inputs, followed by states. */
 int scene_states(const Scene *s);
 
 int scene_driven(const Scene *s);

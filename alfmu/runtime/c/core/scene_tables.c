@@ -13,7 +13,7 @@
 #include "scene_reader.h"
 #include "scene_sizes.h"
 
-/* Numbers of the scene; what is counted is checked here, so that sums of counts do not overflow. */
+/* Read the numbers of the scene. Counts are checked here, so that their sums do not overflow. */
 void tables_read_numbers(Reader *r)
 {
     Scene *s = r->scene;
@@ -35,8 +35,9 @@ void tables_read_numbers(Reader *r)
     else if (s->own + 2 * s->starts + s->compliances + scene_states(s) + s->solver != s->parameters || s->n < 1
         || (s->compliances != 0 && s->compliances != s->l) || s->event_count > s->outputs)
         reader_spoil(r, "its counts contradict each other");
-#define REFERENCE(name) \
-    if (!r->bad && !reader_check_between(s->name, s->own + 2 * s->starts + s->compliances + scene_states(s), s->parameters)) \
+#define REFERENCE(name)                                                                                                \
+    if (!r->bad                                                                                                        \
+        && !reader_check_between(s->name, s->own + 2 * s->starts + s->compliances + scene_states(s), s->parameters))   \
         reader_spoil(r, #name " has the reference %d", s->name);
     SCENE_REFERENCES(REFERENCE)
 #undef REFERENCE
@@ -49,7 +50,7 @@ void tables_read_numbers(Reader *r)
         reader_spoil(r, "its method contradicts itself");
 }
 
-static void variable(Reader *r, int kind, int k, Variable *made)
+static void read_variable(Reader *r, int kind, int k, Variable *made)
 {
     const int type = (made->name = reader_text(r), made->unit = reader_text(r), reader_integer(r));
     made->type = (Type)type;
@@ -58,19 +59,21 @@ static void variable(Reader *r, int kind, int k, Variable *made)
     made->start = reader_real(r);
     made->minimum = reader_real(r);
     made->maximum = reader_real(r);
-    if (!reader_check_between(type, REAL, STRING + 1) || (type == STRING) != (kind == CHOICE) || (type == BOOLEAN) != (kind == SWITCH))
+    if (!reader_check_between(type, REAL, STRING + 1) || (type == STRING) != (kind == CHOICE)
+        || (type == BOOLEAN) != (kind == SWITCH))
         reader_spoil(r, "variable %d has the type %d", k, type);
 }
 
 void tables_read_variables(Reader *r)
 {
     Scene *s = r->scene;
-    const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs}, count = scene_variable_count(s);
+    const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs},
+              count = scene_variable_count(s);
     Variable *made = reader_has(r, (size_t)count, 40) ? reader_alloc(r, (size_t)count + 1, sizeof *made) : NULL;
     int k = 0;
     for (int kind = 0; kind < 5; kind++)
         for (int each = 0; each < kinds[kind] && !r->bad; each++, k++)
-            variable(r, kind, k, made + k);
+            read_variable(r, kind, k, made + k);
     s->variables = made;
 }
 
@@ -97,7 +100,8 @@ void tables_read_choices(Reader *r)
 void tables_read_switches(Reader *r)
 {
     Scene *s = r->scene;
-    Switch *made = reader_has(r, (size_t)s->switches, 20) ? reader_alloc(r, (size_t)s->switches + 1, sizeof *made) : NULL;
+    Switch *made
+        = reader_has(r, (size_t)s->switches, 20) ? reader_alloc(r, (size_t)s->switches + 1, sizeof *made) : NULL;
     for (int k = 0; k < s->switches && !r->bad; k++) {
         made[k].holds = reader_integer(r) != 0;
         made[k].value = reader_integer(r);
@@ -113,13 +117,15 @@ void tables_read_switches(Reader *r)
 void tables_read_frictions(Reader *r)
 {
     Scene *s = r->scene;
-    Friction *made = reader_has(r, (size_t)s->frictions, 16) ? reader_alloc(r, (size_t)s->frictions + 1, sizeof *made) : NULL;
+    Friction *made
+        = reader_has(r, (size_t)s->frictions, 16) ? reader_alloc(r, (size_t)s->frictions + 1, sizeof *made) : NULL;
     for (int k = 0; k < s->frictions && !r->bad; k++) {
         made[k].row = reader_integer(r);
         made[k].value = reader_integer(r);
         made[k].slip = reader_integer(r);
         made[k].shared = reader_integer(r) != 0;
-        if (!reader_check_between(made[k].row, 0, s->l) || !reader_check_between(made[k].value, 0, s->held) || !reader_check_between(made[k].slip, 0, s->held))
+        if (!reader_check_between(made[k].row, 0, s->l) || !reader_check_between(made[k].value, 0, s->held)
+            || !reader_check_between(made[k].slip, 0, s->held))
             reader_spoil(r, "friction %d belongs to no constraint", k);
     }
     s->friction = made;
@@ -173,8 +179,9 @@ void tables_read_followed(Reader *r)
         made[k].derivatives = reader_integer(r);
         made[k].order = reader_integer(r);
         made[k].jump = reader_real(r);
-        if (!r->bad && (!reader_check_between(made[k].derivatives, 0, 3) || !reader_check_between(made[k].order, 0, 3) || !(made[k].jump > 0.0)
-                || !reader_check_between(made[k].input, 0, s->inputs - made[k].derivatives)))
+        if (!r->bad
+            && (!reader_check_between(made[k].derivatives, 0, 3) || !reader_check_between(made[k].order, 0, 3)
+                || !(made[k].jump > 0.0) || !reader_check_between(made[k].input, 0, s->inputs - made[k].derivatives)))
             reader_spoil(r, "input %d moves something by its derivative %d", made[k].input, made[k].derivatives);
     }
     s->followed = made;
@@ -199,7 +206,7 @@ void tables_read_jacobian(Reader *r)
         return;
     memcpy(variables, s->variables, (size_t)first * sizeof *variables);
     for (int k = 0; k < count; k++) {
-        variable(r, OUTPUT, first + k, variables + first + k);
+        read_variable(r, OUTPUT, first + k, variables + first + k);
         made[k].output = reader_integer(r);
         made[k].input = reader_integer(r);
         if (r->bad || variables[first + k].type != REAL || !reader_check_between(made[k].output, 0, s->readings)
@@ -256,7 +263,7 @@ typedef struct {
     int *offsets, *ends;
 } Lists;
 
-static Lists lists(Reader *r, int count, int by_rows, const Part *parts, int part_count)
+static Lists make_lists(Reader *r, int count, int by_rows, const Part *parts, int part_count)
 {
     Lists made;
     size_t entries = 0;
@@ -287,7 +294,7 @@ static Lists lists(Reader *r, int count, int by_rows, const Part *parts, int par
 
 /* Nodes in the order in which they are reached from the first of `order`, those with few neighbours first; `degree` is
    below zero where a node has been reached. Returns how many there are. */
-static int reached(const Lists *edges, const Lists *nodes, int *order, int *degree, char *passed)
+static int order_reached(const Lists *edges, const Lists *nodes, int *order, int *degree, char *passed)
 {
     int count = 1;
     degree[order[0]] = -1 - degree[order[0]];
@@ -314,13 +321,16 @@ static int reached(const Lists *edges, const Lists *nodes, int *order, int *degr
     return count;
 }
 
-/* An envelope for what nodes that meet in an edge have in common: the order of Cuthill and McKee (1969), reversed. */
-void tables_order_envelope(Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count)
+/* Order nodes for a narrow envelope: reverse Cuthill-McKee (1969). */
+void tables_order_envelope(
+    Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count)
 {
-    const Lists edges = lists(r, count, by_rows, parts, part_count);
-    const Lists nodes = lists(r, edge_count, !by_rows, parts, part_count);
-    int *order = reader_alloc(r, (size_t)count + 1, sizeof *order), *degree = reader_alloc(r, (size_t)count + 1, sizeof *degree);
-    int *place = reader_alloc(r, (size_t)count + 1, sizeof *place), *first = reader_alloc(r, (size_t)count + 1, sizeof *first);
+    const Lists edges = make_lists(r, count, by_rows, parts, part_count);
+    const Lists nodes = make_lists(r, edge_count, !by_rows, parts, part_count);
+    int *order = reader_alloc(r, (size_t)count + 1, sizeof *order),
+        *degree = reader_alloc(r, (size_t)count + 1, sizeof *degree);
+    int *place = reader_alloc(r, (size_t)count + 1, sizeof *place),
+        *first = reader_alloc(r, (size_t)count + 1, sizeof *first);
     ptrdiff_t *start = reader_alloc(r, (size_t)count + 1, sizeof *start), entries = 0;
     char *passed = reader_alloc(r, (size_t)edge_count + 1, 1);
     int found = 0;
@@ -335,16 +345,16 @@ void tables_order_envelope(Reader *r, Envelope *made, int count, int edge_count,
         int reach;
         if (degree[k] < 0)
             continue;
-        /* From the node that is farthest from any. */
+        /* Begin at the node that is farthest from any. */
         order[found] = k;
-        reach = reached(&edges, &nodes, order + found, degree, passed);
+        reach = order_reached(&edges, &nodes, order + found, degree, passed);
         for (int at = found; at < found + reach; at++) {
             degree[order[at]] = -1 - degree[order[at]];
             for (int e = edges.offsets[order[at]]; e < edges.offsets[order[at] + 1]; e++)
                 passed[edges.ends[e]] = 0;
         }
         order[found] = order[found + reach - 1];
-        found += reached(&edges, &nodes, order + found, degree, passed);
+        found += order_reached(&edges, &nodes, order + found, degree, passed);
     }
     for (int k = 0; k < count; k++)
         place[order[k]] = first[count - 1 - k] = count - 1 - k;

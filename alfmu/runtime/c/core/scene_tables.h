@@ -24,7 +24,8 @@ void tables_read_names(Reader *r);
 void tables_read_followed(Reader *r);
 void tables_read_jacobian(Reader *r);
 void tables_read_pattern(Reader *r, Pattern *made, int rows, int columns);
-void tables_order_envelope(Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count);
+void tables_order_envelope(
+    Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count);
 void tables_read_leaps(Reader *r);
 
 #include "internal_end.h"

@@ -9,7 +9,7 @@
 #define BEGINS '\1'
 #define ENDS '\2'
 
-/* Longest format: that of a message is no longer than what it may become. */
+/* Longest format of a message: no longer than the message itself may be. */
 #define LONGEST 1024
 
 /* A format that marks the numbers with a point. */

@@ -1,5 +1,5 @@
-/* Adjoints back along a tape: what a number at the end changes by each number at the beginning, at a cost that does not
-   depend on how many there are. The rules are those of tangent.c, transposed. */
+/* Propagate adjoints back along a tape, from one number at the end to all numbers at the beginning, at a cost that
+   does not depend on their number. The rules are those of tangent.c, transposed. */
 
 #include "adjoint.h"
 
@@ -123,7 +123,8 @@ static void adjoint_of_least_norm(Gradient *g, const Entry *e)
     const double few = DBL_EPSILON * side;
     const size_t n = (size_t)side, arena = arena_mark(i);
     const double *a = g->tape->numbers + e->numbers, *b = a + n * n, *x = b + n;
-    double *back = arena_alloc(i, n * n), *left = arena_alloc(i, n), *lam = arena_alloc(i, n), *w = arena_alloc(i, n), *z = arena_alloc(i, n);
+    double *back = arena_alloc(i, n * n), *left = arena_alloc(i, n), *lam = arena_alloc(i, n), *w = arena_alloc(i, n),
+           *z = arena_alloc(i, n);
     double *ww = arena_alloc(i, n), *ax = arena_alloc(i, n);
     int any = 0;
     for (int k = 0; words[3] >= 0 && k < side; k++) {

@@ -1,4 +1,4 @@
-/* What derivatives of an instance need beside it: tangents, adjoints, and functions as flat lists of operations. */
+/* Storage for the derivatives of an instance: tangents, adjoints, and functions as flat lists of operations. */
 
 #ifndef ALFMU_GRADIENT_H
 #define ALFMU_GRADIENT_H
@@ -10,9 +10,11 @@
 #include "lanes.h"
 #include "record.h"
 #include "scene.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
+#if HAS_DERIVATIVES
 /* A function as runs of equal operations over places of registers, loops written out. */
 typedef struct {
     int32_t kind, count, result;
@@ -25,7 +27,7 @@ typedef struct {
     int registers;
 } Flat;
 
-/* What derivatives of an instance need beside it. */
+/* Storage for the derivatives of an instance. */
 typedef struct Gradient {
     Instance *instance;
     Tape *tape;
@@ -55,6 +57,9 @@ double *gradient_values_again(Gradient *g, int which, const double *saved);
 
 Gradient *gradient_new(Instance *i, int directions);
 void gradient_free(Gradient *g);
+#else
+static inline void gradient_free(struct Gradient *g) { (void)g; }
+#endif
 
 #include "internal_end.h"
 

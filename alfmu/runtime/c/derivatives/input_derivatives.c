@@ -11,12 +11,12 @@
 #include "record.h"
 #include "scene.h"
 
-/* Numbers that an aim depends on, and that it gives: of the input, of the polynomial, of what is heard. */
+/* Numbers in which the polynomial of an input is linear: values of the input, coefficients, points of its history. */
 #define OF_INPUT 3
 #define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
 
-/* `x` (AIM_NUMBERS) becomes what the aim makes of it. */
-static void aim_along(const Followed *f, const double *saved, double *x)
+/* Apply the linear map of the polynomial to `x` (AIM_NUMBERS). */
+static void differentiate_aim(const Followed *f, const double *saved, double *x)
 {
     double c[POLYNOMIAL], heard[HEARD];
     Given g = {{0.0, 0.0, 0.0}, (int)saved[SAVED_LEVEL]};
@@ -31,7 +31,7 @@ static void aim_along(const Followed *f, const double *saved, double *x)
     memcpy(x + OF_INPUT + POLYNOMIAL - 1, heard + VALUES, HEARD_POINTS * sizeof *heard);
 }
 
-/* Where a number of an aim stands; -1 for a derivative that the input has not. */
+/* Return the place of one of these numbers; -1 for a derivative that the input does not have. */
 static int32_t aim_place(const Followed *f, const int32_t *words, int k)
 {
     if (k < OF_INPUT)
@@ -53,7 +53,7 @@ void aimed_tangents(Gradient *g, const Entry *e)
                 const int32_t place = aim_place(f, words, k);
                 x[k] = place < 0 ? 0.0 : t[place].lane[lane];
             }
-            aim_along(f, saved, x);
+            differentiate_aim(f, saved, x);
             for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
                 t[aim_place(f, words, k)].lane[lane] = x[k];
         }
@@ -75,7 +75,7 @@ void aimed_adjoints(Gradient *g, const Entry *e)
         if (place < 0)
             continue;
         x[each] = 1.0;
-        aim_along(f, saved, x);
+        differentiate_aim(f, saved, x);
         for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
             sum += weights[k] * x[k];
         g->adjoints[place] += sum;

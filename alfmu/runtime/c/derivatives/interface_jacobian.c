@@ -1,7 +1,7 @@
 /* The interface Jacobian: derivatives of outputs at the end of a communication step by inputs that are held over it.
 
-   Each internal step is written on a tape, swept forward and forgotten, so that a communication step of any length takes the
-   memory of one. What the step begins with beside its inputs is left as it is. */
+   Each internal step is written on a tape, swept forward and forgotten, so that a communication step of any length
+   takes the memory of one. What the step begins with beside its inputs is left as it is. */
 
 #include "interface_jacobian.h"
 
@@ -33,7 +33,8 @@ Outcome jacobian_begin(Instance *i)
     if (!g)
         return instance_say(i, FAILED, "%s: there is no memory for derivatives", s->name);
     if (!i->within) {
-        i->onward = 0; /* What outputs were read by is on no tape: steps hand on nothing but the numbers of an instance. */
+        /* The evaluation of the outputs was not recorded, so the step must not reuse it. */
+        i->onward = 0;
         for (int block = 0; block < g->blocks; block++)
             memset(g->tangents + (size_t)block * g->places, 0, i->count * sizeof *g->tangents);
         for (int k = 0; k < s->entries; k++) {
@@ -47,7 +48,7 @@ Outcome jacobian_begin(Instance *i)
     return DONE;
 }
 
-/* What has become of an entry. */
+/* Return the present value of an entry. */
 static double derivative(const Instance *i, int entry)
 {
     const Scene *s = i->scene;
@@ -56,7 +57,7 @@ static double derivative(const Instance *i, int entry)
     return tangents_of(i->of_step, direction, output)->lane[direction % LANES];
 }
 
-/* Derivatives led along what was done since. */
+/* Propagate the tangents along the steps recorded since. */
 void jacobian_along(Instance *i)
 {
     const Mark begin = {0, 0, 0};
@@ -79,7 +80,8 @@ Outcome jacobian_end(Instance *i)
     for (int k = 0; k < s->entries; k++)
         if (!isfinite(derivative(i, k)))
             return instance_say(i, FAILED,
-                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not sure; take "
+                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not "
+                "sure; take "
                 "another communication step or input, or leave this output out",
                 s->name, *instance_time(i), s->variables[scene_first_output(s) + s->outputs + k].name);
     for (int k = 0; k < s->entries; k++)

@@ -4,12 +4,19 @@
 #define ALFMU_INTERFACE_JACOBIAN_H
 
 #include "instance.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
+#if HAS_INTERFACE_JACOBIAN
 Outcome jacobian_begin(Instance *i);
 void jacobian_along(Instance *i);
 Outcome jacobian_end(Instance *i);
+#else
+static inline Outcome jacobian_begin(Instance *i) { return (void)i, DONE; }
+static inline void jacobian_along(Instance *i) { (void)i; }
+static inline Outcome jacobian_end(Instance *i) { return (void)i, DONE; }
+#endif
 
 #include "internal_end.h"
 

@@ -1,9 +1,9 @@
-/* Derivatives of the start: of each Gauss-Newton step that closed the loops, and of the corrections that made velocities
-   consistent.
+/* Derivatives of the start: of each Gauss-Newton step that closed the loops, and of the corrections that made
+   velocities consistent.
 
-   A step x = J+ r, and lam with x = J' lam, has the differential dx = J+ (dr - dJ x) + (1 - J+ J) dJ' lam; what it leaves
-   out lies in the rows of J, where the last step, at closed loops, sets it anew. Both parts are corrections of least norm,
-   so that their ranks are those of the start. */
+   A step x = J+ r, and lam with x = J' lam, has the differential dx = J+ (dr - dJ x) + (1 - J+ J) dJ' lam; what it
+   leaves out lies in the rows of J, where the last step, at closed loops, sets it anew. Both parts are corrections
+   of least norm, so that their ranks are those of the start. */
 
 #include "start_derivatives.h"
 
@@ -30,7 +30,7 @@ typedef struct {
     double part;
 } Correction;
 
-static Correction correction(const Gradient *g, const Entry *e)
+static Correction read_correction(const Gradient *g, const Entry *e)
 {
     const Scene *s = g->instance->scene;
     const double *at = g->tape->numbers + e->numbers;
@@ -47,8 +47,8 @@ static Correction correction(const Gradient *g, const Entry *e)
     return c;
 }
 
-/* Where the results of a function begin among all of them. */
-static size_t before_result(const Function *f, int which)
+/* Return the offset of a result among all results of a function. */
+static size_t result_offset(const Function *f, int which)
 {
     size_t count = 0;
     for (int j = 0; j < which; j++)
@@ -61,9 +61,10 @@ enum { GAPS, TIES, GAP_LEFT, TIES_LEFT };
 enum { OF_MASS, OF_C, OF_PHI, OF_CV };
 
 /* The rows of J in the present registers, of a function and from one of its results on. */
-static void fill(const Function *f, int which, const double *r, const Pattern *pattern, const double *held, double *values)
+static void fill_rows(
+    const Function *f, int which, const double *r, const Pattern *pattern, const double *held, double *values)
 {
-    const size_t from = before_result(f, which);
+    const size_t from = result_offset(f, which);
     for (int e = 0; e < pattern->entries; e++) {
         values[e] = r[function_result_place(f, from + (size_t)e)];
         if (held)
@@ -71,8 +72,8 @@ static void fill(const Function *f, int which, const double *r, const Pattern *p
     }
 }
 
-/* Tangents of the arguments of a function, `places` being where they stand, and of its registers. */
-static void lanes_through(Gradient *g, int which, const double *r, const int32_t *places, const Lanes *t)
+/* Load the tangents of the arguments of a function from `places`, and propagate them through its registers. */
+static void lead_tangents(Gradient *g, int which, const double *r, const int32_t *places, const Lanes *t)
 {
     const Function *f = g->instance->scene->functions + which;
     const Flat *flat = gradient_flat(g, which);
@@ -87,7 +88,7 @@ static void lanes_through(Gradient *g, int which, const double *r, const int32_t
 }
 
 /* Adds the adjoints of the arguments of a function whose results have theirs in `g->registers`, cleared before. */
-static void back_through(Gradient *g, int which, const double *r, const int32_t *places)
+static void lead_adjoints(Gradient *g, int which, const double *r, const int32_t *places)
 {
     const Function *f = g->instance->scene->functions + which;
     const Flat *flat = gradient_flat(g, which);
@@ -107,7 +108,7 @@ static void clear_registers(Gradient *g, int which)
 }
 
 /* The derivative of x = J+ r along one direction: `right` is dr - dJ x, `row` is dJ' lam. */
-static void change_of(Instance *i, const Rows *J, double *right, const double *row, double *dx)
+static void differentiate_least_norm(Instance *i, const Rows *J, double *right, const double *row, double *dx)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties);
@@ -121,11 +122,11 @@ static void change_of(Instance *i, const Rows *J, double *right, const double *r
     arena_release(i, arena);
 }
 
-/* Adds what a change of a matrix, by its nonzeros in one lane, does: right -= dA x, row += dA' lam. */
-static void changed_rows(const Function *f, int which, const Lanes *dr, int lane, const Pattern *p, const double *held,
-    const double *x, const double *lam, double *right, double *row)
+/* Add the effect of a change of a matrix, given by its nonzeros in one lane: right -= dA x, row += dA' lam. */
+static void add_row_changes(const Function *f, int which, const Lanes *dr, int lane, const Pattern *p,
+    const double *held, const double *x, const double *lam, double *right, double *row)
 {
-    const size_t from = before_result(f, which);
+    const size_t from = result_offset(f, which);
     for (int c = 0; c < p->columns; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
@@ -135,32 +136,40 @@ static void changed_rows(const Function *f, int which, const Lanes *dr, int lane
         }
 }
 
+/* J of the positions: gaps of the constraints, and ties, from the registers of the closure. */
+static Rows make_position_rows(Instance *i, const Correction *k, const double *r)
+{
+    const Scene *s = i->scene;
+    const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
+    fill_rows(s->functions + s->closure, GAPS, r, &s->gaps, k->held, J.constraints.values);
+    fill_rows(s->functions + s->closure, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    return J;
+}
+
 void closed_tangents(Gradient *g, const Entry *e)
 {
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Function *f = s->functions + s->closure;
-    const Correction k = correction(g, e);
+    const Correction k = read_correction(g, e);
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
-    const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
     double *right = arena_alloc(i, count), *row = arena_alloc(i, n), *dx = arena_alloc(i, n);
     const double *r = gradient_values_again(g, s->closure, k.closure);
-    const size_t left = before_result(f, GAP_LEFT), ties_left = before_result(f, TIES_LEFT);
-    fill(f, GAPS, r, &s->gaps, k.held, J.constraints.values);
-    fill(f, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    const Rows J = make_position_rows(i, &k, r);
+    const size_t left = result_offset(f, GAP_LEFT), ties_left = result_offset(f, TIES_LEFT);
     for (int block = 0; block < g->blocks; block++) {
         Lanes *t = g->tangents + (size_t)block * g->places;
-        lanes_through(g, s->closure, r, k.places, t);
+        lead_tangents(g, s->closure, r, k.places, t);
         for (int lane = 0; lane < LANES; lane++) {
             memset(row, 0, n * sizeof *row);
             for (int j = 0; j < s->l; j++)
                 right[j] = k.held[j] * g->lane_registers[function_result_place(f, left + (size_t)j)].lane[lane];
             for (int j = 0; j < s->ties; j++)
                 right[s->l + j] = g->lane_registers[function_result_place(f, ties_left + (size_t)j)].lane[lane];
-            changed_rows(f, GAPS, g->lane_registers, lane, &s->gaps, k.held, k.x, k.lam, right, row);
-            changed_rows(
+            add_row_changes(f, GAPS, g->lane_registers, lane, &s->gaps, k.held, k.x, k.lam, right, row);
+            add_row_changes(
                 f, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right + s->l, row);
-            change_of(i, &J, right, row, dx);
+            differentiate_least_norm(i, &J, right, row, dx);
             for (int c = 0; c < s->n; c++)
                 t[k.places[PLACE_Q] + c].lane[lane] -= k.part * dx[c];
         }
@@ -169,10 +178,10 @@ void closed_tangents(Gradient *g, const Entry *e)
 }
 
 /* Adjoints of the nonzeros of a matrix, added to those of the registers: of r by w, of rows by z. */
-static void matrix_back(const Function *f, int which, double *ar, const Pattern *p, const double *held, const double *x,
-    const double *lam, const double *w, const double *z)
+static void add_matrix_adjoints(const Function *f, int which, double *ar, const Pattern *p, const double *held,
+    const double *x, const double *lam, const double *w, const double *z)
 {
-    const size_t from = before_result(f, which);
+    const size_t from = result_offset(f, which);
     for (int c = 0; c < p->columns; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
@@ -181,7 +190,7 @@ static void matrix_back(const Function *f, int which, double *ar, const Pattern 
 }
 
 /* w = J+' y and z = (1 - J+ J) y */
-static void split(Instance *i, const Rows *J, const double *y, double *w, double *z)
+static void split_adjoint(Instance *i, const Rows *J, const double *y, double *w, double *z)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -198,64 +207,64 @@ void closed_adjoints(Gradient *g, const Entry *e)
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Function *f = s->functions + s->closure;
-    const Correction k = correction(g, e);
+    const Correction k = read_correction(g, e);
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
-    const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
     double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n);
     const double *r = gradient_values_again(g, s->closure, k.closure);
-    const size_t left = before_result(f, GAP_LEFT), ties_left = before_result(f, TIES_LEFT);
-    fill(f, GAPS, r, &s->gaps, k.held, J.constraints.values);
-    fill(f, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    const Rows J = make_position_rows(i, &k, r);
+    const size_t left = result_offset(f, GAP_LEFT), ties_left = result_offset(f, TIES_LEFT);
     for (int c = 0; c < s->n; c++)
         y[c] = -k.part * g->adjoints[k.places[PLACE_Q] + c];
-    split(i, &J, y, w, z);
+    split_adjoint(i, &J, y, w, z);
     clear_registers(g, s->closure);
     for (int j = 0; j < s->l; j++)
         g->registers[function_result_place(f, left + (size_t)j)] += k.held[j] * w[j];
     for (int j = 0; j < s->ties; j++)
         g->registers[function_result_place(f, ties_left + (size_t)j)] += w[s->l + j];
-    matrix_back(f, GAPS, g->registers, &s->gaps, k.held, k.x, k.lam, w, z);
-    matrix_back(f, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
-    back_through(g, s->closure, r, k.places);
+    add_matrix_adjoints(f, GAPS, g->registers, &s->gaps, k.held, k.x, k.lam, w, z);
+    add_matrix_adjoints(f, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
+    lead_adjoints(g, s->closure, r, k.places);
     arena_release(i, arena);
 }
 
 /* J of the velocities: C of the constraints, and the ties of the closure. */
-static Rows rated_rows(Gradient *g, const Correction *k)
+static Rows make_rate_rows(Gradient *g, const Correction *k)
 {
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
-    fill(s->functions + s->closure, TIES, gradient_values_again(g, s->closure, k->closure), &s->tie_rows, NULL, J.ties.values);
-    fill(s->functions + s->constraints, OF_C, gradient_values_again(g, s->constraints, k->constraints), &s->constraint, k->held,
-        J.constraints.values);
+    fill_rows(s->functions + s->closure, TIES, gradient_values_again(g, s->closure, k->closure), &s->tie_rows, NULL,
+        J.ties.values);
+    fill_rows(s->functions + s->constraints, OF_C, gradient_values_again(g, s->constraints, k->constraints),
+        &s->constraint, k->held, J.constraints.values);
     return J;
 }
 
-/* The left-hand side of a correction of velocities is - C v - Phi_t of the constraints, and the rates of the ties less
-   what v gives them. */
+/* Differentiate a correction of velocities, whose right-hand side is -C v - Phi_t for the constraints and the
+   residue of the rates for the ties. */
 void rated_tangents(Gradient *g, const Entry *e)
 {
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Function *closure = s->functions + s->closure, *constraints = s->functions + s->constraints;
-    const Correction k = correction(g, e);
+    const Correction k = read_correction(g, e);
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
-    const Rows J = rated_rows(g, &k);
+    const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
     const double *v = k.constraints + s->n;
-    double *rights = arena_alloc(i, count * LANES), *rows = arena_alloc(i, n * LANES), *dx = arena_alloc(i, n), *dv = arena_alloc(i, n);
+    double *rights = arena_alloc(i, count * LANES), *rows = arena_alloc(i, n * LANES), *dx = arena_alloc(i, n),
+           *dv = arena_alloc(i, n);
     double *of_ties = arena_alloc(i, count);
-    const size_t cv = before_result(constraints, OF_CV);
+    const size_t cv = result_offset(constraints, OF_CV);
     for (int block = 0; block < g->blocks; block++) {
         Lanes *t = g->tangents + (size_t)block * g->places;
         memset(rows, 0, n * LANES * sizeof *rows);
         memset(rights, 0, count * LANES * sizeof *rights);
-        lanes_through(g, s->closure, gradient_values_again(g, s->closure, k.closure), k.places, t);
+        lead_tangents(g, s->closure, gradient_values_again(g, s->closure, k.closure), k.places, t);
         for (int lane = 0; lane < LANES; lane++) {
             double *right = rights + lane * (int)count + s->l, *unused = dx;
-            changed_rows(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, v, k.lam + s->l, right, unused);
-            changed_rows(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right,
+            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, v, k.lam + s->l, right, unused);
+            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right,
                 rows + lane * s->n);
             for (int c = 0; c < s->n; c++)
                 dv[c] = t[k.places[PLACE_V] + c].lane[lane];
@@ -263,14 +272,15 @@ void rated_tangents(Gradient *g, const Entry *e)
             for (int j = 0; j < s->ties; j++)
                 right[j] += t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
         }
-        lanes_through(g, s->constraints, gradient_values_again(g, s->constraints, k.constraints), of_constraints, t);
+        lead_tangents(g, s->constraints, gradient_values_again(g, s->constraints, k.constraints), of_constraints, t);
         for (int lane = 0; lane < LANES; lane++) {
             double *right = rights + lane * (int)count, *row = rows + lane * s->n;
             for (int j = 0; j < s->l; j++)
-                right[j] -= k.held[j] * g->lane_registers[function_result_place(constraints, cv + (size_t)j)].lane[lane];
-            changed_rows(
+                right[j]
+                    -= k.held[j] * g->lane_registers[function_result_place(constraints, cv + (size_t)j)].lane[lane];
+            add_row_changes(
                 constraints, OF_C, g->lane_registers, lane, &s->constraint, k.held, k.x, k.lam, right, row);
-            change_of(i, &J, right, row, dx);
+            differentiate_least_norm(i, &J, right, row, dx);
             for (int c = 0; c < s->n; c++)
                 t[k.places[PLACE_V] + c].lane[lane] += dx[c];
         }
@@ -283,20 +293,21 @@ void rated_adjoints(Gradient *g, const Entry *e)
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Function *closure = s->functions + s->closure, *constraints = s->functions + s->constraints;
-    const Correction k = correction(g, e);
+    const Correction k = read_correction(g, e);
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
-    const Rows J = rated_rows(g, &k);
+    const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
     const double *v = k.constraints + s->n, *r;
-    double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n), *none = arena_alloc(i, n), *back = arena_alloc(i, n);
-    const size_t cv = before_result(constraints, OF_CV);
+    double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n), *none = arena_alloc(i, n),
+           *back = arena_alloc(i, n);
+    const size_t cv = result_offset(constraints, OF_CV);
     for (int c = 0; c < s->n; c++)
         y[c] = g->adjoints[k.places[PLACE_V] + c];
     memset(none, 0, n * sizeof *none);
-    split(i, &J, y, w, z);
+    split_adjoint(i, &J, y, w, z);
     for (int j = 0; j < s->ties; j++)
         g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += w[s->l + j];
-    /* T v of the ties: what constraints make of v goes through their function. */
+    /* The product T v of the ties is differentiated here; C v is part of the function of the constraints. */
     {
         double *of_ties = arena_alloc(i, count);
         memset(of_ties, 0, count * sizeof *of_ties);
@@ -309,13 +320,13 @@ void rated_adjoints(Gradient *g, const Entry *e)
     clear_registers(g, s->constraints);
     for (int j = 0; j < s->l; j++)
         g->registers[function_result_place(constraints, cv + (size_t)j)] -= k.held[j] * w[j];
-    matrix_back(constraints, OF_C, g->registers, &s->constraint, k.held, k.x, k.lam, w, z);
-    back_through(g, s->constraints, r, of_constraints);
+    add_matrix_adjoints(constraints, OF_C, g->registers, &s->constraint, k.held, k.x, k.lam, w, z);
+    lead_adjoints(g, s->constraints, r, of_constraints);
     r = gradient_values_again(g, s->closure, k.closure);
     clear_registers(g, s->closure);
-    matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
-    matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, v, k.lam + s->l, w + s->l, none);
-    back_through(g, s->closure, r, k.places);
+    add_matrix_adjoints(closure, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
+    add_matrix_adjoints(closure, TIES, g->registers, &s->tie_rows, NULL, v, k.lam + s->l, w + s->l, none);
+    lead_adjoints(g, s->closure, r, k.places);
     arena_release(i, arena);
 }
 
@@ -327,7 +338,7 @@ typedef struct {
     double largest, *root, *b, *v, *sizes;
 } Holding;
 
-static Holding holding(Gradient *g, const Entry *e)
+static Holding read_holding(Gradient *g, const Entry *e)
 {
     Instance *i = g->instance;
     const Scene *s = i->scene;
@@ -335,7 +346,7 @@ static Holding holding(Gradient *g, const Entry *e)
     const int32_t *words = g->tape->words + e->words;
     const double *arguments = g->tape->numbers + e->numbers;
     const Pattern *p = &s->constraint;
-    const size_t l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const size_t l = (size_t)s->l, n = (size_t)s->n, from = result_offset(f, OF_C);
     Holding h = {{words[0], -1, words[1]}, words[2], arguments + arguments_of(f), NULL, 0.0, NULL, NULL, NULL, NULL};
     h.largest = h.penalty[l];
     h.root = arena_alloc(i, l);
@@ -348,7 +359,8 @@ static Holding holding(Gradient *g, const Entry *e)
     memset(h.b, 0, n * l * sizeof *h.b);
     for (int c = 0; c < s->n; c++)
         for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
-            h.b[p->indices[k] * s->n + c] = h.root[p->indices[k]] * h.values[function_result_place(f, from + (size_t)k)];
+            h.b[p->indices[k] * s->n + c]
+                = h.root[p->indices[k]] * h.values[function_result_place(f, from + (size_t)k)];
     linear_singular_values(s->n, s->l, h.b, h.v, h.sizes);
     return h;
 }
@@ -359,20 +371,21 @@ void held_tangents(Gradient *g, const Entry *e)
     const Scene *s = i->scene;
     const Function *f = s->functions + s->constraints;
     const Pattern *p = &s->constraint;
-    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = result_offset(f, OF_C);
     const int rank = e->what;
-    const Holding h = holding(g, e);
+    const Holding h = read_holding(g, e);
     double *turned = arena_alloc(i, n * l), *dP = arena_alloc(i, l * l);
     for (int block = 0; block < g->blocks; block++) {
         Lanes *t = g->tangents + (size_t)block * g->places;
-        lanes_through(g, s->constraints, h.values, h.places, t);
+        lead_tangents(g, s->constraints, h.values, h.places, t);
         for (int lane = 0; lane < LANES; lane++) {
             memset(turned, 0, n * l * sizeof *turned); /* dA v, by columns */
             memset(dP, 0, l * l * sizeof *dP);
             for (int c = 0; c < s->n; c++)
                 for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++) {
                     const int r = p->indices[k];
-                    const double d = h.root[r] * g->lane_registers[function_result_place(f, from + (size_t)k)].lane[lane];
+                    const double d
+                        = h.root[r] * g->lane_registers[function_result_place(f, from + (size_t)k)].lane[lane];
                     for (int j = 0; j < s->l && d != 0.0; j++)
                         turned[j * s->n + c] += d * h.v[j * s->l + r];
                 }
@@ -401,9 +414,9 @@ void held_adjoints(Gradient *g, const Entry *e)
     const Scene *s = i->scene;
     const Function *f = s->functions + s->constraints;
     const Pattern *p = &s->constraint;
-    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = result_offset(f, OF_C);
     const int rank = e->what;
-    const Holding h = holding(g, e);
+    const Holding h = read_holding(g, e);
     double *of_P = arena_alloc(i, l * l), *of_A = arena_alloc(i, n * l);
     memset(of_A, 0, n * l * sizeof *of_A);
     for (int a = 0; a < s->l; a++)
@@ -428,7 +441,8 @@ void held_adjoints(Gradient *g, const Entry *e)
     clear_registers(g, s->constraints);
     for (int c = 0; c < s->n; c++)
         for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
-            g->registers[function_result_place(f, from + (size_t)k)] += h.root[p->indices[k]] * of_A[p->indices[k] * s->n + c];
-    back_through(g, s->constraints, h.values, h.places);
+            g->registers[function_result_place(f, from + (size_t)k)]
+                += h.root[p->indices[k]] * of_A[p->indices[k] * s->n + c];
+    lead_adjoints(g, s->constraints, h.values, h.places);
     arena_release(i, arena);
 }

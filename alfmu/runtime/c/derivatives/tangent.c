@@ -1,8 +1,9 @@
 /* Tangents along a tape: what directions of the beginning become, LANES of them at once.
 
-   An operation of a function is differentiated by partial derivatives that CasADi derives (operations.h), a routine of
-   linear algebra by the equation that its result solves, at that result: its iterations, pivots and ranks are those that
-   were. A derivative of zero takes no part, so that what is infinite on a way that was not taken does no harm. */
+   An operation of a function is differentiated by partial derivatives that CasADi derives (operations.h), a routine
+   of linear algebra by the equation that its result solves, at that result: its iterations, pivots and ranks are
+   those that were. A derivative of zero takes no part, so that what is infinite on a way that was not taken does no
+   harm. */
 
 #include "tangent.h"
 
@@ -46,7 +47,7 @@ static void tangent_of_call(Gradient *g, const Entry *e, Lanes *t)
                 t[words[j] + each] = g->lane_registers[function_result_place(f, k)];
 }
 
-/* Of a matrix that is factorised, in the place of its factors: those of a sum of parts by weights. */
+/* Propagate tangents to the factors of a matrix that is a weighted sum of parts. */
 static void tangent_of_factor(const Tape *tape, const Entry *e, Lanes *t)
 {
     const int32_t *words = tape->words + e->words;
@@ -137,7 +138,8 @@ static void tangent_of_least_norm(Gradient *g, const Entry *e, Lanes *t)
     const int side = words[0];
     const size_t n = (size_t)side, arena = arena_mark(i);
     const double *a = g->tape->numbers + e->numbers, *b = a + n * n, *x = b + n;
-    double *back = arena_alloc(i, n * n), *left = arena_alloc(i, n), *lam = arena_alloc(i, n), *rhs = arena_alloc(i, n), *row = arena_alloc(i, n);
+    double *back = arena_alloc(i, n * n), *left = arena_alloc(i, n), *lam = arena_alloc(i, n), *rhs = arena_alloc(i, n),
+           *row = arena_alloc(i, n);
     double *u = arena_alloc(i, n), *w = arena_alloc(i, n);
     Lanes *to = words[3] < 0 ? NULL : t + words[3];
     int sure;

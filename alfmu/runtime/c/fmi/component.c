@@ -1,4 +1,4 @@
-/* What FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log. */
+/* The part that FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log. */
 
 #include "component.h"
 
@@ -16,6 +16,7 @@
 #include "resources.h"
 #include "run.h"
 #include "scene.h"
+#include "settings.h"
 #include "state.h"
 
 #define HANDLE 0x48414e44u /* "HAND" */
@@ -109,14 +110,18 @@ Status component_refuse(Component *c, Category category, const char *call, const
     return category == DISCARD ? STATUS_DISCARD : STATUS_ERROR;
 }
 
-/* What the instance said when it refused something. */
+/* Log the message of a refusal. */
 Status component_refused(Component *c, Status status)
 {
-    component_say(c, status == STATUS_DISCARD ? DISCARD : status == STATUS_WARNING ? WARNING : ERROR_, c->instance->text);
+    component_say(c,
+        status == STATUS_DISCARD       ? DISCARD
+            : status == STATUS_WARNING ? WARNING
+                                       : ERROR_,
+        c->instance->text);
     return status;
 }
 
-/* FINE, and what the instance warns of. */
+/* Log the warning of the instance, if any, and return STATUS_OK. */
 static Status log_messages(Component *c)
 {
     if (c->instance->warns) {
@@ -126,7 +131,7 @@ static Status log_messages(Component *c)
     return STATUS_OK;
 }
 
-/* A step of the instance, and what it warns of. */
+/* Make a step of the instance and log its warning. */
 static Outcome log_step(Component *c, double point, double step)
 {
     Instance *i = c->instance;
@@ -135,7 +140,7 @@ static Outcome log_step(Component *c, double point, double step)
     return outcome;
 }
 
-/* Whether the instance begins; what it says of the start, it says as a warning. */
+/* Initialise; messages of the start are logged as warnings. */
 int component_begun(Component *c)
 {
     if (instance_initialize(c->instance) != DONE)
@@ -231,8 +236,8 @@ Status component_reset(Component *c, const char *call)
 
 static State *save_into(Component *c, State *state);
 
-/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had asked for
-   that one. Where it cannot be made, the state here stays. */
+/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had
+   asked for that one. Where it cannot be made, the state here stays. */
 static void ask_early_return(Component *c, double point, double step, long made)
 {
     Instance *i = c->instance;
@@ -247,15 +252,15 @@ static void ask_early_return(Component *c, double point, double step, long made)
     i->warns = 0; /* It has been said. */
 }
 
-/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after each of
-   which the host may look; at last the state is that of the first time, so that looks change nothing. The host may end the
-   step at one of them; where the step fails, it then has what was reached before, and otherwise the whole step is taken
-   back. */
+/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after
+   each of which the host may look; at last the state is that of the first time, so that looks change nothing. The
+   host may end the step at one of them; where the step fails, it then has what was reached before, and otherwise the
+   whole step is taken back. */
 static Status step_watched(Component *c, double point, double step, int *early)
 {
     const int may_return = *early;
     Instance *i = c->instance;
-    const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12))), length = step / count;
+    const double count = settings_internal_steps(i, step), length = step / count;
     double until = INFINITY;
     Outcome whole = instance_can_step(i, point, step);
     *early = 0;
@@ -285,7 +290,7 @@ static Status step_watched(Component *c, double point, double step, int *early)
         if (outcome != DONE && whole == DONE)
             k = count; /* It can be made, in one. */
         else if (outcome != DONE && may_return && k > 1.0) {
-            *early = 1; /* The next step says what is wrong. */
+            *early = 1; /* The next step reports the error. */
             ask_early_return(c, point, (k - 1.0) * length, (long)k - 1);
             return STATUS_OK;
         } else if (outcome != DONE) {
@@ -405,7 +410,7 @@ Status component_write(Component *c, void *state, void *bytes, size_t size, cons
     return STATUS_OK;
 }
 
-/* A copy of the bytes: what they say is looked at when they are restored. */
+/* Copy the bytes; they are checked when they are restored. */
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
 {
     State *made;

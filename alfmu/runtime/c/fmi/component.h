@@ -1,5 +1,5 @@
-/* What FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, what it logs, and every function that the
-   two have in common. Functions that end in an argument `call` answer the function of FMI of that name. */
+/* The part that FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log, and every function
+   that both have. The argument `call` is the name of the FMI function that is answered. */
 
 #ifndef ALFMU_COMPONENT_H
 #define ALFMU_COMPONENT_H
@@ -12,12 +12,12 @@
 
 #include "internal_begin.h"
 
-/* What a call comes to, with the numbers of fmi2Status and fmi3Status. */
+/* Result of a call, with the numbers of fmi2Status and fmi3Status. */
 typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } Status;
 
 typedef enum { ALL, WARNING, DISCARD, ERROR_, FATAL, CATEGORIES } Category;
 
-/* What values are in the host's arrays, and which variables have such. */
+/* Type of the values in the host's arrays, and of the variables that have such values. */
 typedef enum {
     AS_DOUBLE,  /* double: real ones, and time in FMI 3 */
     AS_INT,    /* int: whole ones */

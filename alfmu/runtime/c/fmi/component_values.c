@@ -19,7 +19,7 @@ static int is_time(const Component *c, unsigned reference)
     return c->has_time && reference == (unsigned)scene_variable_count(c->instance->scene);
 }
 
-/* Whether a variable has values of a form. */
+/* Return whether a variable has values of this type. */
 static int component_has_form(const Variable *v, Value_type form)
 {
     static const unsigned kept[VALUE_TYPES] = {
@@ -27,9 +27,9 @@ static int component_has_form(const Variable *v, Value_type form)
     return (kept[form] >> (v->kind == CHOICE ? STRING : v->type)) & 1u;
 }
 
-/* Whether arrays can be looked at, and hold references of variables that have values of a form. */
-static int check_references(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
-    Value_type form, const char *call)
+/* Return whether the arrays are complete and refer to variables of this type. */
+static int check_references(Component *c, const unsigned *references, size_t count, const void *values,
+    size_t value_count, Value_type form, const char *call)
 {
     const Scene *s = c->instance->scene;
     const char *why = count != value_count ? "every variable is a scalar: as many values as references"
@@ -37,14 +37,15 @@ static int check_references(Component *c, const unsigned *references, size_t cou
                                             : NULL;
     for (size_t k = 0; !why && k < count; k++)
         if (!(form == AS_DOUBLE && is_time(c, references[k]))
-            && (references[k] >= (unsigned)scene_variable_count(s) || !component_has_form(s->variables + references[k], form)))
+            && (references[k] >= (unsigned)scene_variable_count(s)
+                || !component_has_form(s->variables + references[k], form)))
             why = "no variable of this type has this value reference";
     if (why)
         component_refuse(c, ERROR_, call, why);
     return !why;
 }
 
-/* The same, where all are of a kind. */
+/* Return the same for variables that must be of one kind. */
 static int check_references_of(Component *c, const unsigned *references, size_t count, const void *values,
     size_t value_count, Kind kind, const char *call)
 {
@@ -175,7 +176,7 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     return STATUS_OK;
 }
 
-/* Whether outputs can be differentiated by these variables now. */
+/* Return whether outputs can be differentiated with respect to these variables now. */
 static int addressed_knowns(
     Component *c, const unsigned *references, size_t count, const void *values, size_t value_count, const char *call)
 {
@@ -193,12 +194,12 @@ static int addressed_knowns(
     return !why;
 }
 
-/* Along a direction of what is known, or back from one of what is not. */
+/* Differentiate along a direction of the knowns, or back from a direction of the unknowns. */
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back, const char *call)
+    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
+    const char *call)
 {
     const size_t *of_unknowns = back ? &seed_count : &found_count, *of_knowns = back ? &found_count : &seed_count;
-    int inputs = 1;
     Instance *i;
     Outcome outcome;
     if (!component_in(c, KNOWN, call)
@@ -208,12 +209,8 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
     i = c->instance;
     if (!i->flags.initialized && (component_phase(c) != INITIALIZING || !component_begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
-    for (size_t k = 0; k < known_count; k++)
-        inputs &= i->scene->variables[knowns[k]].kind == INPUT && !instance_moves_start(i);
     outcome = instance_read(i);
-    if (outcome == DONE && inputs && !back) /* What the scene has for them, which is evaluated at once. */
-        outcome = instance_derivative(i, unknowns, unknown_count, knowns, known_count, seed, found);
-    else if (outcome == DONE)
+    if (outcome == DONE)
         outcome = instance_sweep(i, unknowns, unknown_count, knowns, known_count, seed, back, found);
     return outcome == DONE ? STATUS_OK : component_refused(c, STATUS_DISCARD);
 }

@@ -1,5 +1,5 @@
-/* Files of an FMU: in the folder of resources that the host names, or as seen from this library. Apart from the rest, as
-   the names of windows.h are those of others too. */
+/* Files of an FMU: in the folder of resources that the host names, or as seen from this library. Apart from the
+   rest, as the names of windows.h are those of others too. */
 
 #if !defined(_GNU_SOURCE)
 #define _GNU_SOURCE /* dladdr, dl_iterate_phdr */
@@ -26,10 +26,13 @@
 
 static int digit(char c)
 {
-    return c >= '0' && c <= '9' ? c - '0' : c >= 'a' && c <= 'f' ? c - 'a' + 10 : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
+    return c >= '0' && c <= '9' ? c - '0'
+        : c >= 'a' && c <= 'f'  ? c - 'a' + 10
+        : c >= 'A' && c <= 'F'  ? c - 'A' + 10
+                                : -1;
 }
 
-/* The path that a URI such as file:///tmp/a%20b names; what is no URI is a path already. */
+/* Return the path of a URI such as file:///tmp/a%20b; other texts are paths already. */
 void files_path_of(const char *uri, char *path)
 {
     size_t length = 0;
@@ -57,7 +60,7 @@ void files_path_of(const char *uri, char *path)
     path[length] = 0;
 }
 
-static FILE *opened(const char *path)
+static FILE *open_file(const char *path)
 {
 #if defined(_WIN32)
     wchar_t wide[LONGEST_PATH];
@@ -70,7 +73,8 @@ static FILE *opened(const char *path)
 }
 
 #if defined(__linux__)
-/* The path of the object that an address is in; dladdr has moved from one library to another between versions of glibc. */
+/* The path of the object that an address is in; dladdr has moved from one library to another between versions of
+   glibc. */
 typedef struct {
     uintptr_t address;
     char *path;
@@ -144,7 +148,7 @@ unsigned char *files_read(const char *folder, const char *name, size_t *size)
     FILE *file;
     long end;
     snprintf(path, sizeof path, "%s/%.60s", folder, name);
-    file = *folder ? opened(path) : NULL;
+    file = *folder ? open_file(path) : NULL;
     if (!file)
         return NULL;
     if (!fseek(file, 0, SEEK_END) && (end = ftell(file)) > 0 && end < LARGEST_FILE && !fseek(file, 0, SEEK_SET)

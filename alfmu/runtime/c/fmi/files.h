@@ -9,7 +9,7 @@
 
 #define LONGEST_PATH 4096
 
-/* The path (LONGEST_PATH) that a URI such as file:///tmp/a%20b names; what is no URI is a path already. */
+/* Path (LONGEST_PATH) of a URI such as file:///tmp/a%20b; other texts are paths already. */
 void files_path_of(const char *uri, char *path);
 
 /* The folder of resources as seen from this library, which is in binaries/<platform>; empty where it is not known. */

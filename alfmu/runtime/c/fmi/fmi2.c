@@ -11,7 +11,7 @@
 #include "fmi.h"
 #include "instance.h"
 
-/* What FMI hands over beside the component. */
+/* Arguments of FMI beside the component. */
 typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
@@ -171,7 +171,7 @@ API fmi2Status fmi2CancelStep(fmi2Component c)
         : fmi2Error;
 }
 
-/* What is asked for is in `found`, 1 where there is such a status; all other ones are of pending steps. */
+/* `found` is set for a status that exists; the others concern pending steps. */
 static fmi2Status status_of(Component *c, int found, const char *call)
 {
     if (!component_in(c, RUN, call))

@@ -11,7 +11,7 @@
 #include "fmi.h"
 #include "instance.h"
 
-/* What FMI hands over beside the component. */
+/* Arguments of FMI beside the component. */
 typedef struct {
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;
@@ -44,7 +44,7 @@ static fmi3Status unknown(Component *c, const char *call, ...)
                              : fmi3Error;
 }
 
-/* The same, where nothing is asked for, which is no error. */
+/* Return OK if nothing is asked for. */
 static fmi3Status none(Component *c, size_t count, const char *call, ...)
 {
     return component_good(c) && !count ? fmi3OK : unknown(c, call);
@@ -64,10 +64,10 @@ static fmi3Instance not_made(fmi3InstanceEnvironment environment, fmi3LogMessage
     return NULL;
 }
 
-API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-    fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean may_return, const fmi3ValueReference intermediate[],
-    size_t intermediate_count, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-    fmi3IntermediateUpdateCallback update)
+API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
+    fmi3Boolean visible, fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean may_return,
+    const fmi3ValueReference intermediate[], size_t intermediate_count, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
     char why[500] = "it has no event mode (hasEventMode is false); leave eventModeUsed false";
     const Border border = border_in();
@@ -88,8 +88,8 @@ API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, 
     return c;
 }
 
-API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-    fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
+    fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging);
 }
@@ -139,9 +139,9 @@ API fmi3Status fmi3Reset(fmi3Instance c)
     INSIDE(fmi3Status, component_reset(c, "fmi3Reset"));
 }
 
-#define GET(TYPE) \
-    API fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], \
-        size_t value_count)
+#define GET(TYPE)                                                                                                      \
+    API fmi3Status fmi3Get##TYPE(                                                                                      \
+        fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], size_t value_count)
 #define SET(TYPE) \
     API fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, \
         const fmi3##TYPE values[], size_t value_count)
@@ -299,7 +299,8 @@ API fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference references[
     return none(c, count, "fmi3GetClock", references, values);
 }
 
-API fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
+API fmi3Status fmi3SetClock(
+    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
 {
     return none(c, count, "fmi3SetClock", references, values);
 }
@@ -352,8 +353,8 @@ API fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference ref
     return none(c, count, "fmi3SetShiftFraction", references, counters, resolutions);
 }
 
-API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
-    fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
+API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
+    fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
 {
     return unknown(c, "fmi3UpdateDiscreteStates", again, terminate, nominals, values, has_next, next);
 }

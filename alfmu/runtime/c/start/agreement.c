@@ -14,8 +14,8 @@
 #include "rank.h"
 #include "scene.h"
 
-/* What corrections of first order leave of residues (l) of constraints that are in force. */
-static void uncorrectable_residue(Instance *i, const Rows *J, const double *r, double *left)
+/* Compute the residues (l) that first-order corrections leave in the constraints in force. */
+static void find_uncorrectable(Instance *i, const Rows *J, const double *r, double *left)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -27,12 +27,14 @@ static void uncorrectable_residue(Instance *i, const Rows *J, const double *r, d
     arena_release(i, arena);
 }
 
-/* How far from a place (n) that is displaced along a motion the constraints lead back, over the displacement. */
-static double restoring_share(Instance *i, const Rows *J, const double *weights, const double *q, const double *way, double size)
+/* Return the distance that the constraints lead back from a place displaced along a motion, over the displacement. */
+static double find_restoring_share(
+    Instance *i, const Rows *J, const double *weights, const double *q, const double *way, double size)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
-    double *near = arena_alloc(i, (size_t)s->n), *dq = arena_alloc(i, (size_t)s->n), *phi = arena_alloc(i, (size_t)(s->l + s->ties)), found;
+    double *near = arena_alloc(i, (size_t)s->n), *dq = arena_alloc(i, (size_t)s->n),
+           *phi = arena_alloc(i, (size_t)(s->l + s->ties)), found;
     memset(phi, 0, (size_t)(s->l + s->ties) * sizeof *phi);
     for (int c = 0; c < s->n; c++)
         near[c] = q[c] + size * way[c];
@@ -57,14 +59,15 @@ static void list_joints(const Scene *s, const double *residue, char *names, size
         if (fabs(residue[r]) < 0.1 * linear_largest(residue, s->l))
             continue;
         for (other = 0; other < r; other++)
-            if (!strcmp(s->rows[other].name, s->rows[r].name) && fabs(residue[other]) >= 0.1 * linear_largest(residue, s->l))
+            if (!strcmp(s->rows[other].name, s->rows[r].name)
+                && fabs(residue[other]) >= 0.1 * linear_largest(residue, s->l))
                 break;
         if (other == r && said++ < SAID)
             snprintf(names + strlen(names), size - strlen(names), "%s%.40s", *names ? ", " : "", s->rows[r].name);
     }
 }
 
-/* Whether redundant constraints (l: those in force) can be judged at q: it is no singular position. */
+/* Return whether redundant constraints can be judged at q, which must not be singular. */
 static int is_regular_place(Instance *i, const unsigned char *held, const double *q)
 {
     const Scene *s = i->scene;
@@ -74,8 +77,8 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
     return *i->rank < active && s->n <= DENSE && rank_at(i, q, held) == (int)*i->rank;
 }
 
-/* DONE, or which constraints contradict each other: by what corrections of first order leave of |Phi|, or of |Phi-dot|, at a
-   regular position. */
+/* Return DONE, or report which constraints contradict each other, judged by the residue |Phi| or |Phi-dot| that
+   first-order corrections leave at a regular position. */
 Outcome agreement_check(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per)
 {
     const Scene *s = i->scene;
@@ -93,14 +96,15 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
     for (int r = 0; r < s->l; r++)
         residue[r] = weights[r] * open[r];
     if (is_regular_place(i, held, q)) {
-        uncorrectable_residue(i, &J, residue, left);
+        find_uncorrectable(i, &J, residue, left);
         for (int r = 1; r < s->l; r++)
             if (fabs(left[r]) / i->units[r] > fabs(left[row]) / i->units[row])
                 row = r;
         list_joints(s, left, names, sizeof names);
         if (fabs(left[row]) / i->units[row] > i->values[s->tolerance])
             outcome = instance_say(i, FAILED,
-                "%s: constraints contradict each other: %s cannot be kept together, and %s is missed by %.3g %s%s; make their "
+                "%s: constraints contradict each other: %s cannot be kept together, and %s is missed by %.3g %s%s; "
+                "make their "
                 "lengths, offsets and laws agree, or leave one of them out",
                 s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per);
     }
@@ -108,15 +112,16 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
     return outcome;
 }
 
-/* Warns of constraints that stop a motion at every place, but to second order alone: displaced along it they lead back, and
-   no further where the displacement is smaller. */
+/* Warns of constraints that stop a motion at every place, but to second order alone: displaced along it they lead
+   back, and no further where the displacement is smaller. */
 void agreement_warn_of_second_order(Instance *i, const unsigned char *held, const double *q)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, count = (size_t)(s->l + s->ties);
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     const Matrix C = matrix_new(i, &s->constraint);
-    double *weights = arena_alloc(i, (size_t)s->l), *left = arena_alloc(i, count), *gap = arena_alloc(i, count), *way = arena_alloc(i, n), *dq = arena_alloc(i, n);
+    double *weights = arena_alloc(i, (size_t)s->l), *left = arena_alloc(i, count), *gap = arena_alloc(i, count),
+           *way = arena_alloc(i, n), *dq = arena_alloc(i, n);
     double size, back = 0.0;
     char names[300] = "";
     if (!is_regular_place(i, held, q)) {
@@ -139,17 +144,18 @@ void agreement_warn_of_second_order(Instance *i, const unsigned char *held, cons
     for (int c = 0; c < s->n; c++)
         way[c] /= fmax(size, 1e-300);
     if (size > REGULAR)
-        back = restoring_share(i, &J, weights, q, way, LITTLE);
+        back = find_restoring_share(i, &J, weights, q, way, LITTLE);
     /* Along a motion the way back shrinks with the square of the displacement. */
-    if (back > SECOND_ORDER && back > 0.5 * restoring_share(i, &J, weights, q, way, 10 * LITTLE)) {
+    if (back > SECOND_ORDER && back > 0.5 * find_restoring_share(i, &J, weights, q, way, 10 * LITTLE)) {
         for (int c = 0; c < s->n; c++)
             dq[c] = q[c] + LITTLE * way[c];
         rank_weighted_rows(i, q, weights, J.constraints, left);
         rank_weighted_rows(i, dq, weights, C, gap);
-        uncorrectable_residue(i, &J, gap, left);
+        find_uncorrectable(i, &J, gap, left);
         list_joints(s, left, names, sizeof names);
         instance_warn(i, WARNED_OF_SECOND_ORDER,
-            "%s: %s stop a motion to second order alone, wherever it is: no force of finite size does, and what loads that motion "
+            "%s: %s stop a motion to second order alone, wherever it is: no force of finite size does, and what loads "
+            "that motion "
             "is not to be relied on; change lengths or offsets, or leave out what only this motion needs",
             s->name, names);
     }

@@ -24,8 +24,8 @@ typedef struct {
     double *q, way;
 } Another;
 
-/* The assembly nearest to the guess among those found from places around it, and the number of its place; -1 where there
-   is none. The nearest one that is not the own is `another`. */
+/* The assembly nearest to the guess among those found from places around it, and the number of its place; -1 where
+   there is none. The nearest one that is not the own is `another`. */
 static int find_nearest(Instance *i, Loops *loops, const double *guess, double size, double *found, Another *another)
 {
     const Scene *s = i->scene;
@@ -59,7 +59,7 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
     return from;
 }
 
-/* Whether an assembly leads back to itself from a place beside it: start values determine it. */
+/* Return whether start values determine the assembly: it is found again from a place beside it. */
 static int start_values_determine(Instance *i, Loops *loops, const double *assembly)
 {
     const Scene *s = i->scene;
@@ -76,8 +76,8 @@ static int start_values_determine(Instance *i, Loops *loops, const double *assem
     return back;
 }
 
-/* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles of a
-   rough guess do so in assemblies that look alike. */
+/* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles
+   of a rough guess do so in assemblies that look alike. */
 static int find_changed_side(const Scene *s, const double *from, const double *to)
 {
     int most = -1;
@@ -91,7 +91,8 @@ static int find_changed_side(const Scene *s, const double *from, const double *t
 }
 
 /* DONE, with a warning where the guess is about as near to another assembly, or the only one is on its other side. */
-static Outcome warn_of_other_assembly(Instance *i, Loops *loops, const double *guess, const double *q, const Another *another)
+static Outcome warn_of_other_assembly(
+    Instance *i, Loops *loops, const double *guess, const double *q, const Another *another)
 {
     const Scene *s = i->scene;
     char own[QUANTITY], given[QUANTITY], other[QUANTITY];
@@ -99,14 +100,16 @@ static Outcome warn_of_other_assembly(Instance *i, Loops *loops, const double *g
     if (another->way < BETWEEN * coordinates_apart(s, guess, q) && start_values_determine(i, loops, q)) {
         coordinates_way(s, q, another->q, &most);
         instance_say(i, DONE,
-            "%s: the guess lies between two assemblies; in the one taken %s is %s, guessed as %s, and in the other, hardly "
+            "%s: the guess lies between two assemblies; in the one taken %s is %s, guessed as %s, and in the other, "
+            "hardly "
             "farther from the guess, it is %s; give start values or guesses closer to the assembly you want",
             s->name, s->coordinates[most].name, quantity_in_unit(s->coordinates[most].unit, q[most], own),
             quantity_in_unit(s->coordinates[most].unit, guess[most], given),
             quantity_in_unit(s->coordinates[most].unit, another->q[most], other));
     } else if (c >= 0)
         instance_say(i, DONE,
-            "%s: the loops closed where %s is %s, guessed as %s on the other side of zero, and no nearer assembly was found; "
+            "%s: the loops closed where %s is %s, guessed as %s on the other side of zero, and no nearer assembly was "
+            "found; "
             "check lengths and offsets, or give start values or guesses closer to this assembly",
             s->name, s->coordinates[c].name, quantity_in_unit(s->coordinates[c].unit, q[c], own),
             quantity_in_unit(s->coordinates[c].unit, guess[c], given));
@@ -144,7 +147,8 @@ static Outcome report_not_closed(Instance *i, Loops *loops, const double *guess,
         const Variable *start = s->variables + s->own + s->tied[worst];
         const double value = loops_starts(i)[s->tied[worst]];
         snprintf(hint, sizeof hint, "; they close where %s is %s instead of %s", start->name,
-            quantity_in_unit(start->unit, value + loops->residue[s->l + worst], own), quantity_in_unit(start->unit, value, given));
+            quantity_in_unit(start->unit, value + loops->residue[s->l + worst], own),
+            quantity_in_unit(start->unit, value, given));
     }
     arena_release(i, arena);
     return instance_say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s%s", s->name,
@@ -177,7 +181,8 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
         if (away < NEARER * moved) {
             coordinates_way(s, q, other, &most);
             instance_say(i, DONE,
-                "%s: the loops closed far from the guess, where %s is %s, guessed as %s, and in a nearer assembly it is %s; "
+                "%s: the loops closed far from the guess, where %s is %s, guessed as %s, and in a nearer assembly it "
+                "is %s; "
                 "give start values or guesses closer to the assembly you want",
                 s->name, s->coordinates[most].name, quantity_in_unit(s->coordinates[most].unit, q[most], own),
                 quantity_in_unit(s->coordinates[most].unit, guess[most], given),
@@ -187,14 +192,15 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     }
     if (from < 0 && moved == INFINITY)
         return report_not_closed(i, loops, guess, q);
-    if (from >= 0 && away < 0.99 * moved) { /* From the guess the way leads elsewhere, or nowhere. */
+    if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess leads to another assembly, or to none. */
         tape_cut(i, begin);
         loops_beside_guess(s, guess, size, from, q);
         tape_copy(i, q, guess, (size_t)s->n);
         loops_follow(i, loops, q);
         coordinates_way(s, guess, q, &most);
         return instance_say(i, DONE,
-            "%s: no short way leads from the guess to closed loops; in the nearest assembly found, which is taken, %s is %s, "
+            "%s: no short way leads from the guess to closed loops; in the nearest assembly found, which is taken, %s "
+            "is %s, "
             "guessed as %s; give start values or guesses closer to the assembly you want",
             s->name, s->coordinates[most].name, quantity_in_unit(s->coordinates[most].unit, q[most], own),
             quantity_in_unit(s->coordinates[most].unit, guess[most], given));
@@ -231,7 +237,8 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
     else if ((open = find_undefined_gap(i, &loops, guess)))
         outcome = instance_say(i, FAILED,
-            "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name, open);
+            "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name,
+            open);
     else {
         begin = tape_mark(i);
         outcome = close_positions(i, &loops, guess, q);
@@ -240,7 +247,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     }
     if (outcome == DONE) {
         guesses_check(i, &loops, guess, q);
-        tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
+        tape_closing(i, held, q, NULL, NULL, 1.0); /* The loops are closed at its end. */
         outcome = start_rates(i, &loops, q, v);
     }
     arena_release(i, arena);

@@ -15,24 +15,27 @@
 #include "record.h"
 #include "scene.h"
 
-/* How far an assembly has an angle or a length from its guess, over what is told; a guess of zero may be none. */
+/* Return the distance of an angle or a length of an assembly from its guess, relative to its tolerance; a guess of
+   zero may be none. */
 static double find_missed_start(const Instance *i, int c, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
     const double length = MISSED_LENGTHS * fmax(*i->length, fabs(guess[c]));
-    const double told = coordinate_is_angle(s, c) ? MISSED : coordinate_is_length(s, c) ? length : INFINITY;
-    return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / told : 0.0;
+    const double tolerance = coordinate_is_angle(s, c) ? MISSED : coordinate_is_length(s, c) ? length : INFINITY;
+    return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / tolerance : 0.0;
 }
 
-/* Whether the loops close elsewhere, near the guess whose angles that are missed or beyond a turn are read as degrees: `meant`
-   is that guess, and `there` the assembly beside it. */
-static int fits_in_degrees(Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
+/* Return whether the loops close if angles that are missed, or beyond a turn, are read as degrees: `meant` is that
+   guess, and `there` the assembly near it. */
+static int fits_in_degrees(
+    Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
 {
     const Scene *s = i->scene;
     const int paused = tape_pause(i, 1);
     int fits = 0;
     for (int c = 0; c < s->n; c++) {
-        const int beyond = coordinate_is_angle(s, c) && fabs(guess[c]) > 4 * QUARTER, off = find_missed_start(i, c, guess, q) > 1.0;
+        const int beyond = coordinate_is_angle(s, c) && fabs(guess[c]) > 4 * QUARTER,
+                  off = find_missed_start(i, c, guess, q) > 1.0;
         fits |= (coordinate_is_angle(s, c) && off) || (beyond && fabs(q[c] - guess[c]) > DISTINCT);
         meant[c] = there[c] = guess[c] * (beyond || (coordinate_is_angle(s, c) && off) ? QUARTER / 90 : 1.0);
     }
@@ -45,7 +48,8 @@ static int fits_in_degrees(Instance *i, Loops *loops, const double *guess, const
     return fits;
 }
 
-/* Adds a warning, unless there is one, of guesses far from which the loops closed; in its place one of angles in degrees. */
+/* Adds a warning, unless there is one, of guesses far from which the loops closed; in its place one of angles in
+   degrees. */
 void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
@@ -56,7 +60,9 @@ void guesses_check(Instance *i, Loops *loops, const double *guess, const double 
     int found = 0;
     for (int c = 0; c < s->n && (degrees || !*i->text); c++) {
         const char *name = s->coordinates[c].name, *unit = s->coordinates[c].unit;
-        const double turns = fabs(guess[c]) > 4 * QUARTER && coordinate_is_angle(s, c) ? q[c] - coordinate_shortest_way(s, c, q[c]) : 0.0;
+        const double turns = fabs(guess[c]) > 4 * QUARTER && coordinate_is_angle(s, c)
+            ? q[c] - coordinate_shortest_way(s, c, q[c])
+            : 0.0;
         char *end = list + strlen(list);
         if (degrees ? meant[c] == guess[c] : find_missed_start(i, c, guess, q) <= 1.0)
             continue;
@@ -65,27 +71,29 @@ void guesses_check(Instance *i, Loops *loops, const double *guess, const double 
         if (++found > SAID / 2)
             continue;
         if (degrees)
-            snprintf(end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s, and would be %s", found > 1 ? "; " : "", name,
-                own, given, quantity_in_unit(unit, there[c], other));
+            snprintf(end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s, and would be %s",
+                found > 1 ? "; " : "", name, own, given, quantity_in_unit(unit, there[c], other));
         else
-            snprintf(
-                end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s", found > 1 ? "; " : "", name, own, given);
+            snprintf(end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s", found > 1 ? "; " : "", name, own,
+                given);
     }
     if (found > SAID / 2)
         snprintf(list + strlen(list), sizeof list - strlen(list), "; and %d more", found - SAID / 2);
     if (degrees)
         instance_say(i, DONE,
-            "%s: the loops closed far from guesses that fit another assembly if they are read as degrees: %s; give guesses in "
+            "%s: the loops closed far from guesses that fit another assembly if they are read as degrees: %s; give "
+            "guesses in "
             "rad",
             s->name, list);
     else if (found)
-        instance_say(i, DONE, "%s: the loops closed far from what was given: %s; give guesses closer to the assembly you want", s->name,
+        instance_say(i, DONE,
+            "%s: the loops closed far from what was given: %s; give guesses closer to the assembly you want", s->name,
             list);
     arena_release(i, arena);
 }
 
-/* How far (limits) displacements are beyond their limits at q; `J` (limits x n, by columns) may be NULL. */
-static void beyond_limits(Instance *i, const double *q, double *beyond, double *J)
+/* Compute the excess of each displacement over its limit at q; `J` (limits x n, by columns) may be NULL. */
+static void evaluate_limits(Instance *i, const double *q, double *beyond, double *J)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -96,12 +104,12 @@ static void beyond_limits(Instance *i, const double *q, double *beyond, double *
 }
 
 /* The limit that q is beyond most, by how much more than is allowed there, lengths over that of the mechanism. */
-static double most_beyond(Instance *i, const double *q, const double *allowed, int *worst)
+static double find_worst_limit(Instance *i, const double *q, const double *allowed, int *worst)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     double *beyond = arena_alloc(i, (size_t)s->limit_count), most = -INFINITY;
-    beyond_limits(i, q, beyond, NULL);
+    evaluate_limits(i, q, beyond, NULL);
     for (int k = 0; k < s->limit_count; k++) {
         const double left = (beyond[k] - allowed[k]) / (strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length);
         if (left > most) {
@@ -113,19 +121,20 @@ static double most_beyond(Instance *i, const double *q, const double *allowed, i
     return most;
 }
 
-/* Whether closing the loops and going back from limits, one after the other, leads from q to an assembly within limits. */
+/* Return whether alternate corrections of loops and of limits lead from q to an assembly within limits. */
 static int bring_within_limits(Instance *i, Loops *loops, const double *allowed, double *q)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, count = (size_t)s->limit_count;
-    double *beyond = arena_alloc(i, count), *J = arena_alloc(i, count * n), *way = arena_alloc(i, n), size = INFINITY, square, part;
+    double *beyond = arena_alloc(i, count), *J = arena_alloc(i, count * n), *way = arena_alloc(i, n), size = INFINITY,
+           square, part;
     int worst;
     for (int pass = 0; pass < MOST && size > 0.0; pass++) {
         loops_follow(i, loops, q);
-        size = loops_close(i, loops, q) ? most_beyond(i, q, allowed, &worst) : NAN;
+        size = loops_close(i, loops, q) ? find_worst_limit(i, q, allowed, &worst) : NAN;
         if (!(size > 0.0))
             break;
-        beyond_limits(i, q, beyond, J);
+        evaluate_limits(i, q, beyond, J);
         memset(way, 0, n * sizeof *way);
         size = square = part = 0.0;
         for (int k = 0; k < s->limit_count; k++) { /* A little within them, so that few passes are made. */
@@ -133,7 +142,8 @@ static int bring_within_limits(Instance *i, Loops *loops, const double *allowed,
             const double left = beyond[k] > allowed[k] ? (beyond[k] - allowed[k]) / unit + DISTINCT / 10 : 0.0;
             size += left * left;
             for (int c = 0; c < s->n; c++)
-                way[c] += left * J[(size_t)c * count + (size_t)k] * (coordinate_is_length(s, c) ? *i->length : 1.0) / unit;
+                way[c]
+                    += left * J[(size_t)c * count + (size_t)k] * (coordinate_is_length(s, c) ? *i->length : 1.0) / unit;
         }
         for (int c = 0; c < s->n; c++) {
             square += way[c] * way[c];
@@ -149,8 +159,8 @@ static int bring_within_limits(Instance *i, Loops *loops, const double *allowed,
     return size <= 0.0;
 }
 
-/* Looks for an assembly within the limits of stops where the one at q is far beyond one, and takes the nearest found. What the
-   guess itself is beyond a limit is allowed. */
+/* Looks for an assembly within the limits of stops where the one at q is far beyond one, and takes the nearest
+   found. What the guess itself is beyond a limit is allowed. */
 void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin)
 {
     const Scene *s = i->scene;
@@ -163,10 +173,10 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
     allowed = arena_alloc(i, (size_t)s->limit_count);
     tried = arena_alloc(i, n);
     found = arena_alloc(i, n);
-    beyond_limits(i, guess, allowed, NULL);
+    evaluate_limits(i, guess, allowed, NULL);
     for (int k = 0; k < s->limit_count; k++)
         allowed[k] = fmax(allowed[k], 0.0);
-    left = most_beyond(i, q, allowed, &worst);
+    left = find_worst_limit(i, q, allowed, &worst);
     if (left > DISTINCT) { /* Less is a load on the stop. */
         const int paused = tape_pause(i, 1);
         for (int k = -1; k < TRIES; k++) {
@@ -186,13 +196,16 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
             tape_copy(i, q, guess, n);
             coordinates_way(s, guess, q, &most);
             instance_say(i, DONE,
-                "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, where %s is "
+                "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, "
+                "where %s is "
                 "%s, guessed as %s; give start values or guesses closer to the assembly you want",
-                s->name, s->limited[worst].name, how, s->coordinates[most].name, quantity_in_unit(s->coordinates[most].unit, q[most], own),
+                s->name, s->limited[worst].name, how, s->coordinates[most].name,
+                quantity_in_unit(s->coordinates[most].unit, q[most], own),
                 quantity_in_unit(s->coordinates[most].unit, guess[most], given));
         } else
             instance_say(i, DONE,
-                "%s: no assembly within limits was found; the one taken is beyond %s by %s; check the limits, lengths and start "
+                "%s: no assembly within limits was found; the one taken is beyond %s by %s; check the limits, lengths "
+                "and start "
                 "values",
                 s->name, s->limited[worst].name, how);
     }

@@ -79,10 +79,10 @@ double rows_squared(Instance *i, const Rows *J, double *a)
     return most;
 }
 
-/* x (n) of least norm with J x = r as nearly as possible: the correction (10) with the unit matrix in place of M, repeated
-   until it gains no more, at most so often. x = J' lam, and lam = (J J' + 1 / alpha)^-1 (r - J x) adds up, so that rows
-   that depend on each other share it; a direction that rows hold less than some 1e-6 of what they hold others needs more
-   passes than there are. */
+/* x (n) of least norm with J x = r as nearly as possible: the correction (10) with the unit matrix in place of M,
+   repeated until it gains no more, at most so often. x = J' lam, and lam = (J J' + 1 / alpha)^-1 (r - J x) adds up,
+   so that rows that depend on each other share it; a direction that rows hold less than some 1e-6 of what they hold
+   others needs more passes than there are. */
 void rows_least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x)
 {
     const Envelope *e = &i->scene->closing;

@@ -48,7 +48,8 @@ Loops loops_new(Instance *i, const unsigned char *held)
     return loops;
 }
 
-/* Whether what is left is so small a share of the coordinates, gaps in metres over the length of the mechanism. */
+/* Return whether the residue is below this share of the coordinates; gaps in metres are relative to the length of
+   the mechanism. */
 static int loops_within(const Instance *i, const Loops *loops, const double *q, double share)
 {
     const Scene *s = i->scene;
@@ -136,7 +137,8 @@ const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t
     } else {
         const Variable *start = s->variables + s->own + s->tied[worst - s->l];
         char left[QUANTITY];
-        snprintf(label, size, "%s missed by %s", start->name, quantity_in_unit(start->unit, fabs(loops->residue[worst]), left));
+        snprintf(label, size, "%s missed by %s", start->name,
+            quantity_in_unit(start->unit, fabs(loops->residue[worst]), left));
     }
     return label;
 }

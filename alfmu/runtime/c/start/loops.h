@@ -11,7 +11,7 @@
 
 #include "internal_begin.h"
 
-/* What an assembly closes: the gaps of the rows that are held, and the start values. */
+/* The equations that an assembly solves: the gaps of the rows in force, and the start values. */
 typedef struct {
     const unsigned char *held;
     int count; /* of both */

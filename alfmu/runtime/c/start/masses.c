@@ -13,12 +13,13 @@
 #include "scene.h"
 
 /* The motion (n) that masses and constraints hold least, and how much they do: singular value of [M / scale; C]. */
-static double weakest_held_motion(Instance *i, Matrix M, Matrix C, double scale, double *motion)
+static double find_weakest_motion(Instance *i, Matrix M, Matrix C, double scale, double *motion)
 {
     const Scene *s = i->scene;
     const int n = s->n, rows = n + s->l;
     const size_t arena = arena_mark(i), side = (size_t)n;
-    double *both = arena_alloc(i, (size_t)rows * side), *V = arena_alloc(i, side * side), *sizes = arena_alloc(i, side), least;
+    double *both = arena_alloc(i, (size_t)rows * side), *V = arena_alloc(i, side * side), *sizes = arena_alloc(i, side),
+           least;
     pattern_spread(M.pattern, M.values, both, rows);
     pattern_spread(C.pattern, C.values, both + n, rows);
     for (int c = 0; c < n; c++)
@@ -31,8 +32,8 @@ static double weakest_held_motion(Instance *i, Matrix M, Matrix C, double scale,
     return least;
 }
 
-/* The same for many coordinates, by inverse iteration: eigenvalue of M / scale + C' C. */
-static double weakest_held_motion_of_many(Instance *i, Matrix M, Matrix C, double scale, double *motion)
+/* Find the weakest motion of many coordinates by inverse iteration: an eigenvector of M / scale + C' C. */
+static double find_weakest_of_many(Instance *i, Matrix M, Matrix C, double scale, double *motion)
 {
     const Scene *s = i->scene;
     const Envelope *e = &s->holding;
@@ -45,7 +46,7 @@ static double weakest_held_motion_of_many(Instance *i, Matrix M, Matrix C, doubl
             if (m->indices[k] <= c)
                 *envelope_entry(e, a, c, m->indices[k]) += M.values[k] / scale;
     }
-    /* Rows of C by products of its columns, where the envelope has room for what they have in common. */
+    /* Compute C' C within the envelope. */
     for (int c = 0; c < s->n; c++)
         for (int d = 0; d <= c; d++) {
             double sum = 0.0;
@@ -88,7 +89,7 @@ Outcome masses_check(Instance *i, const double *q, const unsigned char *held)
     scale = s->l ? fmax(linear_largest(M.values, s->mass.entries), 1e-300) : 1.0;
     if (s->timed) /* Time needs no mass. */
         M.values[s->mass.entries - 1] = scale;
-    least = (s->n <= DENSE ? weakest_held_motion : weakest_held_motion_of_many)(i, M, C, scale, motion);
+    least = (s->n <= DENSE ? find_weakest_motion : find_weakest_of_many)(i, M, C, scale, motion);
     if (!(least > 1e-13)) {
         char free[300] = "";
         for (int c = 0; c < s->n; c++)

@@ -10,15 +10,15 @@
 #include "row_units.h"
 #include "scene.h"
 
-/* Whether two rows are directions of one joint, which are square to each other. */
-static int rows_of_one_joint(const Scene *s, int a, int b)
+/* Return whether two rows are directions of one joint, which are orthogonal. */
+static int are_of_one_joint(const Scene *s, int a, int b)
 {
     return a == b || (s->rows[a].size > 0.0 && s->rows[b].size > 0.0 && !strcmp(s->rows[a].name, s->rows[b].name));
 }
 
-/* How often each row is written: rows that are multiples of each other at all places have the same sums, over places and
-   coordinates, of their coefficients by random numbers, over their size. Those of one joint are parts of one row, which the
-   directions of its axes have divided among them. */
+/* How often each row is written: rows that are multiples of each other at all places have the same sums, over places
+   and coordinates, of their coefficients by random numbers, over their size. Those of one joint are parts of one
+   row, which the directions of its axes have divided among them. */
 static void count_copies(Instance *i, const double *q, double *count)
 {
     const Scene *s = i->scene;
@@ -48,7 +48,7 @@ static void count_copies(Instance *i, const double *q, double *count)
         for (int other = 0; other < s->l; other++)
             if (fabs(sums[r] - sums[other]) <= SAME * sums[r]) {
                 all += parts[other];
-                own += rows_of_one_joint(s, r, other) ? parts[other] : 0.0;
+                own += are_of_one_joint(s, r, other) ? parts[other] : 0.0;
             }
         count[r] = all > own && own > 0.0 ? all / own : 1.0; /* NaN equals no other row. */
     }
@@ -71,14 +71,17 @@ void penalties_default(Instance *i, const double *q, double *penalties)
         for (int e = p->offsets[c]; coordinate_is_length(s, c) && e < p->offsets[c + 1]; e++) {
             Range *each[] = {sizes + e, amplitudes + e};
             for (int k = 0; k < 2; k++)
-                *each[k] = (Range){each[k]->first * *i->length, each[k]->least * *i->length, each[k]->most * *i->length};
+                *each[k] = (Range){
+                    each[k]->first * *i->length, each[k]->least * *i->length, each[k]->most * *i->length};
         }
     memset(told, 0, l * sizeof *told);
     units_tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
-        units[r] = declared ? s->rows[r].size * (strcmp(s->rows[r].unit, "m") ? 1.0 : *i->length) : units_of_row(told + r);
-        known &= declared || units_constant(told + r) > 0.0 || units_are_telling(told + r, told[r].lengths) || told[r].angular > 0.0;
+        units[r]
+            = declared ? s->rows[r].size * (strcmp(s->rows[r].unit, "m") ? 1.0 : *i->length) : units_of_row(told + r);
+        known &= declared || units_constant(told + r) > 0.0 || units_are_telling(told + r, told[r].lengths)
+            || told[r].angular > 0.0;
         every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= units_constant(told + r) > 0.0;
     }
@@ -101,7 +104,7 @@ void penalties_default(Instance *i, const double *q, double *penalties)
         double own = 0.0; /* of the directions of a joint together, as its axes may lie anywhere */
         held[c] = 0.0;
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
-            const int r = p->indices[e], more = e > p->offsets[c] && rows_of_one_joint(s, p->indices[e - 1], r);
+            const int r = p->indices[e], more = e > p->offsets[c] && are_of_one_joint(s, p->indices[e - 1], r);
             own = more ? hypot(own, sizes[e].most / units[r]) : sizes[e].most / units[r];
             held[c] = fmax(held[c], own);
         }

@@ -31,7 +31,7 @@ void rank_weighted_rows(Instance *i, const double *q, const double *weights, Mat
 }
 
 /* Singular values of C that are more than nothing. */
-static int rank_of_matrix(Instance *i, Matrix C)
+static int count_rank(Instance *i, Matrix C)
 {
     const Scene *s = i->scene;
     const int wide = s->l < s->n, few = wide ? s->l : s->n, many = wide ? s->n : s->l;
@@ -54,8 +54,8 @@ static int rank_of_matrix(Instance *i, Matrix C)
     return rank;
 }
 
-/* The same of many coordinates: rows that those before them do not make up, by the pivots of C C'. */
-static int rank_of_many(Instance *i, const Rows *J)
+/* Count the independent rows of many coordinates by the pivots of C C'. */
+static int count_rank_of_many(Instance *i, const Rows *J)
 {
     const Envelope *e = &i->scene->closing;
     const size_t arena = arena_mark(i);
@@ -68,7 +68,7 @@ static int rank_of_many(Instance *i, const Rows *J)
     return rank;
 }
 
-/* How many of these constraints are independent at q. */
+/* Return the number of independent constraints at q. */
 int rank_at(Instance *i, const double *q, const unsigned char *held)
 {
     const Scene *s = i->scene;
@@ -80,12 +80,13 @@ int rank_at(Instance *i, const double *q, const unsigned char *held)
     for (int r = 0; r < s->l; r++)
         weights[r] = held[r];
     rank_weighted_rows(i, q, weights, J.constraints, phi);
-    rank = s->n > DENSE ? rank_of_many(i, &J) : rank_of_matrix(i, J.constraints);
+    rank = s->n > DENSE ? count_rank_of_many(i, &J) : count_rank(i, J.constraints);
     arena_release(i, arena);
     return rank;
 }
 
-/* The correction of least norm with which a rank is told: where coordinates are few, it takes what C hardly holds. */
+/* Compute the correction of least norm by which a rank is judged; with few coordinates it includes motions that C
+   hardly holds. */
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
 {
     const Scene *s = i->scene;
@@ -110,7 +111,8 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     const double size = 0.3 * fmin(fmax(1.0, instance_largest(i, q)), ALIKE) / sqrt(s->n);
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     const Matrix C = J.constraints;
-    double *phi = arena_alloc(i, count), *weights = arena_alloc(i, l), *units = arena_alloc(i, l), *near = arena_alloc(i, n), *dq = arena_alloc(i, n);
+    double *phi = arena_alloc(i, count), *weights = arena_alloc(i, l), *units = arena_alloc(i, l),
+           *near = arena_alloc(i, n), *dq = arena_alloc(i, n);
     double *side_places = arena_alloc(i, n), most = 1.0;
     int rank, found;
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
@@ -121,7 +123,8 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     }
     for (int k = -1; k < places && !many; k++) { /* Rows in other units are as independent as before. */
         for (int c = 0; c < s->n; c++)
-            near[c] = q[c] + (k < 0 ? 0.0 : size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c]);
+            near[c] = q[c]
+                + (k < 0 ? 0.0 : size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c]);
         rank_weighted_rows(i, near, weights, C, phi);
         for (int e = 0; e < s->constraint.entries; e++)
             units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
@@ -130,7 +133,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     for (int r = 0; r < s->l; r++) /* A row of round-off alone stays small. */
         weights[r] = held[r] / (units[r] > SAME * most ? units[r] : 1.0);
     rank_weighted_rows(i, q, weights, C, phi);
-    rank = many ? rank_of_many(i, &J) : rank_of_matrix(i, C);
+    rank = many ? count_rank_of_many(i, &J) : count_rank(i, C);
     *here = s->n - rank;
     memcpy(place, q, n * sizeof *q);
     for (int k = 0; k < places; k++) {
@@ -149,7 +152,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
         }
         for (int c = 0; c < s->n; c++)
             near[c] = q[c] + side_places[c];
-        if (s->timed) /* Where time stands still, what is prescribed may have no regular position. */
+        if (s->timed) /* With time fixed, a prescribed motion may have no regular position. */
             near[s->n - 1] += (k % 2 ? -LATER : LATER) * pow(0.1, (k / 2) % 4);
         for (int pass = 0;; pass++) {
             rank_weighted_rows(i, near, weights, C, phi);
@@ -159,7 +162,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
             for (int c = 0; c < s->n; c++)
                 near[c] -= dq[c];
         }
-        if (linear_largest(phi, s->l) < 1e-9 && (found = many ? rank_of_many(i, &J) : rank_of_matrix(i, C)) > rank) {
+        if (linear_largest(phi, s->l) < 1e-9 && (found = many ? count_rank_of_many(i, &J) : count_rank(i, C)) > rank) {
             rank = found;
             memcpy(place, near, n * sizeof *near);
         }
@@ -169,7 +172,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
 }
 
 /* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
-static void row_combinations(Instance *i, const double *q, double *combinations, double *sizes)
+static void combine_rows(Instance *i, const double *q, double *combinations, double *sizes)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
@@ -193,7 +196,7 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
     const int rank = (int)*i->rank;
     const Matrix C = matrix_new(i, &s->constraint);
     double *combinations = arena_alloc(i, l * l), *sizes = arena_alloc(i, l), *there = arena_alloc(i, n), found = 0.0;
-    row_combinations(i, q, combinations, sizes);
+    combine_rows(i, q, combinations, sizes);
     for (int c = 0; c < s->n; c++)
         there[c] = q[c] + side_places[SIDE_PLACES - 1] * way[c];
     constraints_evaluate(i, there, way, NULL, C.values, NULL, NULL);
@@ -210,7 +213,7 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
 }
 
-/* The same for any place on the motion near the start. */
+/* Return the same for any place of the motion near the start. */
 static int rank_changes_near(Instance *i, const double *q, const double *v)
 {
     const Scene *s = i->scene;
@@ -272,7 +275,7 @@ void rank_freeze(Instance *i)
     combinations = arena_alloc(i, l * l);
     sizes = arena_alloc(i, l);
     /* S5: at a singular position the combinations of the place before it are kept. */
-    row_combinations(i, instance_field(i, s->z), combinations, sizes);
+    combine_rows(i, instance_field(i, s->z), combinations, sizes);
     if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
             for (int b = 0; b < s->l; b++) {
@@ -287,7 +290,7 @@ void rank_freeze(Instance *i)
 }
 
 /* Sorts upwards; there are few. */
-static void sort(double *x, int count)
+static void sort_numbers(double *x, int count)
 {
     for (int a = 1; a < count; a++)
         for (int b = a; b > 0 && x[b] < x[b - 1]; b--) {
@@ -304,9 +307,12 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     const double *p = instance_field(i, s->p);
     double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l, margin;
-    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n), *found = arena_alloc(i, SIDE_PLACES + 1);
-    double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n), *touched = arena_alloc(i, n);
-    double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n), *together = arena_alloc(i, SIDE_PLACES + 1), size;
+    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n),
+           *found = arena_alloc(i, SIDE_PLACES + 1);
+    double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n),
+           *touched = arena_alloc(i, n);
+    double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n),
+           *together = arena_alloc(i, SIDE_PLACES + 1), size;
     int freedom = s->freedom + s->timed, count = 1, second, here;
     if (!usual || s->freedom < 0)
         freedom = rank_freedom_near(i, q, held, &here, there);
@@ -362,7 +368,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
         function_call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++)
             bad |= !(pivots[c] > 0.0);
-        sort(pivots, bad ? 0 : s->n);
+        sort_numbers(pivots, bad ? 0 : s->n);
         found[a] = together[a] = 0.0;
         for (int c = 0; c < s->n; c++) {
             const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
@@ -370,11 +376,11 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
             together[a] += part;
         }
     }
-    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller, and the
-       start, which may be one, is there twice. */
-    sort(together, count);
+    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller,
+       and the start, which may be one, is there twice. */
+    sort_numbers(together, count);
     *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
-    sort(found, count);
+    sort_numbers(found, count);
     second = found[1] == found[0] ? 2 : 1;
     while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
         count--;
@@ -384,8 +390,8 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     arena_release(i, arena);
 }
 
-/* Of the constraints in force, of all of them, or of those in force without what dry friction holds; also a place (n) near the
-   present one at which they are told. */
+/* Of the constraints in force, of all of them, or of those in force without what dry friction holds; also a place
+   (n) near the present one at which they are told. */
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place)
 {
     const Scene *s = i->scene;

@@ -23,7 +23,8 @@ int range_is_constant(Range range)
 }
 
 /* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. Those that are
-   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does not. */
+   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does
+   not. */
 void units_sample_coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
 {
     const Scene *s = i->scene;
@@ -86,17 +87,19 @@ void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row
         }
 }
 
-/* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of constraints of
-   lengths alone the least radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it.
-   Rows in other units have the same arms: those of a known coefficient of a length are over it, and others count where
-   none is. */
+/* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of
+   constraints of lengths alone the least radius by which their coefficients turn; 1 m where that is of its size, or
+   nothing tells it. Rows in other units have the same arms: those of a known coefficient of a length are over it,
+   and others count where none is. */
 double units_own_length(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l, entries = (size_t)p->entries;
-    double *C = arena_alloc(i, entries), *turned = arena_alloc(i, entries), *there = arena_alloc(i, n), *zeros = arena_alloc(i, n);
-    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l), known = 0.0, arm = 0.0, radius = INFINITY, found;
+    double *C = arena_alloc(i, entries), *turned = arena_alloc(i, entries), *there = arena_alloc(i, n),
+           *zeros = arena_alloc(i, n);
+    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l), known = 0.0, arm = 0.0,
+           radius = INFINITY, found;
     Range *sizes = (Range *)arena_alloc(i, 3 * entries), *amplitudes = (Range *)arena_alloc(i, 3 * entries);
     Row_units *told = (Row_units *)arena_alloc(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
@@ -142,8 +145,8 @@ double units_constant(const Row_units *row)
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
 }
 
-/* Whether some coefficients tell the unit of their row: at a place that closes the loops, those of a slide across the row
-   and of the attitude of a body that carries the whole loop are round-off. */
+/* Return whether these coefficients determine the unit of their row. At a place that closes the loops, those of a
+   slide across the row, and of the attitude of a body that carries the whole loop, are round-off. */
 int units_are_telling(const Row_units *row, Sum sum)
 {
     return units_sum(sum) > HARDLY * row->most;

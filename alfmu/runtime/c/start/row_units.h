@@ -18,12 +18,12 @@ typedef struct {
     double first, least, most;
 } Range;
 
-/* What some coefficients of a row come to together. */
+/* Sum of squares of some coefficients of a row, and their number. */
 typedef struct {
     double squares, count;
 } Sum;
 
-/* What the coefficients of a row tell of its unit. */
+/* Properties of the coefficients of a row that tell its unit. */
 typedef struct {
     Sum lengths, euler;
     double most, constant, constant_length, angular;

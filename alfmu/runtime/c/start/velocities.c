@@ -16,12 +16,14 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
+/* Find velocities that keep the loops closed and have the given start rates, nearest to the guess v; `left` is the
+   residue. */
 static void solve_rates(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
-    double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n), *weights = arena_alloc(i, (size_t)s->l);
+    double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n),
+           *weights = arena_alloc(i, (size_t)s->l);
     double *lam = arena_alloc(i, (size_t)loops->count);
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     loops_evaluate(i, loops, q);
@@ -31,7 +33,7 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     matrix_weigh_rows(J.constraints, weights);
     for (int pass = 0; pass < 3; pass++) {
         rows_times(&J, v, made);
-        if (s->timed) { /* Also what constraints move by themselves. */
+        if (s->timed) { /* Include the motion that constraints prescribe. */
             constraints_evaluate(i, q, v, NULL, NULL, NULL, made);
             for (int r = 0; r < s->l; r++)
                 made[r] *= weights[r];
@@ -54,8 +56,10 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     const Scene *s = i->scene;
     const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = loops_starts(i) + s->starts;
-    double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n), *weights = arena_alloc(i, l);
-    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1), *M = arena_alloc(i, (size_t)s->mass.entries);
+    double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n),
+           *weights = arena_alloc(i, l);
+    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
+           *M = arena_alloc(i, (size_t)s->mass.entries);
     double lost = 0.0, most;
     const double zero = 0.0;
     Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
@@ -92,7 +96,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
         left[r] *= weights[r];
-    /* A motion keeps what C hardly holds within that times its acceleration: two passes leave it. */
+    /* Two passes leave residues in directions that C hardly holds, which a motion violates in proportion to its
+       acceleration. */
     rows_least_correction(i, &J, left, 2, dv);
     matrix_times(J.constraints, dv, made);
     most = linear_largest(left, s->l);
@@ -109,8 +114,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start values;
-   it stays at rest where there is no such motion. */
+/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start
+   values; it stays at rest where there is no such motion. */
 void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v)
 {
     const Scene *s = i->scene;

@@ -71,13 +71,14 @@ static int try_short_step(Instance *i)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double kept[PACE];
-    const int onward = s->short_onward >= 0 && step_can_reuse(i);
+    const int onward = s->reuses && step_can_reuse(i);
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
         i->shared += s->short_cost; /* The tally counts these evaluations; none of them is made. */
     else {
-        program_run(i, onward ? s->short_onward : s->short_step);
+        i->workspace[s->onward] = onward;
+        program_run(i, s->short_step);
         i->shared += onward;
         if (after[s->trouble] == 0.0)
             return 1;
@@ -147,12 +148,12 @@ static int try_other_method(Instance *i, double left)
     const Scene *s = i->scene;
     double *m = i->m, *pace = m + s->pace, kept[PACE];
     const int stiff = pace[PACE_STIFF] != 0.0;
-    const double wanted = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
-    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && wanted > left))
+    const double length = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
+    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && length > left))
         return 0;
     memcpy(kept, pace, sizeof kept);
     switch_step_kind(pace, 0);
-    pace[PACE_DT] = wanted;
+    pace[PACE_DT] = length;
     pace[PACE_LAST] = 0.0;
     program_run(i, stiff ? s->method_step : s->stiff_step);
     m[s->tally + (stiff ? TALLY_TRIES : TALLY_STIFF_TRIES)] += 1.0;
@@ -258,7 +259,8 @@ static int cross_jump(Instance *i)
 static int cross_jump_by_rk4(Instance *i)
 {
     const double least = shortest_step(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
-    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0 || step_fixed(i, 1, fmin(least, left)) != 1)
+    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0
+        || step_fixed(i, 1, fmin(least, left)) != 1)
         return 0;
     note_crossing(i, least);
     return 1;
@@ -280,9 +282,9 @@ int step_adaptive(Instance *i, double end, long tries)
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];
         if (after[s->trouble] != 0.0) {
-            const double wanted = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * wanted;
+            const double tried = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * tried;
             if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
-                until = m[s->z + s->time] + wanted;
+                until = m[s->z + s->time] + tried;
                 stuck = 0;
             }
             stuck += after[s->near] != 0.0;
@@ -302,7 +304,8 @@ int step_adaptive(Instance *i, double end, long tries)
         /* The tolerance of a step is a share of the tolerance of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
             instance_warn(i, WARNED_OF_ROUND_OFF,
-                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
+                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had "
+                "here, "
                 "and the motion goes on at that",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);

@@ -33,7 +33,8 @@ static int is_at_rest(Instance *i, double kinetic)
 static void warn_of_drift(Instance *i)
 {
     const Scene *s = i->scene;
-    const double *now = instance_field(i, s->z), *begin = instance_field(i, s->begin), h = now[s->time] - begin[s->time];
+    const double *now = instance_field(i, s->z), *begin = instance_field(i, s->begin),
+                 h = now[s->time] - begin[s->time];
     double *c = i->counts, rate = 0.0;
     if (now[s->work] != 0.0)
         return;
@@ -42,9 +43,11 @@ static void warn_of_drift(Instance *i)
     c[DRIFT] += c[BALANCE] / c[ENERGY_SCALE] / 2 * rate * h;
     if (fabs(c[DRIFT]) > UNBALANCED)
         instance_warn(i, WARNED_OF_DRIFT,
-            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes off more and "
+            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes "
+            "off more and "
             "more; %s, and judge the run by one with --check",
-            s->name, now[s->time], fabs(c[DRIFT]), settings_method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
+            s->name, now[s->time], fabs(c[DRIFT]),
+            settings_method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
 }
 
 /* Update the energy balance after a communication step, if a monitor reads it. */
@@ -70,21 +73,22 @@ void instance_balance(Instance *i)
         instance_warn(i, WARNED_OF_BALANCE,
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
-            settings_method(i) == 1 ? "use a smaller solver.relative_tolerance"
-            : s->l && !settings_continue(i)
-                ? "near singular positions solver.formulation residual with solver.branch continue keeps it; elsewhere take "
-                  "a smaller solver.step_size"
-                : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or stiff, which "
-                  "control their error");
+            settings_method(i) == 1             ? "use a smaller solver.relative_tolerance"
+                : s->l && !settings_continue(i) ? "near singular positions solver.formulation residual with "
+                                                  "solver.branch continue keeps it; elsewhere take "
+                                                  "a smaller solver.step_size"
+                                                : "steps of solver.step_size are too long: take shorter ones, or "
+                                                  "solver.method explicit or stiff, which "
+                                                  "control their error");
 }
 
 /* Compute the change of the energy balance in the last communication step, if a monitor reads it. */
 void balance_tell_step_error(Instance *i)
 {
     const Scene *s = i->scene;
-    double *told = i->m + s->seen + s->monitor_step_error;
+    double *step_error = i->m + s->seen + s->monitor_step_error;
     if (s->monitor_step_error >= 0) {
-        *told = i->counts[STEP_ERROR];
-        tape_clearing(i, told, 1);
+        *step_error = i->counts[STEP_ERROR];
+        tape_clearing(i, step_error, 1);
     }
 }

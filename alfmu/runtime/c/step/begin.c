@@ -29,39 +29,6 @@
 #include "topology.h"
 #include "velocities.h"
 
-/* Apply the requested Boolean inputs at this instant. */
-Outcome begin_take_effect(Instance *i)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i);
-    Outcome outcome;
-    peaks_broken(i);
-    if (s->held) {
-        double *displacements = arena_alloc(i, (size_t)s->held);
-        const double *x[] = {instance_field(i, s->z), instance_field(i, s->p)};
-        double *y[] = {displacements};
-        function_call_recorded(i, s->displacements, x, y);
-        for (int k = 0; k < s->switches; k++)
-            if (s->switched[k].value >= 0 && i->requested[k] != 0.0 && i->active[k] == 0.0) {
-                i->discrete[s->switched[k].value] = displacements[s->switched[k].value];
-                tape_copy(i, i->discrete + s->switched[k].value, displacements + s->switched[k].value, 1);
-            }
-        settings_upload_parameters(i);
-    }
-    if (s->frictions) {
-        friction_reset(i); /* Friction takes no part in an impact; sticking joints are determined after it. */
-        settings_upload_parameters(i);
-    }
-    outcome = topology_change(i, i->requested);
-    if (outcome == DONE)
-        outcome = friction_begin(i);
-    if (outcome == DONE)
-        memcpy(i->active, i->requested, (size_t)s->switches * sizeof *i->active);
-    i->flags.pending = 0;
-    arena_release(i, arena);
-    return outcome;
-}
-
 static Outcome read_compliances(Instance *i)
 {
     const Scene *s = i->scene;
@@ -75,8 +42,9 @@ static Outcome read_compliances(Instance *i)
         return DONE;
     for (int k = 0;; k++)
         if (i->compliances[k] == 0.0)
-            return instance_say(i, REFUSED, "%s: %s is 0 and others are not; give each constraint a compliance, or none",
-                s->name, s->variables[first + k].name);
+            return instance_say(i, REFUSED,
+                "%s: %s is 0 and others are not; give each constraint a compliance, or none", s->name,
+                s->variables[first + k].name);
 }
 
 /* Return DONE if the constraints are as consistent as integrators with error control require. */
@@ -181,7 +149,7 @@ static Outcome begin_run(Instance *i)
     if (s->l && settings_project(i))
         outcome = projection_apply(i, q, v);
     if (outcome == DONE)
-        outcome = topology_update_rank(i, q, v);
+        outcome = settings_update_rank(i, q, v);
     if (outcome == DONE && s->l && settings_method(i) == 1)
         outcome = check_agreed(i, held, q, v);
     if (outcome != DONE)
@@ -191,16 +159,18 @@ static Outcome begin_run(Instance *i)
         agreement_warn_of_second_order(i, held, q);
     if (light >= 0)
         instance_warn(i, WARNED_OF_PENALTY,
-            "%s: solver.penalty %g is below the mass %g that %s %s holds, so that multipliers may be wrong; use 0, which "
+            "%s: solver.penalty %g is below the mass %g that %s %s holds, so that multipliers may be wrong; use 0, "
+            "which "
             "scales it with the masses",
             s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
     settings_upload(i);
     /* At rest near a singular position there is no velocity that gives the direction of the limit. */
-    if (s->l && settings_continue(i) && linear_largest(v, scene_coordinates(s)) == 0.0 && settings_margin(i) < BRANCH_MARGIN)
+    if (s->l && settings_continue(i) && linear_largest(v, scene_coordinates(s)) == 0.0
+        && settings_margin(i) < BRANCH_MARGIN)
         start_set_off(i, held, q, instance_field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
         if (i->requested[k] != i->active[k])
-            return begin_take_effect(i);
+            return topology_take_effect(i);
     return friction_begin(i);
 }
 
@@ -217,7 +187,8 @@ Outcome instance_initialize(Instance *i)
             s->name, settings_method_name(i));
     if (s->frictions && !settings_all_serve(i))
         return instance_say(i, REFUSED,
-            "%s: dry friction is solved for in the multiplier iteration of solver.formulation residual with projections; "
+            "%s: dry friction is solved for in the multiplier iteration of solver.formulation residual with "
+            "projections; "
             "choose that",
             s->name);
     arena_reset(i);
@@ -234,8 +205,8 @@ Outcome instance_initialize(Instance *i)
 Outcome instance_begin(Instance *i, double start, double stop)
 {
     if (!(stop >= start))
-        return instance_say(
-            i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s", i->scene->name, stop, start);
+        return instance_say(i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s",
+            i->scene->name, stop, start);
     *instance_time(i) = start;
     i->stop = stop;
     return DONE;

@@ -1,4 +1,4 @@
-/* The start of a run: assembly, penalties, settings, and Boolean inputs that take effect. */
+/* The start of a run: assembly, penalties and settings. */
 
 #ifndef ALFMU_BEGIN_H
 #define ALFMU_BEGIN_H
@@ -7,7 +7,6 @@
 
 #include "internal_begin.h"
 
-Outcome begin_take_effect(Instance *i);
 Outcome instance_initialize(Instance *i);
 Outcome instance_begin(Instance *i, double start, double stop);
 

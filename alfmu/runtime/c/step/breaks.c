@@ -46,7 +46,7 @@ size_t breaks_room(const Scene *s)
 }
 
 /* Evaluate the switching functions, followed by their rates. */
-static void values_at(Instance *i, double time, double *found)
+static void evaluate_breaks(Instance *i, double time, double *found)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -60,17 +60,17 @@ static void values_at(Instance *i, double time, double *found)
     arena_release(i, arena);
 }
 
-static double digit(double time)
+static double time_resolution(double time)
 {
     return DIGITS * DBL_EPSILON * fmax(fabs(time), 1e-3);
 }
 
 /* Append a break. Return 0 if there is no room. */
-static int add(Instance *i, double left, double right)
+static int append_break(Instance *i, double left, double right)
 {
     if (i->broken == MOST_BREAKS)
         return 0;
-    i->breaks[2 * i->broken] = left - digit(left);
+    i->breaks[2 * i->broken] = left - time_resolution(left);
     i->breaks[2 * i->broken++ + 1] = right;
     return 1;
 }
@@ -81,11 +81,11 @@ typedef struct {
 } Bracket;
 
 /* Evaluate one function at a time within the bracket and move the end of the same sign there. */
-static void asked(Instance *i, int which, double time, Bracket *b)
+static void shrink_bracket(Instance *i, int which, double time, Bracket *b)
 {
     const size_t arena = arena_mark(i);
     double *now = arena_alloc(i, 2 * (size_t)i->scene->break_count);
-    values_at(i, time, now);
+    evaluate_breaks(i, time, now);
     if ((now[which] > 0.0) == (b->at_high > 0.0)) {
         b->high = time;
         b->at_high = now[which];
@@ -98,36 +98,36 @@ static void asked(Instance *i, int which, double time, Bracket *b)
 
 /* Return the first time after `time`, in the direction `way`, at which the function is not zero to the last digit,
    and as far again, where round-off no longer affects it. */
-static double beyond(Instance *i, int which, double time, double way)
+static double find_time_beyond(Instance *i, int which, double time, double way)
 {
     const size_t arena = arena_mark(i);
-    double *now = arena_alloc(i, 2 * (size_t)i->scene->break_count), step = digit(time);
+    double *now = arena_alloc(i, 2 * (size_t)i->scene->break_count), step = time_resolution(time);
     double to = time;
-    values_at(i, to, now);
+    evaluate_breaks(i, to, now);
     for (int pass = 0; pass < FLAT && now[which] == 0.0; pass++, step *= 2) {
         to += way * step;
-        values_at(i, to, now);
+        evaluate_breaks(i, to, now);
     }
     arena_release(i, arena);
     return to + (to - time);
 }
 
 /* Narrow the bracket of a change of sign by secant steps, each with an evaluation just beyond it, and by bisections. */
-static int narrowed(Instance *i, int which, double low, double high, double at_low, double at_high)
+static int narrow_bracket(Instance *i, int which, double low, double high, double at_low, double at_high)
 {
     Bracket b = {low, high, at_low, at_high};
-    for (int pass = 0; b.high - b.low > digit(b.high); pass++) {
-        const double near = digit(b.high) / 2, low_before = b.low;
+    for (int pass = 0; b.high - b.low > time_resolution(b.high); pass++) {
+        const double near = time_resolution(b.high) / 2, low_before = b.low;
         double t = b.low + (b.high - b.low) * (pass % 3 == 2 ? 0.5 : b.at_low / (b.at_low - b.at_high));
         t = fmin(fmax(t, b.low + near), b.high - near); /* A NaN becomes the lower bound. */
         if (pass == MOST_PASSES)
             return 1; /* No finite function changes its sign here. */
-        asked(i, which, t, &b);
+        shrink_bracket(i, which, t, &b);
         t += b.low > low_before ? near : -near;
         if (t > b.low && t < b.high)
-            asked(i, which, t, &b);
+            shrink_bracket(i, which, t, &b);
     }
-    return add(i, beyond(i, which, b.low, -1.0), beyond(i, which, b.high, 1.0));
+    return append_break(i, find_time_beyond(i, which, b.low, -1.0), find_time_beyond(i, which, b.high, 1.0));
 }
 
 /* The cubic through both ends of an interval. */
@@ -135,45 +135,46 @@ typedef struct {
     double value, slope, square, cube;
 } Cubic;
 
-static Cubic through(double before, double after, double slope, double end)
+static Cubic fit_cubic(double before, double after, double slope, double end)
 {
     const double change = after - before;
     const Cubic c = {before, slope, 3 * change - 2 * slope - end, slope + end - 2 * change};
     return c;
 }
 
-static double cubic_at(Cubic c, double x)
+static double evaluate_cubic(Cubic c, double x)
 {
     return c.value + x * (c.slope + x * (c.square + x * c.cube));
 }
 
 /* Return the time of an extremum close to zero, or beyond zero, after a time; return a negative number if there is
    none. */
-static double turns_at(Cubic c, double after, double end)
+static double find_turn(Cubic c, double after, double end)
 {
     const double root = sqrt(fmax(c.square * c.square - 3 * c.cube * c.slope, 0.0));
     double x, there;
     if (!(c.value > 0.0 ? c.slope < 0.0 && end > 0.0 : c.slope > 0.0 && end < 0.0))
         return -1.0;
     x = -c.slope / (c.square + (c.slope < 0.0 ? root : -root));
-    there = cubic_at(c, x);
-    if (!(x > 0.0 && x < 1.0) || ((there > 0.0) == (c.value > 0.0) && fabs(there) > TOUCHING * fmax(fabs(c.value), fabs(after))))
+    there = evaluate_cubic(c, x);
+    if (!(x > 0.0 && x < 1.0)
+        || ((there > 0.0) == (c.value > 0.0) && fabs(there) > TOUCHING * fmax(fabs(c.value), fabs(after))))
         return -1.0;
     return x;
 }
 
 /* Return whether cubics through both ends of an interval fit all functions of a level. */
-static int smooth(Instance *i, int level, double a, double b, const double *first, const double *last)
+static int is_smooth(Instance *i, int level, double a, double b, const double *first, const double *last)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), count = (size_t)s->break_count;
     double *now = arena_alloc(i, 2 * count);
     int all = 1;
     for (int each = 0; each < POINTS && all; each++) {
-        values_at(i, a + points[each] * (b - a), now);
+        evaluate_breaks(i, a + points[each] * (b - a), now);
         for (size_t k = 0; k < count; k++) {
             const double slope = (b - a) * first[count + k], end = (b - a) * last[count + k];
-            const double off = now[k] - cubic_at(through(first[k], last[k], slope, end), points[each]);
+            const double off = now[k] - evaluate_cubic(fit_cubic(first[k], last[k], slope, end), points[each]);
             all &= s->break_levels[k] != level
                 || !(fabs(off) > EXPLAINED * (fabs(first[k]) + fabs(last[k]) + fabs(slope) + fabs(end)));
         }
@@ -183,26 +184,27 @@ static int smooth(Instance *i, int level, double a, double b, const double *firs
 }
 
 /* Find the changes of sign of a level between two times. Return 0 if there are too many. */
-static int looked(Instance *i, int level, double a, double b)
+static int find_sign_changes(Instance *i, int level, double a, double b)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), count = (size_t)s->break_count;
-    double *first = arena_alloc(i, 2 * count), *middle = arena_alloc(i, 2 * count), *ends = arena_alloc(i, DEPTH), *last[DEPTH];
+    double *first = arena_alloc(i, 2 * count), *middle = arena_alloc(i, 2 * count), *ends = arena_alloc(i, DEPTH),
+           *last[DEPTH];
     int top = 0, enough = 1;
     long left = MOST_STEPS;
     last[0] = arena_alloc(i, 2 * count);
     ends[0] = b;
-    values_at(i, a, first);
-    values_at(i, b, last[0]);
+    evaluate_breaks(i, a, first);
+    evaluate_breaks(i, b, last[0]);
     while (top >= 0 && enough) {
         double *end = last[top];
         b = ends[top];
-        if (top + 1 < DEPTH && b - a > 8 * digit(b) && !smooth(i, level, a, b, first, end)) {
+        if (top + 1 < DEPTH && b - a > 8 * time_resolution(b) && !is_smooth(i, level, a, b, first, end)) {
             if (--left < 0)
                 enough = 0;
             ends[++top] = a + (b - a) / 2;
             last[top] = arena_alloc(i, 2 * count);
-            values_at(i, ends[top], last[top]);
+            evaluate_breaks(i, ends[top], last[top]);
             continue;
         }
         for (int k = 0; k < s->break_count && enough; k++) {
@@ -210,18 +212,19 @@ static int looked(Instance *i, int level, double a, double b)
             if (s->break_levels[k] != level || !(isfinite(first[k]) && isfinite(end[k])))
                 continue;
             if ((first[k] > 0.0) != (end[k] > 0.0)) {
-                enough = narrowed(i, k, a, b, first[k], end[k]);
+                enough = narrow_bracket(i, k, a, b, first[k], end[k]);
                 continue;
             }
             slope = (b - a) * first[count + (size_t)k];
             stop = (b - a) * end[count + (size_t)k];
-            x = turns_at(through(first[k], end[k], slope, stop), end[k], stop);
+            x = find_turn(fit_cubic(first[k], end[k], slope, stop), end[k], stop);
             if (x < 0.0)
                 continue;
             x = a + x * (b - a);
-            values_at(i, x, middle);
+            evaluate_breaks(i, x, middle);
             if ((first[k] > 0.0) != (middle[k] > 0.0))
-                enough = narrowed(i, k, a, x, first[k], middle[k]) && narrowed(i, k, x, b, middle[k], end[k]);
+                enough
+                    = narrow_bracket(i, k, a, x, first[k], middle[k]) && narrow_bracket(i, k, x, b, middle[k], end[k]);
         }
         memcpy(first, end, 2 * count * sizeof *first);
         a = b;
@@ -233,7 +236,7 @@ static int looked(Instance *i, int level, double a, double b)
 }
 
 /* Sort the breaks and merge those that overlap. */
-static void ordered(Instance *i)
+static void merge_breaks(Instance *i)
 {
     double *x = i->breaks;
     int kept = 0;
@@ -268,19 +271,20 @@ Outcome breaks_found(Instance *i, double begin, double end)
         most = s->break_levels[k] > most ? s->break_levels[k] : most;
     for (int level = 0; level <= most && enough; level++) {
         const int known = i->broken;
-        double from = begin - digit(begin);
+        double from = begin - time_resolution(begin);
         for (int k = 0; k <= known && enough; k++) {
-            const double to = k < known ? i->breaks[2 * k] : end + 2 * digit(end);
+            const double to = k < known ? i->breaks[2 * k] : end + 2 * time_resolution(end);
             if (to > from)
-                enough = looked(i, level, from, to);
+                enough = find_sign_changes(i, level, from, to);
             from = k < known ? i->breaks[2 * k + 1] : to;
         }
-        ordered(i);
+        merge_breaks(i);
     }
     arena_release(i, arena);
     if (!enough)
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: forces or laws of time jump or bend more than %d times up to %.6g s; take shorter communication "
+            "%s, t = %.6g s: forces or laws of time jump or bend more than %d times up to %.6g s; take shorter "
+            "communication "
             "steps",
             s->name, begin, MOST_BREAKS, end);
     return DONE;

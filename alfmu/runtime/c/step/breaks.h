@@ -7,14 +7,23 @@
 
 #include "instance.h"
 #include "scene.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
 /* Most breaks in a communication step. */
 #define MOST_BREAKS 4096
 
+#if HAS_BREAKS
 size_t breaks_room(const Scene *s);
 Outcome breaks_found(Instance *i, double begin, double end);
+#else
+static inline size_t breaks_room(const Scene *s) { return (void)s, 0; }
+static inline Outcome breaks_found(Instance *i, double begin, double end)
+{
+    return (void)i, (void)begin, (void)end, DONE;
+}
+#endif
 
 #include "internal_end.h"
 

@@ -27,16 +27,18 @@ Outcome diagnose_convergence(Instance *i, const double *watch, double t)
     i->counts[UNCONVERGED] += 1.0;
     if (!(left > UNFINISHED) || !penalty_is_given(i) || instance_field(i, s->k)[SETTINGS_CONTINUES] == 0.0) {
         instance_warn(i, WARNED_OF_UNCONVERGED,
-            "%s, t = %.6g s: an evaluation ended without convergence after %g passes of the multiplier iteration; %s, or "
+            "%s, t = %.6g s: an evaluation ended without convergence after %g passes of the multiplier iteration; %s, "
+            "or "
             "raise solver.max_iterations",
             s->name, t, i->values[s->max_iterations], settings_remedy(i));
         return DONE;
     }
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of themselves "
+        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of "
+        "themselves "
         "after %g passes, more than %.0e; %s, or raise solver.max_iterations",
-        s->name, t, alpha > 0.0 ? alpha : linear_largest(i->penalty, s->l), left, i->values[s->max_iterations], UNFINISHED,
-        settings_remedy(i));
+        s->name, t, alpha > 0.0 ? alpha : linear_largest(i->penalty, s->l), left, i->values[s->max_iterations],
+        UNFINISHED, settings_remedy(i));
 }
 
 /* Return DONE if accelerations can be computed at q, v; `pivot` is the smallest pivot factorised there. */
@@ -45,15 +47,18 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     double *M = arena_alloc(i, (size_t)s->mass.entries), *C = arena_alloc(i, (size_t)s->constraint.entries);
-    double *F = arena_alloc(i, (size_t)s->n), *xi = arena_alloc(i, (size_t)s->l), *u = arena_alloc(i, (size_t)scene_driven(s));
+    double *F = arena_alloc(i, (size_t)s->n), *xi = arena_alloc(i, (size_t)s->l),
+           *u = arena_alloc(i, (size_t)scene_driven(s));
     const double *x[] = {q, v, u, instance_field(i, s->p), &t};
     double *y[] = {M, C, F, xi};
     Outcome outcome = DONE;
     memcpy(u, instance_field(i, s->u), (size_t)s->inputs * sizeof *u);
     memcpy(u + s->inputs, instance_states(i), (size_t)scene_states(s) * sizeof *u);
     function_call(i, s->dynamics, x, y);
-    if (!isfinite(linear_largest(M, s->mass.entries)) || !isfinite(linear_largest(F, s->n)) || !isfinite(linear_largest(xi, s->l)))
-        outcome = instance_say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s", s->name, t, settings_or_shorter(i));
+    if (!isfinite(linear_largest(M, s->mass.entries)) || !isfinite(linear_largest(F, s->n))
+        || !isfinite(linear_largest(xi, s->l)))
+        outcome = instance_say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s", s->name, t,
+            settings_or_shorter(i));
     else if (!(pivot > 0.0))
         outcome = instance_say(i, FAILED,
             "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
@@ -81,7 +86,8 @@ Outcome diagnose_state(Instance *i, double start, double dt)
         if (outcome != DONE)
             return outcome;
     }
-    return instance_say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
+    return instance_say(
+        i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
 }
 
 /* Return FAILED if a step to the positions in the workspace is too long, or opens a constraint that projections
@@ -109,8 +115,8 @@ Outcome diagnose_length(Instance *i, double t)
         return DONE;
     gap = constraints_widest(i, q, v, 0, &row);
     if (gap > TORN * moved && gap > GROSS)
-        return instance_say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size", s->name, t,
-            moved, instance_row_label(i, row, label, sizeof label), gap);
+        return instance_say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size",
+            s->name, t, moved, instance_row_label(i, row, label, sizeof label), gap);
     return DONE;
 }
 

@@ -70,12 +70,13 @@ long step_fixed(Instance *i, long steps, double dt)
     m[s->dt] = dt;
     for (done = 0; done < steps && !run_is_ended(i); done++) {
         int tier = m[s->control + CONTROL_TIER] != 0.0;
-        const int onward = done == 0 && tier == 0 && s->onward >= 0 && step_can_reuse(i);
+        const int onward = done == 0 && tier == 0 && s->reuses && !s->method && step_can_reuse(i);
         if (onward && s->branch_step >= 0 && step_reuse_is_near(i))
             tier = 2;
         for (;;) {
             const Mark begin = tape_mark(i);
-            program_run(i, onward && tier == 0 ? s->onward : tiers[tier]);
+            i->workspace[s->onward] = onward;
+            program_run(i, tiers[tier]);
             if (after[s->trouble] == 0.0)
                 break;
             tape_cut(i, begin);
@@ -100,16 +101,16 @@ long step_fixed(Instance *i, long steps, double dt)
 int step_fixed_whole(Instance *i, double start, double h, long *made)
 {
     const Scene *s = i->scene;
-    double *m = i->m, *z = m + s->z, ratio;
+    double *m = i->m, *z = m + s->z;
+    const double count = settings_internal_steps(i, h);
     double counted[TALLY];
     const size_t state = scene_state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
     const Mark begun = tape_mark(i);
     long steps;
     *made = -1;
-    ratio = h / m[s->control + CONTROL_STEP_SIZE] * (1 - 1e-12);
-    if (!(ratio < MOST_STEPS))
+    if (!(count <= MOST_STEPS))
         return 0;
-    steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
+    steps = (long)count;
     memcpy(m + s->begin, z, state);
     memcpy(counted, m + s->tally, TALLY * sizeof *m);
     memcpy(i->past_before, m + s->past, past);

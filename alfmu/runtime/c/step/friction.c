@@ -1,11 +1,12 @@
 /* Dry friction that follows from the load: when joints stick and slide, and steps up to these events.
 
-   While a joint slides, its direction s is 1 or -1 and accelerations contain its friction; while it sticks, s is 0 and the
-   constraint of the joint is in force. What changes s is an event: the rate of a joint that slides goes through zero, or
-   the multiplier of one that sticks exceeds its limit. A step over an event is taken back and made again up to it.
+   While a joint slides, its direction s is 1 or -1 and accelerations contain its friction; while it sticks, s is 0
+   and the constraint of the joint is in force. What changes s is an event: the rate of a joint that slides goes
+   through zero, or the multiplier of one that sticks exceeds its limit. A step over an event is taken back and made
+   again up to it.
 
-   As many joints stick as there are motions to hold; others at rest are held by them, at their limit (LIMITED) or with a
-   share of it (SHARED). */
+   As many joints stick as there are motions to hold; others at rest are held by them, at their limit (LIMITED) or
+   with a share of it (SHARED). */
 
 #include "friction.h"
 
@@ -23,7 +24,6 @@
 #include "rank.h"
 #include "scene.h"
 #include "settings.h"
-#include "topology.h"
 
 double *friction_slip(const Instance *i, int k)
 {
@@ -89,13 +89,14 @@ Outcome friction_say_jam(Instance *i)
         if (fabs(*friction_slip(i, k)) == 1.0 || *friction_slip(i, k) == SHARED)
             append_name(i, k, names, sizeof names);
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its own "
+        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its "
+        "own "
         "friction without bound: take smaller coefficients of friction, smaller radii or a longer guide",
         s->name, *instance_time(i), names, s->timed ? ", and a law of time asks for one" : "");
 }
 
 /* Activate the constraints of sticking joints and deactivate those of the others. */
-static void take_hold(Instance *i)
+static void update_rows_in_force(Instance *i)
 {
     const Scene *s = i->scene;
     for (int k = 0; k < s->frictions; k++) {
@@ -107,7 +108,7 @@ static void take_hold(Instance *i)
 }
 
 /* Make a joint stick at its present displacement. */
-static void stick(Instance *i, int k)
+static void make_stick(Instance *i, int k)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -122,7 +123,7 @@ static void stick(Instance *i, int k)
 
 /* Return the second rate of a joint at rest that holds with a share of its limit; NaN beyond a jam, where no load
    balances its own friction. */
-static double second_rate(Instance *i, int k, double share)
+static double find_second_rate(Instance *i, int k, double share)
 {
     const int count = i->scene->frictions;
     const double *grip;
@@ -136,9 +137,9 @@ static double second_rate(Instance *i, int k, double share)
 
 /* Return the share of its limit that holds a joint at rest while the others keep theirs; 1 or -1 if the whole limit
    is too little. */
-static double holding_share(Instance *i, int k, double share, double idle)
+static double find_holding_share(Instance *i, int k, double share, double idle)
 {
-    double now = second_rate(i, k, share), low, high, at_low, at_high;
+    double now = find_second_rate(i, k, share), low, high, at_low, at_high;
     const double way = now > 0.0 ? 1.0 : -1.0;
     if (isnan(now))
         return 0.0;
@@ -146,14 +147,15 @@ static double holding_share(Instance *i, int k, double share, double idle)
         return share;
     if (share == way)
         return share;
-    at_high = way * second_rate(i, k, way);
+    at_high = way * find_second_rate(i, k, way);
     if (at_high >= 0.0)
         return way;
     low = way * share, high = 1.0, at_low = way * now;
     for (int pass = 0; pass < SEARCHED && high - low > 4 * DBL_EPSILON; pass++) {
         /* Beyond a jam only the direction is known. */
-        const double at = isnan(at_high) || pass % 4 == 3 ? (low + high) / 2 : low + (high - low) * at_low / (at_low - at_high);
-        now = way * second_rate(i, k, way * at);
+        const double at
+            = isnan(at_high) || pass % 4 == 3 ? (low + high) / 2 : low + (high - low) * at_low / (at_low - at_high);
+        now = way * find_second_rate(i, k, way * at);
         if (fabs(now) <= idle) {
             low = at;
             break;
@@ -166,12 +168,12 @@ static double holding_share(Instance *i, int k, double share, double idle)
             at_high = now;
         }
     }
-    second_rate(i, k, way * low);
+    find_second_rate(i, k, way * low);
     return way * low;
 }
 
 /* Let the joint at rest slide that accelerates most in spite of its whole limit. Return 0 if there is none. */
-static int one_slides(Instance *i, unsigned char *rests, double idle)
+static int let_one_slide(Instance *i, unsigned char *rests, double idle)
 {
     const Scene *s = i->scene;
     const int count = s->frictions;
@@ -193,7 +195,7 @@ static int one_slides(Instance *i, unsigned char *rests, double idle)
 }
 
 /* Return to rest one joint that began to slide but stops once others slide too. Return 0 if there is none. */
-static int one_rests(Instance *i, unsigned char *rests, unsigned char *began, double idle)
+static int bring_one_to_rest(Instance *i, unsigned char *rests, unsigned char *began, double idle)
 {
     const int count = i->scene->frictions;
     const double *seconds = friction_gripped(i) + 2 * count;
@@ -207,7 +209,7 @@ static int one_rests(Instance *i, unsigned char *rests, unsigned char *began, do
 }
 
 /* Return to rest, with its present share of the limit, each joint that began to slide but does not accelerate. */
-static void come_to_rest(Instance *i, unsigned char *rests, const unsigned char *began, double idle)
+static void bring_to_rest(Instance *i, unsigned char *rests, const unsigned char *began, double idle)
 {
     const Scene *s = i->scene;
     const int count = s->frictions;
@@ -223,13 +225,14 @@ static void come_to_rest(Instance *i, unsigned char *rests, const unsigned char 
 
 /* Choose the joints that stick: as many joints at rest as there are motions to hold, those with the largest reserve
    first. They hold the others. */
-static void hold_still(Instance *i, const unsigned char *rests)
+static void choose_sticking(Instance *i, const unsigned char *rests)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     const int count = s->frictions;
     const double *q = instance_field(i, s->z);
-    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l), *seen = (unsigned char *)arena_alloc(i, (size_t)count);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l),
+                  *seen = (unsigned char *)arena_alloc(i, (size_t)count);
     double *room = arena_alloc(i, (size_t)count);
     int rank;
     memcpy(room, friction_gripped(i) + count, (size_t)count * sizeof *room);
@@ -255,7 +258,7 @@ static void hold_still(Instance *i, const unsigned char *rests)
         more = rank_at(i, q, held);
         if (more > rank) {
             rank = more;
-            stick(i, which);
+            make_stick(i, which);
         } else
             held[s->friction[which].row] = 0;
     }
@@ -263,7 +266,7 @@ static void hold_still(Instance *i, const unsigned char *rests)
 }
 
 /* Let joints at their limit slide if nothing holds them and they begin to move. */
-static void let_go(Instance *i)
+static void release_unheld(Instance *i)
 {
     const Scene *s = i->scene;
     const int count = s->frictions;
@@ -280,7 +283,7 @@ static void let_go(Instance *i)
 /* Decide which joints at rest stick and in which direction the others slide. Each joint in turn takes the share of
    its limit that holds it, until only joints at their whole limit move. This ends, because friction opposes motion:
    a share taken by one joint relieves the others. The joint that moves most then slides, and the search repeats. */
-static Outcome decide(Instance *i, unsigned char *rests)
+static Outcome decide_sticking(Instance *i, unsigned char *rests)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -297,7 +300,7 @@ static Outcome decide(Instance *i, unsigned char *rests)
                 i->discrete[s->friction[k].value] = 0.0;
                 any = 1;
             }
-        take_hold(i);
+        update_rows_in_force(i);
         if (friction_jammed(i)) {
             arena_release(i, arena);
             return friction_say_jam(i);
@@ -308,20 +311,21 @@ static Outcome decide(Instance *i, unsigned char *rests)
             moves = 0;
             for (int k = 0; k < count; k++)
                 if (rests[k]) {
-                    const double before = i->discrete[s->friction[k].value], share = holding_share(i, k, before, idle);
+                    const double before = i->discrete[s->friction[k].value],
+                                 share = find_holding_share(i, k, before, idle);
                     moves |= fabs(share - before) > STEADY_SHARE;
                     i->discrete[s->friction[k].value] = share;
                 }
             settings_upload_parameters(i);
         }
         settled = IDLER * idle;
-        if (!one_slides(i, rests, idle) && !one_rests(i, rests, began, idle))
+        if (!let_one_slide(i, rests, idle) && !bring_one_to_rest(i, rests, began, idle))
             break;
     }
-    come_to_rest(i, rests, began, settled);
-    hold_still(i, rests);
-    take_hold(i);
-    let_go(i);
+    bring_to_rest(i, rests, began, settled);
+    choose_sticking(i, rests);
+    update_rows_in_force(i);
+    release_unheld(i);
     arena_release(i, arena);
     return DONE;
 }
@@ -333,7 +337,8 @@ Outcome friction_event(Instance *i, const unsigned char *stopped)
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     const int count = s->frictions, brakes = i->flags.brakes;
-    double *q = instance_field(i, s->z), *v = q + s->n, *rates = arena_alloc(i, (size_t)count), *before = arena_alloc(i, (size_t)count);
+    double *q = instance_field(i, s->z), *v = q + s->n, *rates = arena_alloc(i, (size_t)count),
+           *before = arena_alloc(i, (size_t)count);
     unsigned char *rests = (unsigned char *)arena_alloc(i, (size_t)count);
     int changed = 0;
     Outcome outcome;
@@ -344,13 +349,13 @@ Outcome friction_event(Instance *i, const unsigned char *stopped)
         if (!rests[k])
             *friction_slip(i, k) = rates[k] > 0.0 ? 1.0 : -1.0;
     }
-    outcome = decide(i, rests);
+    outcome = decide_sticking(i, rests);
     for (int k = 0; k < count; k++)
         changed |= (before[k] == 0.0) != (*friction_slip(i, k) == 0.0);
     if (outcome == DONE && friction_count_sticking(i))
         outcome = projection_apply(i, q, v);
     if (outcome == DONE && changed) {
-        outcome = topology_update_rank(i, q, v);
+        outcome = settings_update_rank(i, q, v);
         if (outcome == RANK_CHANGES) /* Sticking joints may be redundant at rest, if the scene has no brakes. */
             outcome = DONE;
         i->flags.brakes = brakes;
@@ -376,7 +381,8 @@ Outcome friction_checked(Instance *i)
     int wrong = 0;
     friction_rates(i, rates);
     for (int k = 0; k < count; k++)
-        wrong |= fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * rates[k] <= REST : fabs(rates[k]) > REST || !friction_count_sticking(i);
+        wrong |= fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * rates[k] <= REST
+                                                   : fabs(rates[k]) > REST || !friction_count_sticking(i);
     if (!wrong && friction_count_sticking(i)) {
         grip = friction_gripped(i);
         for (int k = 0; k < count; k++)
@@ -387,7 +393,7 @@ Outcome friction_checked(Instance *i)
 }
 
 /* Return whether the constraints in force depend on each other at regular positions, while no joint sticks. */
-static int redundant(const Instance *i)
+static int are_redundant(const Instance *i)
 {
     int held = 0;
     for (int r = 0; r < i->scene->l; r++)
@@ -400,7 +406,7 @@ Outcome friction_begin(Instance *i)
 {
     const Scene *s = i->scene;
     char names[300] = "";
-    const int unsettled = redundant(i) && !(s->compliances && i->compliances[0] > 0.0);
+    const int unsettled = are_redundant(i) && !(s->compliances && i->compliances[0] > 0.0);
     int switched = 0;
     if (!s->frictions)
         return DONE;
@@ -411,7 +417,8 @@ Outcome friction_begin(Instance *i)
         switched |= i->requested[k] != s->switched[k].start;
     if (unsettled && switched && !*names)
         instance_warn(i, WARNED_OF_FRICTION,
-            "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of joints "
+            "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of "
+            "joints "
             "with dry friction, it is not unique: the least loads are taken; give compliances of constraints "
             "(--compliances) to settle it",
             s->name, *instance_time(i));

@@ -4,9 +4,11 @@
 #define ALFMU_FRICTION_H
 
 #include "instance.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
+#if HAS_FRICTION
 double *friction_slip(const Instance *i, int k);
 int friction_count_sticking(const Instance *i);
 void friction_reset(Instance *i);
@@ -17,6 +19,12 @@ Outcome friction_say_jam(Instance *i);
 Outcome friction_event(Instance *i, const unsigned char *stopped);
 Outcome friction_checked(Instance *i);
 Outcome friction_begin(Instance *i);
+#else
+static inline void friction_reset(Instance *i) { (void)i; }
+static inline int friction_jammed(Instance *i) { return (void)i, 0; }
+static inline Outcome friction_say_jam(Instance *i) { return (void)i, DONE; }
+static inline Outcome friction_begin(Instance *i) { return (void)i, DONE; }
+#endif
 
 #include "internal_end.h"
 

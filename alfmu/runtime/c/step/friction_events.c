@@ -18,7 +18,7 @@
 /* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its
    direction, the reserve of a sticking joint's multiplier relative to its limit, or the rate that a joint held by
    others lacks to move. */
-static void distances_to_events(Instance *i, double *found)
+static void find_distances(Instance *i, double *found)
 {
     const Scene *s = i->scene;
     friction_rates(i, found);
@@ -36,7 +36,7 @@ static void distances_to_events(Instance *i, double *found)
 }
 
 /* Return the least distance of the joints that meet an event in this step. */
-static double least_distance(const double *rooms, const unsigned char *meets, int count)
+static double find_least_distance(const double *rooms, const unsigned char *meets, int count)
 {
     double found = INFINITY;
     for (int k = 0; k < count; k++)
@@ -46,7 +46,7 @@ static double least_distance(const double *rooms, const unsigned char *meets, in
 }
 
 /* Compute the second rates of sliding joints in their directions. */
-static void second_rates(Instance *i, double *found)
+static void find_second_rates(Instance *i, double *found)
 {
     const double *grip = friction_gripped(i);
     for (int k = 0; k < i->scene->frictions; k++)
@@ -54,7 +54,7 @@ static void second_rates(Instance *i, double *found)
 }
 
 /* Return whether the cubic through both ends of a step of length h lets the rate of a joint cross zero and return. */
-static int crosses_and_returns(double before, double after, double bend_before, double bend_after, double h)
+static int has_crossing(double before, double after, double bend_before, double bend_after, double h)
 {
     const double slope = bend_before * h, end = bend_after * h, change = after - before;
     const double square = 3 * change - 2 * slope - end, cube = slope + end - 2 * change;
@@ -132,8 +132,10 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
     const int count = s->frictions;
     double *now = arena_alloc(i, (size_t)count);
     const double start = kept->state[s->time];
-    double low = start, high = *instance_time(i), at_low = least_distance(before, meets, count), at_high = least_distance(after, meets, count);
-    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * REST / STOPPED), weight_low = 1.0, weight_high = 1.0;
+    double low = start, high = *instance_time(i), at_low = find_least_distance(before, meets, count),
+           at_high = find_least_distance(after, meets, count);
+    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * REST / STOPPED), weight_low = 1.0,
+           weight_high = 1.0;
     double there = at_high;
     Outcome outcome = DONE;
     for (int pass = 0; pass < SEARCHED && outcome == DONE; pass++) {
@@ -152,8 +154,8 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         outcome = make_step(i, t, dt, 1);
         if (outcome != DONE)
             break;
-        distances_to_events(i, now);
-        there = least_distance(now, meets, count);
+        find_distances(i, now);
+        there = find_least_distance(now, meets, count);
         if (there < 0.0) {
             if (at_low <= 0.0) { /* The joint moves in the wrong direction from the beginning. */
                 restore_step(i, kept);
@@ -184,7 +186,8 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
     double *bend_before = arena_alloc(i, count), *bend_after = arena_alloc(i, count), within = INFINITY;
     const int looks = settings_method(i) != 0; /* The user sets the length of RK4 steps. */
     unsigned char *meets = (unsigned char *)arena_alloc(i, count);
-    Step_memory kept = {arena_alloc(i, scene_state_length(s)), arena_alloc(i, past), arena_alloc(i, scene_peaks_length(s)), scene_state_length(s) * sizeof(double), past};
+    Step_memory kept = {arena_alloc(i, scene_state_length(s)), arena_alloc(i, past),
+        arena_alloc(i, scene_peaks_length(s)), scene_state_length(s) * sizeof(double), past};
     int at_once = 0;
     Outcome outcome = friction_checked(i);
     while (outcome == DONE && *time < end) {
@@ -199,21 +202,22 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         memcpy(kept.state, instance_field(i, s->z), kept.size);
         memcpy(kept.pace, instance_field(i, s->pace), past * sizeof(double));
         memcpy(kept.peaks, i->peaks, scene_peaks_length(s) * sizeof(double));
-        distances_to_events(i, before);
+        find_distances(i, before);
         if (looks && friction_count_sticking(i) < (int)count)
-            second_rates(i, bend_before);
+            find_second_rates(i, bend_before);
         outcome = make_step(i, limit, dt, 0);
         if (outcome != DONE)
             break;
-        distances_to_events(i, after);
+        find_distances(i, after);
         for (size_t k = 0; k < count; k++) {
             meets[k] = !(after[k] >= (fabs(*friction_slip(i, (int)k)) == 1.0 ? -REST : 0.0));
             any |= meets[k];
         }
         if (!any && looks && friction_count_sticking(i) < (int)count && *time - from > LOOKED_INTO) {
-            second_rates(i, bend_after);
+            find_second_rates(i, bend_after);
             for (size_t k = 0; k < count; k++)
-                if (fabs(*friction_slip(i, (int)k)) == 1.0 && crosses_and_returns(before[k], after[k], bend_before[k], bend_after[k], *time - from))
+                if (fabs(*friction_slip(i, (int)k)) == 1.0
+                    && has_crossing(before[k], after[k], bend_before[k], bend_after[k], *time - from))
                     within = (*time - from) / 2;
             if (within < INFINITY) { /* Repeat the step in halves. */
                 restore_step(i, &kept);
@@ -227,9 +231,9 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         outcome = locate_event(i, &kept, before, after, meets, dt);
         if (outcome != DONE)
             break;
-        distances_to_events(i, after);
+        find_distances(i, after);
         {
-            const double first = least_distance(after, meets, (int)count);
+            const double first = find_least_distance(after, meets, (int)count);
             for (size_t k = 0; k < count; k++)
                 meets[k] = meets[k] && fabs(*friction_slip(i, (int)k)) == 1.0 && after[k] <= fmax(fabs(first), REST);
         }

@@ -4,10 +4,18 @@
 #define ALFMU_FRICTION_EVENTS_H
 
 #include "instance.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
+#if HAS_FRICTION
 Outcome friction_cover(Instance *i, double start, double h, double dt);
+#else
+static inline Outcome friction_cover(Instance *i, double start, double h, double dt)
+{
+    return (void)i, (void)start, (void)h, (void)dt, DONE;
+}
+#endif
 
 #include "internal_end.h"
 

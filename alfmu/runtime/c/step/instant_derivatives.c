@@ -30,7 +30,8 @@ int variable_has_derivatives(const Scene *s, int reference)
     const Variable *v = s->variables + reference;
     if (v->kind == INPUT)
         return 1;
-    return v->kind == PARAMETER && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
+    return v->kind == PARAMETER
+        && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
 }
 
 /* Return whether inputs prescribe positions while the run begins. */
@@ -40,7 +41,7 @@ int instance_moves_start(const Instance *i)
 }
 
 /* Record the evaluation of the outputs, and the start too if `of_start` is set, on the tape. */
-static Outcome written(Instance *i, Gradient *g, int of_start)
+static Outcome record_evaluation(Instance *i, Gradient *g, int of_start)
 {
     Outcome outcome = DONE;
     tape_clear(g->tape);
@@ -58,7 +59,7 @@ static Outcome written(Instance *i, Gradient *g, int of_start)
     return outcome;
 }
 
-static int32_t place_of_variable(const Instance *i, unsigned reference)
+static int32_t variable_place(const Instance *i, unsigned reference)
 {
     return tape_place_of(i, instance_place(i, (int)reference));
 }
@@ -79,7 +80,7 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
     if (!g)
         return instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
     instance_remember(i);
-    outcome = written(i, g, of_start);
+    outcome = record_evaluation(i, g, of_start);
     instance_go_back(i);
     arena_reset(i);
     if (outcome != DONE)
@@ -87,21 +88,22 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
     if (back) {
         memset(g->adjoints, 0, g->places * sizeof *g->adjoints);
         for (size_t k = 0; k < unknown_count; k++)
-            g->adjoints[place_of_variable(i, unknowns[k])] += seed[k];
+            g->adjoints[variable_place(i, unknowns[k])] += seed[k];
         adjoints_along(g, begin);
         for (size_t k = 0; k < known_count; k++)
-            found[k] = g->adjoints[place_of_variable(i, knowns[k])];
+            found[k] = g->adjoints[variable_place(i, knowns[k])];
     } else {
         memset(g->tangents, 0, g->places * sizeof *g->tangents);
         for (size_t k = 0; k < known_count; k++)
-            g->tangents[place_of_variable(i, knowns[k])].lane[0] += seed[k];
+            g->tangents[variable_place(i, knowns[k])].lane[0] += seed[k];
         tangents_along(g, begin);
         for (size_t k = 0; k < unknown_count; k++)
-            found[k] = g->tangents[place_of_variable(i, unknowns[k])].lane[0];
+            found[k] = g->tangents[variable_place(i, unknowns[k])].lane[0];
     }
     arena_reset(i);
     for (size_t k = 0; k < count; k++)
         if (!isfinite(found[k]))
-            return instance_say(i, FAILED, "%s, t = %.6g s: derivatives cannot be computed here", i->scene->name, *instance_time(i));
+            return instance_say(
+                i, FAILED, "%s, t = %.6g s: derivatives cannot be computed here", i->scene->name, *instance_time(i));
     return DONE;
 }

@@ -44,7 +44,7 @@ size_t laws_room(const Scene *s)
     return s->leap_count ? (size_t)s->n + 3 * ORDERS * (size_t)s->leap_count : 0;
 }
 
-static void laws_at(Instance *i, double time, double *found)
+static void evaluate_laws(Instance *i, double time, double *found)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
@@ -58,7 +58,7 @@ static void laws_at(Instance *i, double time, double *found)
     arena_release(i, arena);
 }
 
-static int counts(const Instance *i, int law)
+static int is_in_force(const Instance *i, int law)
 {
     const int row = i->scene->leaps[law].row;
     return row < 0 || i->penalty[row] > 0.0;
@@ -66,26 +66,28 @@ static int counts(const Instance *i, int law)
 
 /* Return the law whose change over an interval differs most from the integral of its rate, relative to the limit,
    for the orders `first` to `last` (laws, rates); -1 if none exceeds it. */
-static int apart(Instance *i, double a, double b, int first, int last, double *size)
+static int find_mismatch(Instance *i, double a, double b, int first, int last, double *size)
 {
     const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), count = (size_t)s->leap_count, begin = (size_t)first * count, end = (size_t)(last + 1) * count;
-    double *change = arena_alloc(i, ORDERS * count), *now = arena_alloc(i, ORDERS * count), *limit = arena_alloc(i, ORDERS * count), worst = 1.0;
+    const size_t arena = arena_mark(i), count = (size_t)s->leap_count, begin = (size_t)first * count,
+                 end = (size_t)(last + 1) * count;
+    double *change = arena_alloc(i, ORDERS * count), *now = arena_alloc(i, ORDERS * count),
+           *limit = arena_alloc(i, ORDERS * count), worst = 1.0;
     int found = -1;
-    laws_at(i, b, change);
-    laws_at(i, a, now);
+    evaluate_laws(i, b, change);
+    evaluate_laws(i, a, now);
     for (size_t k = begin; k < end; k++) {
         limit[k] = JUMP * (1.0 + fmax(fabs(now[k]), fabs(change[k])));
         change[k] -= now[k];
     }
     for (int each = 0; each < JUMP_POINTS; each++) {
-        laws_at(i, a + jump_points[each] * (b - a), now);
+        evaluate_laws(i, a + jump_points[each] * (b - a), now);
         for (size_t k = begin; k < end; k++)
             change[k] -= jump_weights[each] * (b - a) * now[k + count];
     }
     for (size_t k = begin; k < end; k++) {
         const double over = isfinite(change[k]) ? fabs(change[k]) / limit[k] : INFINITY;
-        if (over > worst && counts(i, (int)(k % count))) {
+        if (over > worst && is_in_force(i, (int)(k % count))) {
             worst = over;
             found = (int)(k % count);
             *size = fabs(change[k]);
@@ -97,19 +99,20 @@ static int apart(Instance *i, double a, double b, int first, int last, double *s
 
 /* Find the first break of laws or rates between two times. Return 0 if there is none, -1 if the search takes too
    long. */
-static int first_break(Instance *i, double begin, double end, int order, Break *found)
+static int find_first_break(Instance *i, double begin, double end, int order, Break *found)
 {
     double ends[JUMP_DEPTH] = {end}, a = begin;
     int top = 0;
     for (long left = MOST_STEPS; top >= 0; left--) {
         const double b = ends[top], instant = INSTANT * fmax(1.0, fmax(fabs(a), fabs(b)));
-        found->law = apart(i, a, b, order, order, &found->size);
+        found->law = find_mismatch(i, a, b, order, order, &found->size);
         if (found->law < 0) {
             a = b;
             top--;
         } else if (b - a <= instant || top + 1 == JUMP_DEPTH) {
             if (isfinite(found->size)) {
-                const int law = apart(i, a - ABOUT * instant, b + 3 * ABOUT * instant, order, order, &found->size);
+                const int law
+                    = find_mismatch(i, a - ABOUT * instant, b + 3 * ABOUT * instant, order, order, &found->size);
                 found->law = law < 0 ? found->law : law;
             }
             found->time = b;
@@ -129,23 +132,24 @@ static Outcome say_broken(Instance *i, Outcome outcome, int law, double time)
 }
 
 /* Check the laws between two times. */
-static Outcome checked(Instance *i, double begin, double end)
+static Outcome check_laws(Instance *i, double begin, double end)
 {
     const Scene *s = i->scene;
     const Leap *law;
     Break found;
     int breaks;
-    if (apart(i, begin, end, LAW, RATE, &found.size) < 0)
+    if (find_mismatch(i, begin, end, LAW, RATE, &found.size) < 0)
         return DONE;
-    breaks = first_break(i, begin, end, LAW, &found);
+    breaks = find_first_break(i, begin, end, LAW, &found);
     law = s->leaps + (breaks ? found.law : 0);
     if (breaks < 0)
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: %s changes too often to be looked at for jumps up to %.6g s; take shorter communication steps",
+            "%s, t = %.6g s: %s changes too often to be looked at for jumps up to %.6g s; take shorter communication "
+            "steps",
             s->name, found.time, law->what, end);
     if (breaks && isfinite(found.size))
         return instance_say(i, NO_STEP_ON, JUMPS, s->name, law->what, found.size, law->unit, found.time);
-    if (!breaks && !(i->flags.warned & WARNED_OF_CORNER) && first_break(i, begin, end, RATE, &found) > 0) {
+    if (!breaks && !(i->flags.warned & WARNED_OF_CORNER) && find_first_break(i, begin, end, RATE, &found) > 0) {
         law = s->leaps + found.law;
         breaks = !isfinite(found.size);
         if (!breaks)
@@ -164,10 +168,10 @@ Outcome laws_checked(Instance *i, double end)
         return DONE;
     for (int k = 0; k < 2 * i->broken && outcome == DONE; k++)
         if (i->breaks[k] > from && i->breaks[k] < end) {
-            outcome = checked(i, from, i->breaks[k]);
+            outcome = check_laws(i, from, i->breaks[k]);
             from = i->breaks[k];
         }
-    return outcome == DONE ? checked(i, from, end) : outcome;
+    return outcome == DONE ? check_laws(i, from, end) : outcome;
 }
 
 /* Check that the laws are finite at the start, and report one that is not in place of a failed start. Positions are
@@ -176,16 +180,17 @@ Outcome laws_begun(Instance *i, Outcome outcome)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), count = (size_t)s->leap_count;
-    const double time = *instance_time(i), *start = i->values + s->own, *x[] = {instance_field(i, s->p), start, start + s->starts};
+    const double time = *instance_time(i), *start = i->values + s->own,
+                 *x[] = {instance_field(i, s->p), start, start + s->starts};
     double *y[] = {instance_field(i, s->z), instance_field(i, s->z) + s->n}, *found;
     if (!count)
         return outcome;
     if (outcome != DONE)
         function_call(i, s->guesses, x, y);
     found = arena_alloc(i, ORDERS * count);
-    laws_at(i, time, found);
+    evaluate_laws(i, time, found);
     for (size_t k = 0; k < ORDERS * count; k++)
-        if (!isfinite(found[k]) && counts(i, (int)(k % count)))
+        if (!isfinite(found[k]) && is_in_force(i, (int)(k % count)))
             outcome = say_broken(i, FAILED, (int)(k % count), time);
     arena_release(i, arena);
     return outcome;

@@ -76,10 +76,12 @@ Instance *instance_new(const Scene *s)
         + 4 * (size_t)(scene_driven(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     i->room += laws_room(s) + breaks_room(s) + peaks_room(s) + (size_t)s->limit_count * (2 + (size_t)s->n);
     if (s->frictions) /* memory of steps up to events */
-        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + scene_state_length(s) + scene_peaks_length(s);
+        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + scene_state_length(s)
+            + scene_peaks_length(s);
     /* The workspace of programs follows the memory, which is the last part of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
-            + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + linear_least_norm_work(s->dense, s->dense)
+            + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size
+            + (size_t)(s->held + s->followed_count * HEARD) + linear_least_norm_work(s->dense, s->dense)
             + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0),
         sizeof *numbers);
     if (!numbers) {

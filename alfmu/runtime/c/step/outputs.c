@@ -18,9 +18,6 @@
 #include "settings.h"
 #include "variables.h"
 
-/* Share of an input direction used for differences of outputs that are nonlinear in the inputs. */
-#define SMALL_CHANGE 1e-4
-
 /* Inputs above this are tested before they are accepted, because some outputs may overflow. */
 #define TRIED 1e30
 
@@ -123,7 +120,7 @@ static void track_errors(Instance *i)
 static Outcome evaluate_patiently(Instance *i)
 {
     const Scene *s = i->scene;
-    const int instant = settings_instant(s, settings_formulation(i));
+    const int instant = settings_instant(s);
     Outcome outcome = DONE;
     int limited = 0;
     double value;
@@ -147,7 +144,7 @@ int outputs_read_away(Instance *i)
 {
     const Scene *s = i->scene;
     if (!(i->flags.fast && outputs_read_quickly(i)))
-        program_run(i, settings_instant(s, settings_formulation(i)));
+        program_run(i, settings_instant(s));
     return are_finite(i) && instance_diagnostic(i, SEEN_NEAR) == 0.0;
 }
 
@@ -162,8 +159,7 @@ Outcome instance_read(Instance *i)
     if (i->flags.known)
         return DONE;
     arena_reset(i);
-    if (i->tape)
-        i->tape->reading = i->tape->used;
+    tape_begin_reading(i);
     settings_upload_arguments(i);
     if (i->flags.brakes)
         rank_freeze(i);
@@ -181,66 +177,16 @@ Outcome instance_read(Instance *i)
     }
     if (friction_jammed(i))
         return friction_say_jam(i);
-    if (settings_instant(s, settings_formulation(i)) != s->instant)
+    if (settings_instant(s) != s->instant)
         outcome = diagnose_failure(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
     if (outcome != DONE)
         return outcome;
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs%s%s%s",
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller "
+        "inputs%s%s%s",
         s->name, *instance_time(i), name, message_number(value),
-        settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start", settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
-}
-
-/* Compute the change of the readings along a direction of inputs by a difference, which is exact if they are linear
-   in the inputs. */
-static void derivative_by_differences(Instance *i, const double *direction, double *change)
-{
-    const Scene *s = i->scene;
-    const int instant = settings_instant(s, settings_formulation(i));
-    double *u = instance_field(i, s->u), *seen = instance_field(i, s->seen), *before = arena_alloc(i, (size_t)s->inputs);
-    const double share = s->frictions ? SMALL_CHANGE : 1.0; /* Friction loads are nonlinear in the inputs. */
-    memcpy(before, u, (size_t)s->inputs * sizeof *u);
-    memset(change, 0, (size_t)s->readings * sizeof *change);
-    for (int side = -1; side < 2; side += 2) {
-        for (int k = 0; k < s->inputs; k++)
-            u[k] = before[k] + side * share * direction[k];
-        program_run(i, instant);
-        for (int k = 0; k < s->readings; k++)
-            change[k] += side * seen[k] / (2 * share);
-    }
-    memcpy(u, before, (size_t)s->inputs * sizeof *u);
-    program_run(i, instant);
-}
-
-Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *directions, double *changes)
-{
-    const Scene *s = i->scene;
-    const int first = s->parameters + s->choices, outputs = scene_first_output(s);
-    double *w = i->workspace;
-    arena_reset(i);
-    settings_upload_arguments(i);
-    memset(changes, 0, unknown_count * sizeof *changes);
-    if (s->sensitivity < 0)
-        return DONE;
-    if (i->flags.brakes)
-        rank_freeze(i);
-    memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
-    for (size_t k = 0; k < known_count; k++)
-        w[s->du + (int)knowns[k] - first] += directions[k];
-    if ((s->l && settings_formulation(i) > CLASSIC_FORMULATION) || s->frictions)
-        derivative_by_differences(i, w + s->du, w + s->dy);
-    else /* At a limit the derivative is a limit, too. */
-        program_run(i, instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
-                                                                                    : s->sensitivity);
-    for (size_t k = 0; k < unknown_count; k++)
-        if ((int)unknowns[k] - outputs < s->readings)
-            changes[k] = w[s->dy + (int)unknowns[k] - outputs];
-    for (size_t k = 0; k < unknown_count; k++)
-        if (!isfinite(changes[k]))
-            return instance_say(i, FAILED, "%s, t = %.6g s: directional derivatives cannot be computed here", s->name,
-                *instance_time(i));
-    return DONE;
+        settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start",
+        settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
 }
 
 /* Evaluate the outputs by few iterations, as the first stage of a quick step. Return 0 if more are needed. */
@@ -248,12 +194,13 @@ static int evaluate_by_few_iterations(Instance *i)
 {
     const Scene *s = i->scene;
     const double *control = i->m + s->control;
-    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || (control[CONTROL_METHOD] != 0.0 && s->short_onward < 0))
+    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0
+        || (control[CONTROL_METHOD] != 0.0 && !(s->reuses && s->short_step >= 0)))
         return 0;
     program_run(i, s->instant_quick);
     memcpy(i->read_at, i->m + s->z, 2 * (size_t)s->n * sizeof *i->m);
     memcpy(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
-    i->onward = s->onward >= 0 || s->short_onward >= 0;
+    i->onward = s->reuses;
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0 && instance_diagnostic(i, SEEN_NEAR) == 0.0;
 }
 

@@ -30,7 +30,7 @@ size_t peaks_room(const Scene *s)
         : 0;
 }
 
-static double *beside(Instance *i)
+static double *peak_samples(Instance *i)
 {
     return i->peaks + i->scene->peaks;
 }
@@ -39,7 +39,7 @@ static double *beside(Instance *i)
 void peaks_broken(Instance *i)
 {
     if (i->scene->peaks)
-        beside(i)[KNOWN_BEFORE] = 0.0;
+        peak_samples(i)[KNOWN_BEFORE] = 0.0;
 }
 
 void peaks_begin(Instance *i)
@@ -51,7 +51,7 @@ void peaks_begin(Instance *i)
 }
 
 /* Update the largest magnitudes by those of a sample. */
-static void noted(Instance *i, double *magnitudes)
+static void update_magnitudes(Instance *i, double *magnitudes)
 {
     const Scene *s = i->scene;
     for (int k = 0; k < s->peaks; k++) {
@@ -66,8 +66,8 @@ static void noted(Instance *i, double *magnitudes)
 
 /* Interpolate states and rates at several times by Newton's form with each time twice (Hermite), and return the rate
    of the polynomial, too. */
-static void interpolated(int states, const double *times, const double *const *q, const double *const *v, int c, double t,
-    double *value, double *rate)
+static void interpolate_states(int states, const double *times, const double *const *q, const double *const *v, int c,
+    double t, double *value, double *rate)
 {
     double z[2 * STATES], f[2 * STATES];
     const int count = 2 * states;
@@ -91,13 +91,15 @@ void peaks_along(Instance *i, const double *begin)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, size = scene_state_length(s);
-    double *z = instance_field(i, s->z), *before = beside(i), *end = arena_alloc(i, size), *seen = arena_alloc(i, (size_t)s->seen_size);
+    double *z = instance_field(i, s->z), *before = peak_samples(i), *end = arena_alloc(i, size),
+           *seen = arena_alloc(i, (size_t)s->seen_size);
     double *u = arena_alloc(i, (size_t)s->inputs), *found = arena_alloc(i, (BETWEEN_STEPS + 1) * (size_t)s->peaks);
     double *top = arena_alloc(i, (size_t)s->peaks);
     const double from = begin[s->time], h = z[s->time] - from;
     const int known = before[KNOWN_BEFORE] != 0.0 && before[TIME_BEFORE] < from, states = known ? 3 : 2;
     const double times[STATES] = {from, from + h, before[TIME_BEFORE]};
-    const double *q[STATES] = {begin, end, before + STATE_BEFORE}, *v[STATES] = {begin + n, end + n, before + STATE_BEFORE + n};
+    const double *q[STATES] = {begin, end, before + STATE_BEFORE},
+                 *v[STATES] = {begin + n, end + n, before + STATE_BEFORE + n};
     int good = 1, paused;
     if (!(h > 0.0)) {
         arena_release(i, arena);
@@ -127,15 +129,16 @@ void peaks_along(Instance *i, const double *begin)
         }
         t = from + x * h;
         for (int c = 0; c < scene_coordinates(s); c++)
-            interpolated(states, times, q, v, c, t, z + c, z + n + c);
+            interpolate_states(states, times, q, v, c, t, z + c, z + n + c);
         for (size_t k = 0; k < (size_t)scene_states(s); k++)
-            z[s->work + 1 + (int)k] = begin[s->work + 1 + (int)k] + x * (end[s->work + 1 + (int)k] - begin[s->work + 1 + (int)k]);
+            z[s->work + 1 + (int)k]
+                = begin[s->work + 1 + (int)k] + x * (end[s->work + 1 + (int)k] - begin[s->work + 1 + (int)k]);
         for (int k = 0; k < s->inputs; k++)
             if (isfinite(i->slopes[1 + k]))
                 i->m[s->u + k] = u[k] + i->slopes[1 + k] * (t - i->slopes[0]);
         instance_set_time(i, t);
         if (outputs_read_away(i))
-            noted(i, here);
+            update_magnitudes(i, here);
         else
             good = 0;
     }

@@ -37,9 +37,11 @@ Outcome projection_apply(Instance *i, double *q, double *v)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n;
-    double *C = arena_alloc(i, (size_t)s->constraint.entries), *phi = arena_alloc(i, l), *cv = arena_alloc(i, l), *next = arena_alloc(i, n);
+    double *C = arena_alloc(i, (size_t)s->constraint.entries), *phi = arena_alloc(i, l), *cv = arena_alloc(i, l),
+           *next = arena_alloc(i, n);
     double pivot, left[2];
-    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)}, *at[] = {q, v, instance_field(i, s->p), instance_field(i, s->k)};
+    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)},
+                 *at[] = {q, v, instance_field(i, s->p), instance_field(i, s->k)};
     double *y[] = {next}, *settled[] = {next, &pivot, left};
     char label[100];
     Outcome outcome = DONE;

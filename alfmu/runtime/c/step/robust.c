@@ -21,7 +21,6 @@
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
-#include "scene_programs.h"
 #include "scene_sizes.h"
 #include "settings.h"
 #include "text.h"
@@ -48,7 +47,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     instance_set_time(i, start);
     if (i->flags.brakes)
         rank_freeze(i);
-    program_run(i, scene_move_program(s, settings_formulation(i)));
+    program_run(i, s->move);
     outcome = diagnose_state(i, start, dt);
     if (outcome != DONE)
         return outcome;
@@ -56,7 +55,9 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
         *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && instance_field(i, s->k)[SETTINGS_CONTINUES] != 0.0;
     if (*near) {
-        program_run(i, s->move_on_branch);
+        w[s->on_branch] = 1.0;
+        program_run(i, s->move);
+        w[s->on_branch] = 0.0;
         for (int k = 0; k < 4; k++)
             if (w[watch[k]] == INFINITY) /* Infinity marks a branch that leaves a constraint open. */
                 return instance_say(i, CONSTRAINT_OPEN,
@@ -69,7 +70,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     if (outcome == DONE && settings_project(i))
         outcome = projection_close(i, t);
     else if (outcome == DONE) {
-        program_run(i, s->keep);
+        program_run(i, s->close);
         projection_watch_gaps(i);
     }
     if (outcome == DONE && !isfinite(linear_norm(after + s->work + 1, scene_states(s))))
@@ -135,7 +136,8 @@ static double halves_error(Instance *i, const double *begin, const double *whole
     for (int c = 0; c < s->time; c++) {
         const char *unit = c < 2 * s->n ? s->coordinates[c % s->n].unit : "";
         const double size = fmax(fmax(fabs(begin[c]), fabs(z[c])), fabs(whole[c]));
-        const double one = !strcmp(unit, "m") ? *i->length : 1.0, most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
+        const double one = !strcmp(unit, "m") ? *i->length : 1.0,
+                     most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
         const double allowed = (*unit ? k[SETTINGS_ABSOLUTE] * one : 0.0) + relative * fmin(size, most);
         if (*unit ? !near || c < s->n : c > s->work)
             found = fmax(found, fabs(z[c] - whole[c]) / (allowed + ROUND_OFF * size + DBL_MIN));
@@ -168,7 +170,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), size = scene_state_length(s) * sizeof(double);
-    double *z = instance_field(i, s->z), *begin = arena_alloc(i, scene_state_length(s)), *whole = arena_alloc(i, scene_state_length(s));
+    double *z = instance_field(i, s->z), *begin = arena_alloc(i, scene_state_length(s)),
+           *whole = arena_alloc(i, scene_state_length(s));
     const double start = *instance_time(i), left = end - start;
     const int near = instance_field(i, s->after)[s->near] != 0.0;
     const Mark mark = tape_mark(i);
@@ -211,7 +214,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
         return outcome;
     if (!settings_moving(i))
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot be kept; "
+            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot "
+            "be kept; "
             "check forces, laws and constraints at this time%s",
             s->name, start, settings_or_penalty(i));
     return instance_say(i, FAILED,
@@ -253,7 +257,8 @@ Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
             continue;
         }
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay open, "
+            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay "
+            "open, "
             "use explicit or rk4%s",
             s->name, *time, settings_method_name(i), settings_or_penalty(i));
     }

@@ -28,20 +28,15 @@
 #include "scene_sizes.h"
 #include "settings.h"
 #include "state.h"
+#include "topology.h"
 #include "variables.h"
-
-/* Return the least number of internal steps in a communication step. */
-static double count_internal_steps(const Instance *i, double h)
-{
-    return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
-}
 
 /* Integrate from one time to another with no break between them. RK4 has taken `made` steps in one call and failed
    at the next; `made` is negative if it has not tried. */
 static Outcome integrate_stretch(Instance *i, double start, double end, long made)
 {
     const Scene *s = i->scene;
-    const double h = end - start, steps = count_internal_steps(i, h), dt = h / steps;
+    const double h = end - start, steps = settings_internal_steps(i, h), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
     instance_set_time(i, start);
@@ -99,7 +94,8 @@ static Outcome step_over_breaks(Instance *i, double start, double h, long made)
 {
     const Scene *s = i->scene;
     const size_t size = scene_state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
-    double *z = instance_field(i, s->z), *begin = instance_field(i, s->begin), *pace = instance_field(i, s->pace), *before = arena_alloc(i, count);
+    double *z = instance_field(i, s->z), *begin = instance_field(i, s->begin), *pace = instance_field(i, s->pace),
+           *before = arena_alloc(i, count);
     double from = start;
     Outcome outcome = DONE;
     memcpy(begin, z, size);
@@ -110,7 +106,8 @@ static Outcome step_over_breaks(Instance *i, double start, double h, long made)
     if (s->reach >= 0)
         program_run(i, s->reach);
     for (int k = 0; k <= i->broken && outcome == DONE; k++) {
-        const double *about = k < i->broken ? i->breaks + 2 * k : NULL, to = about ? fmin(about[0], start + h) : start + h;
+        const double *about = k < i->broken ? i->breaks + 2 * k : NULL,
+                     to = about ? fmin(about[0], start + h) : start + h;
         if (to > from)
             outcome = integrate_stretch(i, from, to, made);
         if (about && outcome == DONE)
@@ -133,10 +130,12 @@ static int is_current_time(Instance *i, double start, double h)
     const double time = *instance_time(i), apart = fabs(start - time);
     if (!isfinite(start) || apart <= 1e-6 * h + 1e-12 * fabs(time))
         return isfinite(start);
-    if (!(fabs(start) < FLT_MAX && (double)(float)start == start && apart <= FLT_EPSILON * fmax(fabs(start), fabs(time))))
+    if (!(fabs(start) < FLT_MAX && (double)(float)start == start
+            && apart <= FLT_EPSILON * fmax(fabs(start), fabs(time))))
         return 0;
     instance_warn(i, WARNED_OF_TIME,
-        "%s, t = %.9g s: the host steps from %.9g s, as a time of 32 bits has it; steps begin where the host says, and laws of "
+        "%s, t = %.9g s: the host steps from %.9g s, as a time of 32 bits has it; steps begin where the host says, and "
+        "laws of "
         "time are followed to %.0e s; keep the time in 64 bits to follow them exactly",
         i->scene->name, time, start, FLT_EPSILON * fabs(start));
     return 1;
@@ -146,13 +145,13 @@ static int is_current_time(Instance *i, double start, double h)
 Outcome instance_can_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const double time = *instance_time(i), steps = count_internal_steps(i, h);
+    const double time = *instance_time(i), steps = settings_internal_steps(i, h);
     if (!(isfinite(h) && h > 0.0))
         return instance_say(
             i, REFUSED, "%s, t = %.6g s: a communication step of %g s; it must be above zero", s->name, time, h);
     if (!is_current_time(i, start, h))
-        return instance_say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
-            time);
+        return instance_say(
+            i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start, time);
     if (!(steps <= MOST_STEPS))
         return instance_say(i, REFUSED,
             "%s, t = %.6g s: a communication step of %g s takes %.3g internal steps, more than %d; take shorter "
@@ -160,7 +159,8 @@ Outcome instance_can_step(Instance *i, double start, double h)
             s->name, time, h, steps, MOST_STEPS, i->values[s->step_size]);
     if (start + h > i->stop && start + h - i->stop > 1e-6 * h + FLT_EPSILON * fabs(i->stop))
         return instance_say(i, NO_STEP_ON,
-            "%s, t = %.6g s: a step of %g s leads past the stop time of %g s that the host gave; end the run there, or give "
+            "%s, t = %.6g s: a step of %g s leads past the stop time of %g s that the host gave; end the run there, or "
+            "give "
             "a later stop time or none",
             s->name, time, h, i->stop);
     /* A step of at most LEFT_TO_RK4 * GIVEN_UP may be lost in round-off: it has no visible effect. */
@@ -210,7 +210,8 @@ static Outcome make_communication_step(Instance *i, double start, double h)
     long made = -1;
     /* Other integrators than RK4 may need any number of steps, which only the slower way counts. It also takes back
        no step along which derivatives were propagated. */
-    if (!i->flags.whole || settings_method(i) || s->frictions || s->entries || i->broken || !step_fixed_whole(i, start, h, &made))
+    if (!i->flags.whole || settings_method(i) || s->frictions || s->entries || i->broken
+        || !step_fixed_whole(i, start, h, &made))
         outcome = step_over_breaks(i, start, h, made);
     if (outcome != DONE)
         return outcome;
@@ -255,7 +256,7 @@ Outcome instance_ready(Instance *i, double start, double h)
     arena_reset(i);
     instance_remember(i);
     settings_upload_arguments(i);
-    outcome = begin_take_effect(i);
+    outcome = topology_take_effect(i);
     if (outcome == DONE)
         outcome = look_ahead(i, start, start + h);
     if (outcome != DONE) {
@@ -285,7 +286,8 @@ static Outcome step_once(Instance *i, double start, double h)
     Outcome outcome;
     if (s->followed_count) {
         memcpy(i->kept_before, i->discrete, (size_t)s->held * sizeof *i->discrete);
-        memcpy(i->kept_before + s->held, i->input_history, (size_t)s->followed_count * HEARD * sizeof *i->input_history);
+        memcpy(
+            i->kept_before + s->held, i->input_history, (size_t)s->followed_count * HEARD * sizeof *i->input_history);
     }
     outcome = instance_ready(i, start, h);
     if (outcome != DONE) {
@@ -371,7 +373,7 @@ Outcome instance_output_derivatives(
     arena_reset(i);
     for (size_t each = 0; outcome == DONE && each < count; each++)
         if (!isfinite(values[each]))
-            outcome = instance_say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start, orders[each],
-                s->variables[references[each]].name, message_number(values[each]));
+            outcome = instance_say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start,
+                orders[each], s->variables[references[each]].name, message_number(values[each]));
     return outcome;
 }

@@ -10,18 +10,16 @@
 #include "interpret.h"
 #include "layout.h"
 #include "linear.h"
+#include "message.h"
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
 #include "text.h"
 
-/* Return the program that evaluates accelerations by loops that stop on convergence. */
-int settings_instant(const Scene *s, int formulation)
+/* Return the program that evaluates the outputs by loops that stop on convergence. */
+int settings_instant(const Scene *s)
 {
-#define OF(name) , s->instant_##name
-    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation] < 0 ? s->instant : programs[formulation];
+    return s->instant_patient < 0 ? s->instant : s->instant_patient;
 }
 
 int settings_formulation(const Instance *i)
@@ -36,7 +34,8 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs of the scene serve the chosen formulation, not only `move` and `instant`. */
+/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and
+   `instant_patient`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -62,9 +61,16 @@ const char *settings_or_compliances(const Instance *i, char *text, size_t size)
     for (int r = 0; r < i->scene->compliances; r++)
         least = fmin(least, i->compliances[r]);
     if (least > 0.0 && least < INFINITY)
-        write_text(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+        write_text(text, size,
+            "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
             linear_largest(i->compliances, i->scene->compliances) / least);
     return text;
+}
+
+/* Return the least number of internal steps in a communication step, to round-off of its length. */
+double settings_internal_steps(const Instance *i, double h)
+{
+    return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
 /* Return whether a step has been taken, so that its length may be the cause of a failure. */
@@ -94,11 +100,18 @@ void settings_upload_arguments(Instance *i)
 {
     const Scene *s = i->scene;
     const double iterations = i->values[s->max_iterations];
+    const int formulation = settings_formulation(i);
+    int other = RESIDUAL_FORMULATION;
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
     i->workspace[s->again] = iterations - 1;
     memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
     i->workspace[s->projects] = settings_project(i);
+    i->workspace[s->of_least_norm] = formulation == RESIDUAL_FORMULATION || settings_project(i);
+#define CHOOSE(name) i->workspace[s->name] = formulation == ++other;
+    SCENE_OTHERS(CHOOSE)
+#undef CHOOSE
+    i->workspace[s->on_branch] = i->workspace[s->onward] = 0.0;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
     if (s->reach >= 0)
         i->workspace[s->within] = i->within;
@@ -108,7 +121,8 @@ void settings_upload_arguments(Instance *i)
 void settings_set_penalties(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l), least = INFINITY;
+    double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l),
+           least = INFINITY;
     double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
     k[SETTINGS_ALPHA] = most;
@@ -138,7 +152,8 @@ int settings_continue(const Instance *i)
 int settings_method(const Instance *i)
 {
     const Scene *s = i->scene;
-    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !settings_continue(i));
+    const int rk4
+        = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !settings_continue(i));
     return rk4 ? 0 : s->method;
 }
 
@@ -164,7 +179,8 @@ void settings_upload(Instance *i)
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && settings_continue(i);
     k[SETTINGS_RELATIVE] = s->method ? step_tolerance(s->share, s->exponent, relative) : 0.0;
-    k[SETTINGS_ABSOLUTE] = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
+    k[SETTINGS_ABSOLUTE]
+        = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
     k[SETTINGS_ABSOLUTE_LENGTH] = k[SETTINGS_ABSOLUTE] * *i->length;
     k[SETTINGS_INVERSE_LENGTH] = 1 / *i->length;
     k[SETTINGS_BESIDE] =
@@ -249,4 +265,25 @@ double settings_margin(Instance *i)
     function_call(i, s->pivots, x, y);
     arena_release(i, arena);
     return found;
+}
+
+/* Determine ranks and scales of the constraints in force at q and v. */
+Outcome settings_update_rank(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    Outcome outcome = DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    *i->freedom = s->n;
+    *i->masses = 0.0;
+    if (s->l)
+        rank_calibrate(i, q, v, held, settings_usual(i));
+    if (i->flags.brakes && !s->brakes)
+        outcome = instance_say(i, RANK_CHANGES,
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            s->name);
+    arena_release(i, arena);
+    return outcome;
 }

@@ -99,8 +99,8 @@ int state_whole(const Instance *i, const unsigned char *state, size_t size)
 
 static Outcome report_unsound(Instance *i, const char *what, double value)
 {
-    return instance_say(i, REFUSED, "%s: %s of the saved state is %g, which no run has; save it again", i->scene->name, what,
-        value);
+    return instance_say(
+        i, REFUSED, "%s: %s of the saved state is %g, which no run has; save it again", i->scene->name, what, value);
 }
 
 /* Return DONE, or report a number in the restored state that no instance can have, indices and bounds first. */

@@ -5,40 +5,20 @@
 #include <string.h>
 
 #include "equations.h"
+#include "friction.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
 #include "masses.h"
 #include "message.h"
-#include "rank.h"
+#include "peaks.h"
 #include "record.h"
 #include "scene.h"
 #include "settings.h"
-#include "state.h"
 
 /* Largest |Phi-dot| after an impact, in units of its row, above which the constraints in force contradict each
    other: a thousand times the limit after a step. */
 #define CONTRADICTION 1e-3
-
-Outcome topology_update_rank(Instance *i, const double *q, const double *v)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i);
-    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
-    Outcome outcome = DONE;
-    for (int r = 0; r < s->l; r++)
-        held[r] = i->penalty[r] > 0.0;
-    *i->freedom = s->n;
-    *i->masses = 0.0;
-    if (s->l)
-        rank_calibrate(i, q, v, held, settings_usual(i));
-    if (i->flags.brakes && !s->brakes)
-        outcome = instance_say(i, RANK_CHANGES,
-            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
-            s->name);
-    arena_release(i, arena);
-    return outcome;
-}
 
 /* Warn that dry friction took no part in an impact whose energy loss [J] is large enough for the energy balance. */
 static void warn_of_impact(Instance *i, const double *v, double lost)
@@ -48,7 +28,8 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
     energy_evaluate(i, v, &kinetic);
     if (lost > UNBALANCED * (kinetic + lost))
         instance_warn(i, WARNED_OF_IMPACT,
-            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, such "
+            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, "
+            "such "
             "as %s, have no friction",
             s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
 }
@@ -60,7 +41,8 @@ Outcome topology_change(Instance *i, const double *on)
     const size_t arena = arena_mark(i);
     double *q = instance_field(i, s->z), *v = q + s->n, *w = i->workspace, *work = q + s->work, gap;
     double *energies = arena_alloc(i, 4);
-    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l), *new = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l),
+                  *new = (unsigned char *)arena_alloc(i, (size_t)s->l);
     char label[100];
     int row, any = 0;
     Outcome outcome;
@@ -106,12 +88,13 @@ Outcome topology_change(Instance *i, const double *on)
         gap = constraints_widest(i, q, v, 1, &row);
         if (!(gap <= CONTRADICTION))
             outcome = instance_say(i, REFUSED,
-                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities serve both, "
+                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities "
+                "serve both, "
                 "as %s is missed by %.3g per second; switch one of them off",
                 s->name, *instance_time(i), instance_row_label(i, row, label, sizeof label), gap);
     }
     if (outcome == DONE)
-        outcome = topology_update_rank(i, q, v);
+        outcome = settings_update_rank(i, q, v);
     if (outcome == DONE)
         settings_upload(i);
     i->flags.known = 0;
@@ -119,27 +102,35 @@ Outcome topology_change(Instance *i, const double *on)
     return outcome;
 }
 
-Outcome instance_penalize(Instance *i, const double *penalties)
+/* Apply the requested Boolean inputs at this instant. */
+Outcome topology_take_effect(Instance *i)
 {
     const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
     Outcome outcome;
-    for (int r = 0; r < s->l; r++)
-        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
-            return instance_say(i, REFUSED, "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above",
-                s->name, r + 1, penalties[r]);
-    if (!i->flags.initialized) {
-        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
-        i->flags.given = 1;
-        return DONE;
+    peaks_broken(i);
+    if (s->held) {
+        double *displacements = arena_alloc(i, (size_t)s->held);
+        const double *x[] = {instance_field(i, s->z), instance_field(i, s->p)};
+        double *y[] = {displacements};
+        function_call_recorded(i, s->displacements, x, y);
+        for (int k = 0; k < s->switches; k++)
+            if (s->switched[k].value >= 0 && i->requested[k] != 0.0 && i->active[k] == 0.0) {
+                i->discrete[s->switched[k].value] = displacements[s->switched[k].value];
+                tape_copy(i, i->discrete + s->switched[k].value, displacements + s->switched[k].value, 1);
+            }
+        settings_upload_parameters(i);
     }
-    arena_reset(i);
-    settings_upload_arguments(i);
-    instance_remember(i);
-    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
-    i->flags.scaled = 0;
-    outcome = topology_change(i, i->active);
-    if (outcome != DONE)
-        instance_go_back(i);
-    arena_reset(i);
+    if (s->frictions) {
+        friction_reset(i); /* Friction takes no part in an impact; sticking joints are determined after it. */
+        settings_upload_parameters(i);
+    }
+    outcome = topology_change(i, i->requested);
+    if (outcome == DONE)
+        outcome = friction_begin(i);
+    if (outcome == DONE)
+        memcpy(i->active, i->requested, (size_t)s->switches * sizeof *i->active);
+    i->flags.pending = 0;
+    arena_release(i, arena);
     return outcome;
 }

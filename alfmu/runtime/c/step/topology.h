@@ -1,15 +1,19 @@
-/* Changes of the constraints in force: ranks, impacts, penalties. */
+/* Boolean inputs that take effect: changes of the constraints in force, and impacts. */
 
 #ifndef ALFMU_TOPOLOGY_H
 #define ALFMU_TOPOLOGY_H
 
 #include "instance.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
-Outcome topology_update_rank(Instance *i, const double *q, const double *v);
+#if HAS_SWITCHES
 Outcome topology_change(Instance *i, const double *on);
-Outcome instance_penalize(Instance *i, const double *penalties);
+Outcome topology_take_effect(Instance *i);
+#else
+static inline Outcome topology_take_effect(Instance *i) { return (void)i, DONE; }
+#endif
 
 #include "internal_end.h"
 

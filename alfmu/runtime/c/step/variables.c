@@ -23,7 +23,8 @@ Outcome variable_check(Instance *i, const Variable *v, double value)
         return instance_say(i, REFUSED, "%s: %s is %g; it must be true or false", name, v->name, value);
     }
     if (!isfinite(value))
-        return instance_say(i, REFUSED, "%s: %s is %g; it must be a finite number in %s", name, v->name, value, v->unit);
+        return instance_say(
+            i, REFUSED, "%s: %s is %g; it must be a finite number in %s", name, v->name, value, v->unit);
     if (v->type == INTEGER && value != floor(value))
         return instance_say(i, REFUSED, "%s: %s is %g; it must be a whole number", name, v->name, value);
     if (value >= v->minimum && value <= v->maximum)
@@ -39,8 +40,8 @@ Outcome variable_check(Instance *i, const Variable *v, double value)
 Outcome check_changeable(Instance *i, const Variable *v)
 {
     if (i->flags.phase & RUN)
-        return instance_say(i, REFUSED, "%s: %s is fixed once the run has begun; set it before initialising", i->scene->name,
-            v->name);
+        return instance_say(
+            i, REFUSED, "%s: %s is fixed once the run has begun; set it before initialising", i->scene->name, v->name);
     i->flags.initialized = 0;
     return DONE;
 }
@@ -69,15 +70,16 @@ Outcome variable_set_choice(Instance *i, int reference, double value)
         snprintf(part, sizeof part, "%s%d (%.40s)", k ? ", " : "", k + 1, choice->values[k]);
         strncat(known, part, sizeof known - strlen(known) - 1);
     }
-    return instance_say(i, REFUSED, "%s: %s is %g; this native FMU knows %s", s->name, s->variables[reference].name, value, known);
+    return instance_say(
+        i, REFUSED, "%s: %s is %g; this native FMU knows %s", s->name, s->variables[reference].name, value, known);
 }
 
 Outcome variable_set_switch(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
-    double *wanted = i->requested + (reference - s->parameters - s->choices - s->inputs);
-    variable_changed_start(i, value != *wanted);
-    *wanted = value;
+    double *requested_value = i->requested + (reference - s->parameters - s->choices - s->inputs);
+    variable_changed_start(i, value != *requested_value);
+    *requested_value = value;
     i->flags.pending = 0;
     for (int k = 0; k < s->switches; k++)
         i->flags.pending |= i->requested[k] != i->active[k];
@@ -89,11 +91,13 @@ Outcome variable_set_switch(Instance *i, int reference, double value)
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection)
 {
     if (i->flags.phase & RUN)
-        return instance_say(i, REFUSED, "%s: zeta, omega and the projection are fixed once the run has begun; set them before "
-                               "initialising",
+        return instance_say(i, REFUSED,
+            "%s: zeta, omega and the projection are fixed once the run has begun; set them before "
+            "initialising",
             i->scene->name);
     if (!isfinite(zeta) || !isfinite(omega))
-        return instance_say(i, REFUSED, "%s: zeta = %g, omega = %g; they must be finite numbers", i->scene->name, zeta, omega);
+        return instance_say(
+            i, REFUSED, "%s: zeta = %g, omega = %g; they must be finite numbers", i->scene->name, zeta, omega);
     i->stabilisation[0] = zeta;
     i->stabilisation[1] = omega;
     *i->projection = projection;
@@ -135,7 +139,7 @@ static inline const double *value_address(const Instance *i, int reference)
     return reference < s->inputs ? i->m + s->u + reference : i->requested + (reference - s->inputs);
 }
 
-static inline double value_at(const Instance *i, int reference)
+static inline double value_of(const Instance *i, int reference)
 {
     const double *place = value_address(i, reference);
     return place ? *place : i->flags.choice[reference - i->scene->parameters] + 1;
@@ -148,11 +152,11 @@ const double *instance_place(const Instance *i, int reference)
 
 double instance_get(const Instance *i, int reference)
 {
-    return value_at(i, reference);
+    return value_of(i, reference);
 }
 
 void instance_get_many(const Instance *i, const int *references, int count, double *values)
 {
     for (int k = 0; k < count; k++)
-        values[k] = value_at(i, references[k]);
+        values[k] = value_of(i, references[k]);
 }
