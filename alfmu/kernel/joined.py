@@ -11,6 +11,7 @@ import casadi as ca
 from ..equations.evaluation import with_functions
 from .form import Call, Choice, Loop, Program, Step, Steps, Traced, taken
 from .memory import Layout
+from .stream import Instructions
 
 __all__ = ["LONGEST", "joined"]
 
@@ -62,8 +63,13 @@ class _Joining:
 
     def _together(self, program: str, calls: Sequence[Call], wanted: set[str]) -> Sequence[Call]:
         small = self._e.functions
-        if len(calls) == 1 or sum(small[call.function].n_instructions() for call in calls) > LONGEST:
+        if len(calls) == 1:
             return calls
+        # What is there twice does not count, and is searched for where it may matter.
+        if sum(small[call.function].n_instructions() for call in calls) > LONGEST:
+            counts = {name: len(Instructions.of(small[name]).once()) for name in {call.function for call in calls}}
+            if sum(counts[call.function] for call in calls) > LONGEST:
+                return calls
         given = dict.fromkeys(chain(*(call.results for call in calls)))
         inputs, outputs = tuple(taken(calls)), tuple(name for name in given if name in wanted)
         numbers = {name: i for i, name in enumerate(inputs)}

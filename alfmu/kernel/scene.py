@@ -130,7 +130,7 @@ def code(f: ca.Function, scene: str) -> Code:
     Scenes of one mechanism share most functions, each of which is encoded once.
     """
     making(f.name())
-    instructions = Instructions.of(f)
+    instructions = Instructions.of(f).once()
     instructions.check(scene, f.name())
     inputs, outputs = (
         [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))

@@ -103,6 +103,21 @@ class Instructions:
             operands[row, reads] = writes[np.searchsorted(written, place[reads] * count + numbers[reads]) - 1]
         return cls(code, operands, places, constant)
 
+    def once(self) -> Instructions:
+        """The same without operations that do what an earlier one does on the same values."""
+        own, known = [*range(len(self)), -1], dict[tuple[int, int, int], int]()
+        for k, (code, first, second) in enumerate(zip(self.code.tolist(), *self.operands.tolist(), strict=True)):
+            if first >= 0 and code != ca.OP_OUTPUT:
+                own[k] = known.setdefault((code, own[first], own[second]), k)
+        first = np.array(own)
+        kept = np.flatnonzero(first[:-1] == np.arange(len(self)))
+        if len(kept) == len(self):
+            return self
+        number = np.full(len(own), -1)
+        number[kept] = np.arange(len(kept))
+        operands = number[first[self.operands[:, kept]]]
+        return Instructions(self.code[kept], operands, self.place[:, kept], self.constant[kept])
+
     def check(self, scene: str, function: str) -> None:
         """Raise ExportError if an operation has no C here."""
         if missing := set(self.code.tolist()) - {*BINARY, *UNARY, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}:

@@ -30,6 +30,7 @@ from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
+from ..model.making import making
 from ..model.settings import Settings
 from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, Traced, called
@@ -611,9 +612,10 @@ class Calls:
         if name not in functions:
             values = function(*(scene.value(x) for x in call.arguments if x not in ("p", "k")))
             values = [values] if isinstance(values, SX) else values
-            # A large scene has few common subexpressions, and the search would take longest.
-            make = shared if e.n <= DENSE else ca.Function
-            functions[name] = make(name, [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values])
+            making(name)
+            # What it computes twice is found when it is written or joined, several times faster than in symbols.
+            arguments, results = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
+            functions[name] = ca.Function(name, arguments, results)
         if name not in self._tracer.shapes:
             known = functions[name]
             self._tracer.shapes[name] = [known.numel_in(i) for i in range(known.n_in())], known.n_out()
