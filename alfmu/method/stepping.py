@@ -568,8 +568,8 @@ def judged(
 ) -> tuple[Any, Any, Any, Any]:
     """`Control.numbers` after a step with an error over the tolerance, and whether it is accepted.
 
-    Proportional and integral in the logarithm of the error. A step that was cut to land, and is accepted, shortens none
-    after it. What is not a number is refused.
+    Proportional and integral in the logarithm of the error. A step that was cut to land has a smaller error than those
+    before it, so that it counts alone; where it is accepted, it shortens none after it. NaN is refused.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -583,9 +583,11 @@ def judged(
     over = where(error < math.inf, larger(error, 1.0), math.inf)
     again = step * larger(LEAST_FACTOR, SAFETY * over ** (-1 / order))
     small = larger(error, LEAST_ERROR)
-    factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    cut = step < dt * (1 - 1e-9)
+    usual = small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    factor = SAFETY * where(cut, small ** (-1 / order), usual)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
-    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
+    following = where(cut, larger(dt, following), following)
     return (
         where(accepted, following, again),
         where(accepted, larger(error, LEAST_BEFORE), before),
