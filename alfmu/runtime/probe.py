@@ -158,7 +158,7 @@ class Probe:
 
     @np.errstate(all="ignore")
     def iterations_needed(self) -> int:
-        """Iterations of the residual form after which no more than a hundredth of the tolerance is left.
+        """Iterations of the residual form after which no more than a tenth of the tolerance is left.
 
         Each gains about the same factor, so a last change of limit^((m - 1) / m) after m of them leaves the limit. The
         last digits of H are changed, as some starts leave less round-off than the positions beside them.
@@ -168,7 +168,7 @@ class Probe:
         def done(da: NDArray[np.float64], a: NDArray[np.float64]) -> bool:
             nonlocal made
             made += 1
-            limit = (settings.tolerance / 100) ** ((made - 1) / made)
+            limit = (settings.tolerance / 10) ** ((made - 1) / made)
             return made > 1 and np.linalg.norm(da) <= limit * np.linalg.norm(a)
 
         M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps)
