@@ -169,9 +169,10 @@ def slider_crank(random: np.random.Generator) -> Linkage:
 
 
 def sarrus(random: np.random.Generator) -> Linkage:
-    """A platform on two chains of three parallel hinges, square to each other, that do not fold up in a second."""
-    made = Linkage("sarrus", gravity=(0.0, 0.0, -1.0), rate=random.uniform(0.5, 1.5))
-    z, knee, reach = random.uniform(0.5, 0.9), random.uniform(0.15, 0.35), random.uniform(0.3, 0.6)
+    """A platform on two chains of three parallel hinges, square to each other, so high that it falls for half a second
+    before they fold up."""
+    made = Linkage("sarrus", gravity=(0.0, 0.0, -G), rate=random.uniform(0.5, 1.5))
+    z, knee, reach = random.uniform(1.2, 1.6), random.uniform(0.15, 0.35), random.uniform(0.3, 0.6)
     made_of = []
     for axis, side in (((0.0, 1.0, 0.0), np.array([1.0, 0, 0])), ((1.0, 0.0, 0.0), np.array([0, 1.0, 0]))):
         low = reach * side + np.array([0, 0, 0.0])
@@ -193,9 +194,8 @@ def sarrus(random: np.random.Generator) -> Linkage:
 
 
 def scissors(random: np.random.Generator) -> Linkage:
-    """Two stages of crossed bars, hinged at their middles and ends, on a hinge and a slide; they do not fold up in a
-    second."""
-    made = Linkage("scissors", gravity=(0.0, -1.0, 0.0), rate=random.uniform(0.3, 1.0))
+    """Two stages of crossed bars, hinged at their middles and ends, on a hinge and a slide."""
+    made = Linkage("scissors", rate=random.uniform(0.3, 1.0))
     w, h = random.uniform(0.5, 0.8), random.uniform(0.3, 0.5)
     at = {(i, side): np.array([w * side, h * i, 0.02 * i]) for i in range(3) for side in (0, 1)}
     previous: dict[int, str | None] = {0: None, 1: None}
@@ -216,9 +216,9 @@ def scissors(random: np.random.Generator) -> Linkage:
 
 
 def gripper(random: np.random.Generator) -> Linkage:
-    """A finger on two parallel arms of equal length, and a redundant third one; they do not align in a second."""
-    made = Linkage("gripper", gravity=(0.0, -1.0, 0.0), rate=random.uniform(0.5, 1.5))
-    arm = np.array([random.uniform(0.2, 0.5), random.uniform(0.3, 0.5), 0.0])
+    """A finger that hangs on two parallel arms of equal length, and a redundant third one; they swing to no line."""
+    made = Linkage("gripper", rate=random.uniform(0.5, 1.5))
+    arm = np.array([random.uniform(0.2, 0.5), -random.uniform(0.3, 0.5), 0.0])
     roots = [_flat(x, 0.0, random) for x in (0.0, 0.3, random.uniform(0.5, 0.8))]
     finger = "coupler"
     arms = [made.link(random, f"link{i}", p, p + arm) for i, p in enumerate(roots)]
