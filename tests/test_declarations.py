@@ -555,7 +555,7 @@ def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, ca
     out = capsys.readouterr().out
     way = abs(2 * math.cos(0.5) - 0.2)
     assert f"assembly moved b by {way:.3g} m from where the guesses have them" in out
-    assert "no start value determines y: what the guesses say is taken" in out
+    assert "no start value determines y: their guesses are used" in out
 
 
 @pytest.mark.slow
@@ -738,7 +738,7 @@ def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog
     for stop in (0.02, 0.04):
         alfmu.simulate(m, stop)
     (said,) = caplog.messages
-    assert said.startswith("forgotten: no start value determines th: what the guesses say is taken")
+    assert said.startswith("forgotten: no start value determines th: their guesses are used")
     with pytest.raises(
         alfmu.InputError, match=r"'start.th': th is not independent.*; declare it with independent=True"
     ):

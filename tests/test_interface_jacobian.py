@@ -407,7 +407,7 @@ def test_of_forces_that_may_jump_it_says_so(caplog):
         Instance("end_stop", outputs=["*"])
         assert not caplog.records
         Instance("end_stop", outputs=["*", "*.angle/*"])
-    assert sum("leave out what a jump adds" in each.message for each in caplog.records) == 1
+    assert sum("omit the effect of jumps" in each.message for each in caplog.records) == 1
 
 
 @pytest.mark.slow

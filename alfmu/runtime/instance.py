@@ -1,6 +1,6 @@
 """One mechanism in motion: values by name, initialisation, communication steps, outputs, complete state.
 
-What happens while time passes is in the C library; this is its binding for NumPy, and what `alfmu.simulate` drives.
+The C library makes the steps; this module binds it to NumPy, and `alfmu.simulate` drives it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .probe import mobility, shared
 __all__ = ["Instance"]
 
 _NAMED = 5
-"""Coordinates that a message names."""
+"""Largest number of coordinates that a message names."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -49,17 +49,17 @@ _COUNTED = (
     *("patient_steps", "reads", "quick_reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
     *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error", "at_rest", "drift"),
 )
-"""What the library counts beside the tally of the kernel, in its order."""
+"""Counters of the library that are not in the tally of the kernel, in the order of the library."""
 
 
 @once
 def tell_of_jumps(equations: Equations) -> bool:
-    """Warn once of forces that may jump, of which derivatives do not know."""
-    if told := jumps(equations.functions["dynamics"]):
+    """Warn once of forces that may jump; derivatives omit the effect of jumps."""
+    if found := jumps(equations.functions["dynamics"]):
         _LOGGER.warning(
             "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
-            "leave out what a jump adds",
-            *(equations.name, " and ".join(told)),
+            "omit the effect of jumps",
+            *(equations.name, " and ".join(found)),
         )
     return True
 
@@ -75,9 +75,9 @@ class Instance:
         i.step(0.02)
         i.get("link1.angle")
 
-    `mechanism` is a `Mechanism`, a name, a file, or equations. `settings` are for studies of the method: all of its
-    numbers at once, those that no variable has included (`alfmu.model.settings`). `outputs` are those of
-    `alfmu.simulate`. A call that raises leaves the instance as it was before.
+    `mechanism` is a `Mechanism`, a name, a file, or equations. `settings` (`alfmu.model.settings`) are for studies of
+    the method and include numbers that no solver variable sets. `outputs` are those of `alfmu.simulate`. A call that
+    raises leaves the instance unchanged.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Instance:
         return f"Instance({self.name!r}, {f't = {self.time:g} s' if self.initialized else 'not initialised'})"
 
     def _take(self, equations: Equations) -> None:
-        """Run these equations with the settings that are given."""
+        """Load the scene of these equations with the given settings."""
         e = retraced(equations, self._given)
         self.equations: Traced = e
         given = self._given
@@ -144,17 +144,17 @@ class Instance:
 
     @property
     def inputs(self) -> NDArray[np.float64]:
-        """Inputs that are numbers, a view; `set` checks what is given."""
+        """Numeric inputs, a view; values written here are not checked, those of `set` are."""
         return self.memory["u"]
 
     @property
     def states(self) -> NDArray[np.float64]:
-        """Quantities of first-order equations (`Mechanism.state`), in the order of their declaration, a view."""
+        """States of first-order equations (`Mechanism.state`), in the order of their declaration, a view."""
         return self.state[self.layout.states : self.layout.time]
 
     @property
     def driven(self) -> NDArray[np.float64]:
-        """Inputs, and behind them states: what the equations call u."""
+        """The argument u of the equations: inputs, then states."""
         return np.concatenate([self.inputs, self.states]) if self.equations.states else self.inputs
 
     @property
@@ -188,12 +188,12 @@ class Instance:
 
     @property
     def adapts(self) -> bool:
-        """Whether the method that is chosen controls its error."""
+        """Whether the chosen integrator controls its error."""
         return self.choices["solver.method"] not in FIXED
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """Parameters, start values and numbers of the solver, in the order of `parameters`."""
+        """Parameters, start values and numeric solver variables, in the order of `parameters`."""
         return np.array(self._unit.get_many(range(len(self.parameters)))[1])
 
     @property
@@ -206,8 +206,8 @@ class Instance:
     def set(self, name: str, value: float | str) -> None:
         """Set an input (any time), or a parameter, start value or solver variable (before `initialize`), in its unit.
 
-        Raises InputError where there is no such name, or the value is not finite or out of its bounds, and keeps the
-        old value.
+        Raises InputError, and keeps the old value, if the name is unknown or the value is not finite or out of its
+        bounds.
         """
         e = self.equations
         reference = self._references.get(name)
@@ -229,10 +229,10 @@ class Instance:
             raise InputError(self._unit.text)
 
     def slope(self, name: str, rate: float) -> None:
-        """How an input changes in the next communication step, per second, from the value that was set; the value at
-        its end is held from there on. `set` takes the rate back.
+        """Set the rate, per second, at which an input changes in the next communication step from the value set before.
 
-        Raises InputError where that is no input whose value is a number, or the rate is not finite.
+        Afterwards the input keeps the value at the end of that step. `set` cancels the rate. Raises InputError
+        if the name is not that of a numeric input, or the rate is not finite.
         """
         v = self._variables.get(name)
         if v not in self.input_variables or v.type != "Real":
@@ -242,7 +242,7 @@ class Instance:
             raise InputError(self._unit.text)
 
     def _retrace(self, name: str, value: float | str) -> None:
-        """Another method of integration, or order of inputs: another scene, with the values that are set."""
+        """Change the integrator or the order of inputs; this loads another scene and keeps the values set before."""
         changed: dict[str, Any] = {name: int(value) if name == "input_order" else value}
         before = self._given
         if getattr(before, name) == changed[name]:
@@ -255,7 +255,7 @@ class Instance:
             raise
 
     def _rebuild(self, equations: Equations) -> None:
-        """Run other equations of this mechanism, with the values that are set."""
+        """Load other equations of this mechanism and keep the values set before."""
         known = [*self._references][: self._scene.first_output]
         values, time = {each: self._unit.get(self._references[each]) for each in known}, self.time
         self._take(equations)
@@ -264,15 +264,15 @@ class Instance:
                 self._unit.set(self._references[each], old)
         self.time = time
 
-    @overload  # A choice is a text; every other name stands for a number.
+    @overload  # A choice is a text; every other variable is a number.
     def get(self, name: Choice) -> str: ...  # type: ignore[overload-overlap]
     @overload
     def get(self, name: str) -> float: ...
     def get(self, name: str) -> float | str:
-        """The value of an output, an input, a parameter, a start value or a solver variable, in its unit.
+        """Return the value of an output, an input, a parameter, a start value or a solver variable, in its unit.
 
-        A choice such as `solver.method` is a text. Raises InputError where there is no such name, and where outputs are
-        asked for that cannot be computed.
+        A choice such as `solver.method` is a text. Raises InputError if the name is unknown, or if it is an output and
+        the instance is not initialised; StepError if the outputs cannot be computed.
         """
         if name not in self._references:
             raise InputError(f"{self.equations.name} has no variable {name!r}; {there_is(name, self._references)}")
@@ -281,13 +281,13 @@ class Instance:
             self._read()
         return self._unit.get(reference)
 
-    # Life --------------------------------------------------------------------------------------------------------
+    # Start and steps ---------------------------------------------------------------------------------------------
 
     def initialize(self) -> None:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on.
 
-        Warns where it ends in another assembly than the one that the guess is nearest to. Raises AssemblyError where
-        the loops cannot be closed, InputError where a parameter has no sense.
+        Warns if the result is not the assembly nearest to the guess. Raises AssemblyError if the loops cannot be
+        closed, InputError if a parameter is invalid.
         """
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
@@ -302,7 +302,7 @@ class Instance:
         self._unit.run_on(True)
 
     def _assembled(self) -> None:
-        """Keep where the mechanism was assembled; the library says where that is far from the guess."""
+        """Record the assembled position, and warn if the library reports that it is far from the guess."""
         self._start = np.array(self.q)
         if self._unit.text:
             body, way = next(iter(self.moved.items()), ("", 0.0))
@@ -311,9 +311,10 @@ class Instance:
 
     @property
     def moved(self) -> dict[str, float]:
-        """How far the assembly moved each body from where the guess had it [m], the farthest first.
+        """Distance [m] by which the assembly moved each body from its guessed position, the largest first.
 
-        Of what has outputs NAME.x and NAME.y, and NAME.z in space; where nothing has, of coordinates that are lengths.
+        Includes every part with outputs NAME.x and NAME.y (and NAME.z in space); if there are none, the coordinates
+        that are lengths.
         """
         e, p, v, guess = self.equations, self.memory["p"], np.zeros(self.equations.n), self._guess()
         places = [
@@ -331,23 +332,23 @@ class Instance:
         return {name: math.sqrt(x) for name, x in sorted(square.items(), key=lambda each: -each[1])}
 
     def _guess(self) -> NDArray[np.float64]:
-        """Where the assembly began (n,)."""
+        """Return the guess (n,) from which the assembly began."""
         e = self.equations
         s = self.values[len(e.parameters) :][: len(e.starts)]
         return np.array(e.functions["guess"](self.memory["p"], s)).ravel()
 
     @property
     def turned(self) -> dict[str, float]:
-        """How far the assembly turned each coordinate that is an angle from its guess [rad], the farthest first."""
+        """Change [rad] of each angle among the coordinates from its guess to the assembly, the largest first."""
         changes = zip(self.equations.coordinates, self._start - self._guess(), strict=True)
         angles = ((c.name, float(change)) for c, change in changes if c.unit == "rad")
         return dict(sorted(angles, key=lambda each: -abs(each[1])))
 
     def undetermined(self) -> list[str]:
-        """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
+        """Return coordinates that neither constraints nor start values determine, so that they begin at their guess.
 
-        Of mechanisms with up to `alfmu.equations.evaluation.DENSE` coordinates, at regular positions: beside a singular
-        one there are branches on which other coordinates move.
+        Returns none for more than `alfmu.equations.evaluation.DENSE` coordinates, and none at a singular position,
+        where other coordinates move on each branch.
         """
         e = self.equations
         if e.n > DENSE or e.resting:
@@ -365,17 +366,17 @@ class Instance:
         return [c.name for c, part in zip(e.coordinates[:n], moves, strict=True) if part > _FREE]
 
     def forgotten(self) -> str:
-        """What to say of coordinates that nothing determines at the start; empty where there are none."""
+        """Return a message that names the `undetermined` coordinates; empty if there are none."""
         if not (free := self.undetermined()):
             return ""
         named = free if len(free) <= _NAMED + 1 else [*free[:_NAMED], f"{len(free) - _NAMED} more"]
         return (
-            f"no start value determines {', '.join(named)}: what the guesses say is taken; to set one, give it "
+            f"no start value determines {', '.join(named)}: their guesses are used; to set one, give it "
             "independent=True, or tie() it to a start()"
         )
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
-        """Initialise with these inputs."""
+        """Set these inputs and initialise."""
         for name, value in inputs.items():
             self.set(name, value)
         self.initialize()
@@ -384,7 +385,7 @@ class Instance:
         """Cover one communication step [s] with internal steps no longer than solver.step_size.
 
         `time` is the communication point where the step begins, if the caller keeps time; it must be the instance's.
-        Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
+        If the step cannot be made, raises InputError or StepError and keeps the state before it.
         """
         unit = self._unit
         if not isinstance(communication_step, (int, float, np.number)):
@@ -396,7 +397,7 @@ class Instance:
         self._warn()
 
     def _warn(self) -> None:
-        """What the runtime warns of, to the logger `alfmu`."""
+        """Log the unread warning of the runtime, if there is one."""
         if warning := self._unit.warning():
             _LOGGER.warning("%s", warning)
 
@@ -405,7 +406,7 @@ class Instance:
             raise self._failure(outcome, moving=True)
 
     def _failure(self, outcome: int, moving: bool) -> AlfmuError:
-        """What a call of the library came to; `moving` says whether the run had begun."""
+        """Return the error for an outcome of the library; `moving` says whether the run had begun."""
         kinds = {REFUSED: InputError, OPEN: OpenError, UNHELD: AssemblyError, ENDED: StepError}
         return kinds.get(outcome, StepError if moving else AssemblyError)(self._unit.text)
 
@@ -417,17 +418,17 @@ class Instance:
         return outcome
 
     def read(self) -> NDArray[np.float64]:
-        """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
+        """Return all outputs, in the order of `outputs`, at this time and for the present inputs."""
         self._read()
         return np.array(self._unit.outputs)
 
     def read_state(self) -> NDArray[np.float64]:
-        """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
+        """Return all outputs as `read` does; accelerations and reactions that cannot be computed are NaN."""
         self._unit.read()
         return np.array(self._unit.outputs)
 
     def read_inputs(self) -> NDArray[np.float64]:
-        """The inputs as they are now, in the order of `input_variables`."""
+        """Return the present inputs, in the order of `input_variables`."""
         return np.array([self._unit.get(self._references[v.name]) for v in self.input_variables])
 
     def run(
@@ -438,11 +439,10 @@ class Instance:
         wanted: Sequence[str],
         progress: Callable[[int], bool] | None = None,
     ) -> tuple[NDArray[np.float64], BaseException | None]:
-        """A whole run in one call: communication points (k,) [s], a table (k, inputs) of inputs at each.
+        """Make a whole run in one call, over communication points (k,) [s] with a table (k, inputs) of inputs.
 
-        Returns the wanted variables (rows, wanted) at the communication points that were reached, and the reason where
-        these are not all. `progress` is called after each communication step; the run ends where it returns False or
-        raises.
+        Returns the values (rows, wanted) at the communication points that were reached, and the error if these are
+        not all. `progress` is called after each communication step; the run ends when it returns False or raises.
         """
         times, table = np.ascontiguousarray(times, float), np.ascontiguousarray(table, float)
         values = np.empty((len(times), len(wanted)))
@@ -468,20 +468,20 @@ class Instance:
             error = self._failure(outcome, self.initialized)
         return values[:made], error
 
-    # Topology ----------------------------------------------------------------------------------------------------
+    # Degrees of freedom ------------------------------------------------------------------------------------------
 
     def mobility(self) -> Mobility:
-        """Degrees of freedom and redundant constraints, in general and at the present position."""
+        """Return degrees of freedom and redundant constraints, in general and at the present position."""
         return self._mobility()[0]
 
     def _mobility(self, rows: str = "in force") -> tuple[Mobility, NDArray[np.float64]]:
-        """What `mobility` gives, of rows by a word of `probe.COUNTED_ROWS`, and a place (n,) near that tells it."""
+        """Return the mobility of rows, a word of `probe.COUNTED_ROWS`, and a nearby regular position (n,)."""
         outcome, found, place = mobility(self._unit, self.equations.n, rows)
         self._judged(outcome)
         return found, place
 
     def shared(self) -> list[str]:
-        """Outputs that are not unique, because redundant constraints share a load: joints carry the least."""
+        """Return outputs that are not unique, because redundant constraints share a load; `read` gives the least."""
         found, place = self._mobility()
         numbers = {"q": self.q, "u": self.driven, "p": self.memory["p"], "t": self.state[-1:]}
         return shared(self.equations, numbers, self.penalty > 0, place, self.equations.dependent - found.freedom)
@@ -531,11 +531,11 @@ class Instance:
         def tried(
             name: str, tries: int, *, judged: int = 0, careful: int = 0, branch: str = "", limits: int = 0
         ) -> None:
-            """Count tries of a program, with evaluations on both sides of the places where it reads limits."""
+            """Count attempts of a program, with the evaluations on both sides of positions where it takes limits."""
             if not tries:
                 return
             program = kernel[name]
-            # Careful explicit tries, and those on the branch, evaluate once more for what round-off leaves.
+            # Careful explicit attempts, and those on the branch, evaluate once more to measure round-off.
             judging = careful * (program.nodes == 0) + judged
             evaluations = tries * program.evaluations + judging + passes * program.nodes
             evaluations += limits * (2 * kernel[branch].plan.side - 1) if limits else 0
@@ -565,10 +565,10 @@ class Instance:
         return {**dict(zip(_COUNTED, raw.tolist(), strict=False)), "shared": raw[-1]}
 
     def save(self) -> bytes:
-        """The complete state, from which `restore` continues to the last bit."""
+        """Return the complete state, from which `restore` continues with the same bits."""
         return self._unit.save()
 
     def restore(self, state: bytes) -> None:
-        """Continue from a state that `save` gave, of this mechanism."""
+        """Continue from a state that `save` returned for this mechanism; raise InputError for any other bytes."""
         if self._unit.restore(state) != DONE:
             raise InputError(self._unit.text)

@@ -57,7 +57,7 @@ def shared(
     place: NDArray[np.float64],
     rank: int,
 ) -> list[str]:
-    """Return outputs that are not unique because redundant constraints share a load, with least loads of joints.
+    """Return outputs that are not unique because redundant constraints share a load.
 
     `numbers` are q, u, p and t by letter, `held` (l,) are the constraints in force, `place` (n,) is a position near q
     where they have this rank.
@@ -124,7 +124,7 @@ class Probe:
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
         """Return the probe, or None if the defaults have no start at this time [s]."""
         e = equations
-        # With room for constraints that would brake, which are looked for where coordinates are few.
+        # The scene reserves space for constraints that would brake, which are searched for among few coordinates only.
         room = Configuration.of(e)
         room = replace(room, survey=replace(room.survey, brakes=e.n <= DENSE))
         unit = Unit(Scene(packed_start(room)))
