@@ -1,8 +1,8 @@
-"""An instance whose steps and readings are made in Python; all else is that of the runtime.
+"""An instance whose steps and outputs are computed in Python; everything else is inherited from the runtime.
 
-Values by name, the start, scales and ranks, switches, impacts, times of jumps and the state are the runtime's. What
-stands here calls for internal steps and readings, and keeps counters, messages and whole turns with them: `oracle`
-makes both by the method alone.
+The runtime has the values by name, start, scales, ranks, switches, impacts, times of jumps and state. The class here
+divides communication steps into internal ones, evaluates outputs, and updates counters, messages and whole turns; its
+subclass in `oracle` implements the method.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ _LOGGER = logging.getLogger("alfmu")
 SOLVER = {"step_size": float, "tolerance": float, "max_iterations": int, "input_order": int}
 
 Reading = tuple[NDArray, NDArray, int, NDArray, int, float]
-"""Accelerations a (n,), multipliers lam (l,), iterations, Phi-ddot left (l,), 1 or 2 for a limit, error of lam."""
+"""Accelerations a (n,), multipliers lam (l,), iterations, residual Phi-ddot (l,), 1 or 2 for a limit, error of lam."""
 
 
 class Stepped(runtime.Instance, ABC):
-    """An instance of the runtime that is stepped and read here; used alike, with `rk4` alone."""
+    """An instance with steps and outputs computed in Python; used like any other, but with `rk4` only."""
 
     counters = Counters()
     """Work done and largest errors since initialisation."""
 
     run = None  # type: ignore[assignment]
-    """A run in one call would be the runtime's; `alfmu.simulation.run` makes it step by step."""
+    """Disabled, because it would run the C steps; `alfmu.simulation.run` then makes single steps."""
 
     @abstractmethod
     def _follow(self, start: float, dt: float) -> None:
-        """Make one step from a time [s] of a length [s]; raise OpenError where constraints stay open."""
+        """Make one step from a time [s] of a length [s]; raise OpenError if constraints stay open."""
 
     @abstractmethod
     def _now(self) -> Reading:
@@ -82,7 +82,7 @@ class Stepped(runtime.Instance, ABC):
         self.counters, self._unfinished, self._by_row, self._near = Counters(), 0.0, False, False
 
     def initialize(self) -> None:
-        """Begin as the runtime does, with RK4 for `auto`; raise InputError if another method is asked for."""
+        """Begin as the runtime does, with RK4 for `auto`; raise InputError for any other method."""
         if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         e = self.equations
@@ -99,7 +99,7 @@ class Stepped(runtime.Instance, ABC):
         self._know()
 
     def _know(self) -> None:
-        """What the runtime found at the start or at an event: penalties, units of rows, scales of pivots, freedoms."""
+        """Copy penalties, units of rows, scales of pivots and freedoms that the runtime found at a start or event."""
         e, k = self.equations, self.memory["k"]
         values: dict[str, Any] = {name: kind(self.get(f"solver.{name}")) for name, kind in SOLVER.items()}
         values |= {name: self.choices[f"solver.{name}"] for name in ("formulation", "branch")}
@@ -112,7 +112,7 @@ class Stepped(runtime.Instance, ABC):
         self.nothing, self.least_distance = found["nothing"], found["least_distance"]
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)])
         _, _, inverse_units, inverse_scales, stiffnesses, _ = np.split(k, ends)
-        with np.errstate(divide="ignore", invalid="ignore"):  # where a scale is not finite, the run says so
+        with np.errstate(divide="ignore", invalid="ignore"):  # the run reports a scale that is not finite
             self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
         self.rank = e.dependent - self.mobility().freedom if e.survey.brakes else 0
@@ -186,7 +186,7 @@ class Stepped(runtime.Instance, ABC):
     # Steps --------------------------------------------------------------------------------------------------------
 
     def step(self, communication_step: float, time: float | None = None) -> None:
-        """Cover one communication step [s] as the runtime does, with what it refuses and raises."""
+        """Cover one communication step [s] as the runtime does, with the same errors."""
         h, start = communication_step, self.time if time is None else time
         before, counters, penalty, v = self.save(), copy(self.counters), self.penalty, self.v.copy()
         self._judged(self._scene.library.alfmu_ready(self._unit.address, start, h))
@@ -196,7 +196,7 @@ class Stepped(runtime.Instance, ABC):
             if self._past:
                 self._past.reach(start, self.inputs)
             for begin, end in self._stretches(start, start + h):
-                if begin > start:  # the last digits of a time at which something jumps by itself
+                if begin > start:  # skip the last digits of a time at which something jumps
                     self.q[:] += (begin - self.time) * self.v
                     self.time, self._seen = begin, (None, None, None)
                 length = end - begin if (begin, end) != (start, start + h) else h
@@ -213,7 +213,7 @@ class Stepped(runtime.Instance, ABC):
         self._warn()
 
     def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
-        """Return times [s] between which nothing jumps by itself, as `alfmu_ready` has found them."""
+        """Return times [s] between which nothing jumps by itself, as `alfmu_ready` found them."""
         count = self._scene.library.alfmu_breaks(self._unit.address, None)
         times = (ctypes.c_double * (2 * count))()
         self._scene.library.alfmu_breaks(self._unit.address, times)
@@ -225,7 +225,7 @@ class Stepped(runtime.Instance, ABC):
             yield begin, end
 
     def _step(self, start: float, dt: float) -> None:
-        """Make an internal step, in shorter ones where constraints stay open near a singular position."""
+        """Make an internal step; divide it if constraints stay open near a singular position."""
         t, h, near = 0.0, dt, False
         while t < dt:
             try:
@@ -247,7 +247,7 @@ class Stepped(runtime.Instance, ABC):
     def _arrive(
         self, t: float, q: NDArray, v: NDArray, x: NDArray, work: float, position: float, velocity: float
     ) -> None:
-        """Commit a step to a time [s] that left |Phi| and |Phi-dot|."""
+        """Commit a step to a time [s]; `position` and `velocity` are the largest |Phi| and |Phi-dot| after it."""
         e, c = self.equations, self.counters
         self._check_converged(t)
         c.steps += 1
@@ -267,9 +267,9 @@ class Stepped(runtime.Instance, ABC):
             raise self._error(StepError, t, f"a step of {moved.max():.3g} opened {row} by {gap:.3g}")
 
     def _check_converged(self, t: float) -> None:
-        """What multiplier iterations left since this was asked last: told once, StepError if it is too much.
+        """Judge the last changes of multiplier iterations since the last call: warn once, or raise StepError.
 
-        As the runtime, for the formulation that continues through singular positions; the others are only told about.
+        As in the runtime, only the formulation that continues through singular positions raises.
         """
         left, most, self._unfinished = self._unfinished, self.settings.max_iterations, 0.0
         if not left:
@@ -289,7 +289,7 @@ class Stepped(runtime.Instance, ABC):
             self._told = True
 
     def _unwrap(self, y: NDArray) -> NDArray:
-        """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""
+        """Move computed angles among the outputs by whole turns to the values nearest to the last ones."""
         names = [v.name for v in self.equations.outputs]
         places = [names.index(name) for name in self.equations.wrapped]
         angles = self.angles[: len(places)]
@@ -298,7 +298,7 @@ class Stepped(runtime.Instance, ABC):
         return y
 
     def _count_turns(self, q: NDArray) -> None:
-        """Angles whose turns count as they are at q (n,): where they were last, for what comes."""
+        """Store the angles whose turns are counted at q (n,), from which the next step counts."""
         e, p = self.equations, self.memory["p"]
         if e.counted:
             begin = len(e.parameters) + e.held.index(next(iter(e.counted)))
@@ -306,7 +306,7 @@ class Stepped(runtime.Instance, ABC):
             p[begin : begin + len(angles)] = self.angles[len(e.wrapped) :] = angles
 
     def _change(self, penalty: NDArray, v: NDArray) -> None:
-        """v after an impact, where the runtime put constraints in force that were not by `penalty` (l,), at v (n,)."""
+        """Make v (n,) consistent by an impact if the runtime added constraints to those in force by `penalty` (l,)."""
         if (penalty != self.penalty).any():
             self._know()
             if (self.active & (penalty == 0)).any():
@@ -333,7 +333,7 @@ class Stepped(runtime.Instance, ABC):
         return float(self.read()[place]) if place >= 0 else super().get(name)
 
     def read(self) -> NDArray:
-        """Return all outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
+        """Return all outputs, in the order of `outputs`, at this time and for the present inputs."""
         if not self.initialized:
             raise InputError(f"{self.name}: outputs are known after initialising")
         if self._seen[0] != self._key():
@@ -354,11 +354,11 @@ class Stepped(runtime.Instance, ABC):
 
     def _key(self) -> bytes:
         """Return a key of everything that readings depend on."""
-        p = self.memory["p"]  # with what signals are
+        p = self.memory["p"]  # includes the coefficients of signals
         return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, p, self.penalty, self.state[-1:]))
 
     def _watch(self, seen: dict[str, float], left: NDArray) -> None:
-        """Keep the largest errors; NaN for what nobody watches."""
+        """Record the largest errors; NaN for quantities without a monitor."""
         balance = abs(seen.get("monitor.energy", math.nan) - self.energy_start - self.work)
         found = {name: seen.get(f"monitor.{name}", math.nan) for name in ("position_error", "velocity_error")}
         found |= {"acceleration_error": self._largest(left), "energy_error": balance}
@@ -369,7 +369,7 @@ class Stepped(runtime.Instance, ABC):
         return float(np.abs(residue[self.active]).max(initial=0.0))
 
     def _worst(self, residue: NDArray) -> tuple[float, str]:
-        """Return the largest residue, in units of its row, and what the row is called; 0 if there are none."""
+        """Return the largest residue, in units of its row, and the name of that row; 0 if there are none."""
         if not len(residue):
             return 0.0, ""
         sizes = np.where(self.active, np.nan_to_num(np.abs(residue / self.units), nan=np.inf), 0)
@@ -388,9 +388,9 @@ def unchanged(change: NDArray, value: NDArray) -> bool:
 
 
 def least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
-    """Least-squares solution of least norm of the block system (9); NaN where that is not finite.
+    """Return the least-squares solution of least norm of the block system (9); NaN if the system is not finite.
 
-    LAPACK is not asked then: it would say so on the screen.
+    LAPACK is not called then, because it would print a message.
     """
     (M, Ct), (C, _) = blocks
     K, b = np.block([[M, Ct], [C, np.zeros((len(C), len(C)))]]), np.concatenate(right)
