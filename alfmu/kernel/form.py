@@ -158,14 +158,14 @@ class Program:
 
 @dataclass(frozen=True, repr=False)
 class Traced(Configuration):
-    """A configuration with its programs, whose functions are among its own."""
+    """A configuration with its programs; `functions` includes those that the programs call."""
 
     kernel: dict[str, Program] = field(default_factory=dict)
     """The programs by name; of a scene from the cache without steps, which `controlled.whole` traces."""
     breaks: list[int] = field(default_factory=list)
-    """Levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
+    """Levels of the functions that change their sign at jumps and kinks (`kernel.breaks`)."""
     library: Path | None = None
-    """The functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
+    """Compiled functions of the scene (`alfmu.runtime.compiled.compiled_scene`); None if it is interpreted."""
 
 
 def every(steps: Iterable[Step]) -> Iterator[Step]:

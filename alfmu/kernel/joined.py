@@ -65,7 +65,7 @@ class _Joining:
         small = self._e.functions
         if len(calls) == 1:
             return calls
-        # What is there twice does not count, and is searched for where it may matter.
+        # Repeated operations do not count; they are searched for only if the limit is exceeded with them.
         if sum(small[call.function].n_instructions() for call in calls) > LONGEST:
             counts = {name: len(Instructions.of(small[name]).once()) for name in {call.function for call in calls}}
             if sum(counts[call.function] for call in calls) > LONGEST:

@@ -178,7 +178,7 @@ class _Patient(Alternatives):
         return replace(step, steps=(Choice("onward", zero=steps[:first]), *begin, *steps[first:]))
 
     def close(self, plan: Plan) -> Program:
-        """S5: the state that q and v after `move` make, brought back to the constraints where steps project.
+        """S5: return the program that projects the state after `move` onto the constraints if steps project.
 
         It ends as a careful step does.
         """
@@ -308,7 +308,7 @@ class _Patient(Alternatives):
         calls.made += found.made
 
     def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
-        """On the branch of the motion where `on_branch` says so, for `residual` alone."""
+        """Evaluate on the branch of the motion if `on_branch` is nonzero, for `residual` only."""
         if not self.chooses:
             super().evaluated(calls, i, u, length)
             return
@@ -326,7 +326,7 @@ class _Patient(Alternatives):
         most: str = "most",
         once: Callable[[Calls, str, str, str], None] | None = None,
     ) -> None:
-        """The multiplier iteration until it converges, each time by what makes it `once`."""
+        """Repeat the multiplier iteration until it converges; `once` adds the calls of one iteration."""
         if not self.e.l:
             return
         again, plan = calls.inside(), calls.plan

@@ -104,7 +104,7 @@ class Instructions:
         return cls(code, operands, places, constant)
 
     def once(self) -> Instructions:
-        """The same without operations that do what an earlier one does on the same values."""
+        """Return the instructions without operations that an earlier one already does on the same values."""
         own, known = [*range(len(self)), -1], dict[tuple[int, int, int], int]()
         for k, (code, first, second) in enumerate(zip(self.code.tolist(), *self.operands.tolist(), strict=True)):
             if first >= 0 and code != ca.OP_OUTPUT:

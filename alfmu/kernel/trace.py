@@ -613,7 +613,7 @@ class Calls:
             values = function(*(scene.value(x) for x in call.arguments if x not in ("p", "k")))
             values = [values] if isinstance(values, SX) else values
             making(name)
-            # What it computes twice is found when it is written or joined, several times faster than in symbols.
+            # Repeated operations are removed when the function is written or joined, much faster than in symbols.
             arguments, results = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
             functions[name] = ca.Function(name, arguments, results)
         if name not in self._tracer.shapes:

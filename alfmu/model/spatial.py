@@ -367,8 +367,7 @@ class SpatialJoint(Brief):
 
     @property
     def apart(self) -> ca.SX:
-        """The way (3,) from the first point to the second, in the axes of the carrier, of the ground where there is
-        none."""
+        """Vector (3,) from the first point to the second, in the axes of the carrier, or of the ground without one."""
         if (carrier := self.carrier) is None:
             return self.second.place - self.first.place
         (begin, way), (begin2, way2) = (
@@ -541,7 +540,7 @@ class SpatialJoint(Brief):
         return ca.dot(other, turned), ca.dot(normal, turned)
 
     def residual(self, direction: str) -> ca.SX:
-        """What the joint keeps at zero along one direction, in m or (for a small misalignment) rad."""
+        """Return the constraint along one direction, zero when satisfied, in m or (for a small misalignment) rad."""
         carrier = self.carrier
         if direction in ("x", "y", "z"):
             return self.apart["xyz".index(direction)]
@@ -737,7 +736,7 @@ def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vecto
 
 
 def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
-    """Return Euler parameters (4,) of a rotation matrix (3, 3) that is near one of numbers."""
+    """Return Euler parameters (4,) of a rotation matrix (3, 3); `nominal`, its value by numbers, selects their sign."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(np.array(ca.DM(nominal))).as_quat()

@@ -126,8 +126,7 @@ def there_is(name: object, names: Collection[str]) -> str:
 
 
 def some_like(pattern: str, names: Collection[str]) -> str:
-    """Return the same of a pattern that nothing matches: all of a part may have been meant, as of a body by its
-    name."""
+    """Return a suggestion for a pattern that nothing matches; the name of a part suggests all of its variables."""
     whole = any(name.startswith(f"{pattern}.") for name in names)
     return f"did you mean {pattern}.*?" if whole else there_is(pattern, names)
 

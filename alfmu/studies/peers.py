@@ -256,8 +256,10 @@ def _pinocchio_model(pin: ModuleType, mechanism: str, start: Start) -> tuple:
 
 
 def _pinocchio_reactions(mechanism: str, q: NDArray, felt: NDArray, contacts: NDArray) -> NDArray:
-    """Return REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own
-    frames."""
+    """Return REACTIONS (k, ...) in ground axes, from forces in the axes of the bodies.
+
+    `felt` are the joint forces of the open tree, `contacts` the forces of the closures on their first bodies.
+    """
 
     def ground(angle: NDArray, force: NDArray) -> NDArray:
         c, s, x, y = np.cos(angle), np.sin(angle), force[:, 0], force[:, 1]

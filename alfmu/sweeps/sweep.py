@@ -195,7 +195,7 @@ def _check_form(form: str) -> None:
 
 @dataclass(frozen=True)
 class _Others:
-    """Variants of a job: with the scene for redundant constraints that brake; compiled, if that is undecided."""
+    """Variants of a job: for redundant constraints that brake; compiled, if the user has chosen no kernel."""
 
     braking: Callable[[], Job]
     compiled: Callable[[], Job] | None = None
