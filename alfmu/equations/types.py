@@ -360,7 +360,7 @@ class Equations:
 
 @dataclass(frozen=True, repr=False)
 class Configuration(Equations):
-    """Equations with the defaults, outputs and frozen parameters of a scene, and what is decided and found for it."""
+    """Equations with the defaults, outputs and frozen parameters of a scene, with its integrator and survey."""
 
     decision: Decision | None = None
     """None where the method of integration is not decided yet."""

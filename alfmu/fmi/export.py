@@ -178,8 +178,10 @@ def packed_scene(
     kernel: str | None,
     rest: Rest | None = None,
 ) -> tuple[Equations, Traced]:
-    """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
-    position of rest that becomes the start values."""
+    """Return all equations of a mechanism, and its traced scene with the requested outputs and frozen parameters.
+
+    The arguments are those of `alfmu.export`; the position of `rest`, if given, becomes the start values.
+    """
     every = derive(declared)
     tell_of_gravity(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)

@@ -361,7 +361,7 @@ class Scene:
         return ca.if_else(left[0], math.nan, lam + rubbing if self.e.frictions else lam)
 
     def _apart(self, lam: SX) -> tuple[SX, SX]:
-        """Return lam of constraints in force, and that of dry friction, which is none of them."""
+        """Split lam into that of constraints in force, and that of sliding joints with dry friction."""
         if not self.e.frictions:
             return lam, SX(self.e.l, 1)
         own = SX(self.e.l, 1)

@@ -467,7 +467,7 @@ class _Table:
             w.integer(each.slip)
             w.integer(each.output in (e.survey.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
-        # The energy lost follows the impulses, even without any, and peaks follow it.
+        # The instance stores impulses, then the energy lost (also without switches), then peaks.
         places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}
         w.integers(places[v.name] for v in events(e))
         outputs = {v.name: i for i, v in enumerate(e.outputs)}

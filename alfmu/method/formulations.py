@@ -59,8 +59,8 @@ HELD_SHARES = 1e9
 position, and less by the squared distance beside a singular one."""
 
 EASE = 1e-6
-"""Regularisation of the factors of such a pass, over the loads of joints [1]. Multipliers that no joint transmits keep
-a pivot above the round-off of HELD_SHARES."""
+"""Regularisation of the factors in a pass with HELD_SHARES, over the loads of joints [1]. Multipliers that no joint
+transmits keep a pivot above the round-off of HELD_SHARES."""
 
 Array = Any
 Solve = Callable[[Array], Array]

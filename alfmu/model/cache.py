@@ -26,7 +26,7 @@ VARIABLE = "ALFMU_CACHE"
 """The environment variable that moves the cache, or turns it off."""
 
 LIMIT = 500_000_000
-"""Size of the cache [bytes] above which files go: some 3000 scenes of mechanisms such as the five-bar."""
+"""Size of the cache [bytes] above which files are removed: some 3000 scenes of mechanisms such as the five-bar."""
 
 LEAST = 50_000
 """Size [bytes] that a file counts for at least, so that there are at most LIMIT / LEAST of them."""
