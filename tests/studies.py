@@ -34,7 +34,8 @@ def tables(path: Path) -> list[tuple[str, str, list[str], list[list[str]]]]:
     found = []
     for title, name, table in re.findall(r"^\*\*(.+)\*\* \(`(\w+)\.csv`\)\n\n((?:\|.*\n?)+)", path.read_text(), re.M):
         columns, _, *lines = [line.strip()[2:-2].split(" | ") for line in table.strip().splitlines()]
-        if columns[0] != "what" and not set(columns[1:]) <= set(rows(path.parent, name)[0]):
+        maps = name == "cells"  # whose columns are values
+        if not maps and columns[0] != "what" and not set(columns[1:]) <= set(rows(path.parent, name)[0]):
             columns, *lines = map(list, zip(columns, *lines, strict=True))
         found.append((title, name, columns, lines))
     return found

@@ -199,8 +199,8 @@ def test_the_tolerance_of_fmi_is_honoured(tmp_path):
 
 @pytest.mark.slow
 def test_only_a_scene_that_asks_carries_a_method(tmp_path):
-    plain = alfmu.export("four_bar", tmp_path / "plain.fmu", parameters={"solver.method": "rk4"})
-    stiff = alfmu.export("four_bar", tmp_path / "stiff.fmu", parameters={"solver.method": "stiff"})
+    plain = alfmu.export("four_bar", tmp_path / "plain.fmu", kind="python", parameters={"solver.method": "rk4"})
+    stiff = alfmu.export("four_bar", tmp_path / "stiff.fmu", kind="python", parameters={"solver.method": "stiff"})
     sizes = [zipfile.ZipFile(path).getinfo("resources/scene.bin").file_size for path in (plain, stiff)]
     assert sizes[1] > 1.2 * sizes[0]
     with Fmu(plain) as fmu:

@@ -676,7 +676,7 @@ def test_a_library_in_the_cache_is_kept_and_built_again_where_it_was_damaged(mon
         path.write_bytes(f"library {len(made)}".encode())
 
     monkeypatch.setattr(build, "build", written)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("ALFMU_CACHE", str(tmp_path))
     other = next(name for name in native.PLATFORMS if name not in native.platforms("particle", ()))
     assert native.libraries("particle", [other]) == native.libraries("particle", [other]) == {other: b"library 1"}
     next(tmp_path.rglob(f"runtime_*{native.PLATFORMS[other].suffix}")).write_bytes(b"library of another")

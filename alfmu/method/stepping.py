@@ -570,9 +570,8 @@ def judged(
 ) -> tuple[Any, Any, Any, Any]:
     """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
-    The controller is proportional-integral in the logarithm of the error. A step that was cut to end at a given time
-    has a smaller error than the steps before it, so it counts by its own error alone; an accepted one does not shorten
-    the next step. A NaN error is rejected.
+    The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
+    given time does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -586,11 +585,9 @@ def judged(
     over = where(error < math.inf, larger(error, 1.0), math.inf)
     again = step * larger(LEAST_FACTOR, SAFETY * over ** (-1 / order))
     small = larger(error, LEAST_ERROR)
-    cut = step < dt * (1 - 1e-9)
-    usual = small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
-    factor = SAFETY * where(cut, small ** (-1 / order), usual)
+    factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
-    following = where(cut, larger(dt, following), following)
+    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
     return (
         where(accepted, following, again),
         where(accepted, larger(error, LEAST_BEFORE), before),
