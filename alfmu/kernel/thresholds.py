@@ -35,7 +35,7 @@ independent combinations are larger; at a singular position the previous rank is
 
 PENALTY_RATIO = 1e8
 """penalty over the largest mass that the rows constrain [1]: at this ratio the residual form of (8) needs three
-iterations to round-off, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
+iterations to round-off, and four at 1e6 and at 1e10 (`alfmu report --profile paper`)."""
 
 ALIKE = 10.0
 """ratio of the units of rows [1]: rows with unknown units share one if they differ by less."""
