@@ -504,6 +504,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.write and (chosen.far or chosen.cases):
         parser.error("--write takes all cases, and half and twice")
+    from alfmu.model.cache import VARIABLE
+
+    os.environ[VARIABLE] = "off"  # kept scenes have the constants of the code
     factors = FAR if chosen.far else FACTORS
     wanted = [x for x in thresholds() if chosen.only is None or x.name in chosen.only]
     jobs = [("", "", None), *((x.name, x.module, x.times(f)) for x in wanted for f in factors.values())]
