@@ -574,9 +574,9 @@ def judged(
 ) -> tuple[Any, Any, Any, Any]:
     """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
-    The controller is proportional-integral in the logarithm of the error. A step that was cut to end at a given time has
-    a smaller error than those before it, so it counts by its own error alone; one that was cut to less than half says
-    little about longer steps, and does not shorten the next. A NaN error is rejected.
+    The controller is proportional-integral in the logarithm of the error. A step that was cut to end at a given time
+    has a smaller error than those before it, so it counts by its own error alone; one that was cut to less than half
+    says little about longer steps, and does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
