@@ -525,8 +525,9 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
 
 
-SPLIT = 2.0
-"""Number of steps left up to an end below which they are made equal."""
+SPLIT = 3
+"""Number of steps left up to an end from which on they are made equal, so that none of them is short: short steps
+before an end waste evaluations, and their estimates are round-off."""
 
 NOISE = 8.0
 """Error attributed to round-off, over one sample of it; errors below it are ignored. At a factor of 4, steps of the
@@ -562,7 +563,10 @@ def chosen(condition: bool, a: float, b: float) -> float:
 
 def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
     """Return a step of about dt that covers `left` without a tiny last step."""
-    return where(dt >= left * (1 - 1e-9), left, where(SPLIT * dt > left, left / 2, dt))
+    step = dt
+    for parts in range(SPLIT, 0, -1):
+        step = where(parts * dt >= left * (1 - 1e-9), left / parts, step)
+    return step
 
 
 def judged(
@@ -570,8 +574,9 @@ def judged(
 ) -> tuple[Any, Any, Any, Any]:
     """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
-    The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
-    given time does not shorten the next. A NaN error is rejected.
+    The controller is proportional-integral in the logarithm of the error. A step that was cut to end at a given time
+    has a smaller error than those before it, so it counts by its own error alone; one that was cut to less than half
+    says little about longer steps, and does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -584,13 +589,14 @@ def judged(
     accepted = error <= 1.0
     over = where(error < math.inf, larger(error, 1.0), math.inf)
     again = step * larger(LEAST_FACTOR, SAFETY * over ** (-1 / order))
-    small = larger(error, LEAST_ERROR)
-    factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    small, cut = larger(error, LEAST_ERROR), step < dt * (1 - 1e-9)
+    usual = small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    factor = SAFETY * where(cut, small ** (-1 / order), usual)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
-    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
+    following = where(2 * step < dt * (1 - 1e-9), larger(dt, following), following)
     return (
         where(accepted, following, again),
-        where(accepted, larger(error, LEAST_BEFORE), before),
+        where(accepted, where(cut, before, larger(error, LEAST_BEFORE)), before),
         where(accepted, 0.0, 1.0),
         accepted,
     )
