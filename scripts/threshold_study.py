@@ -390,7 +390,7 @@ DECIDING = (
 )
 """Constants that decide of sticking and sliding."""
 
-OF_FRICTION = (*DECIDING, "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
+OF_FRICTION = (*DECIDING, "SLOW_STEP", "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
 """Constants that nothing without dry friction depends on."""
 
 SLOW = {
