@@ -23,14 +23,16 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n),
-           *weights = arena_alloc(i, (size_t)s->l);
+           *weights = arena_alloc(i, (size_t)loops->count), *columns = arena_alloc(i, (size_t)s->n);
     double *lam = arena_alloc(i, (size_t)loops->count);
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     loops_evaluate(i, loops, q);
     constraints_evaluate(i, q, v, NULL, J.constraints.values, NULL, NULL);
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r];
-    matrix_weigh_rows(J.constraints, weights);
+    for (int r = 0; r < loops->count; r++)
+        weights[r] = r < s->l ? loops->held[r] : 1.0;
+    for (int c = 0; c < s->n; c++)
+        columns[c] = 1.0;
+    matrix_weigh(J.constraints, weights, NULL);
     for (int pass = 0; pass < 3; pass++) {
         rows_times(&J, v, made);
         if (s->timed) { /* Include the motion that constraints prescribe. */
@@ -43,7 +45,7 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
         if (pass == 2)
             break;
         rows_least_multipliers(i, &J, left, CORRECTIONS, lam, dv);
-        tape_rating(i, loops->held, q, v, dv, lam);
+        tape_correction(i, weights, columns, q, v, dv, lam, 1.0);
         for (int c = 0; c < s->n; c++)
             v[c] += dv[c];
     }
@@ -57,16 +59,14 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = loops_starts(i) + s->starts;
     double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n),
-           *weights = arena_alloc(i, l);
-    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
+           *F = arena_alloc(i, n);
+    double *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
            *M = arena_alloc(i, (size_t)s->mass.entries);
     double lost = 0.0, most;
     const double zero = 0.0;
     Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     int worst = 0;
     solve_rates(i, loops, q, rate, v, left);
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r];
     for (int r = 1; r < loops->count; r++)
         if (fabs(left[r]) > fabs(left[worst]))
             worst = r;
@@ -86,16 +86,11 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
         memset(zeros, 0, ((size_t)scene_driven(s) + 1) * sizeof *zeros);
         function_call(i, s->dynamics, x, y);
     }
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r] / (!strcmp(s->rows[r].unit, "m") ? *i->length : 1.0);
-    matrix_weigh_rows(J.constraints, weights);
-    for (int c = 0; c < s->n; c++)
-        for (int e = s->constraint.offsets[c]; coordinate_is_length(s, c) && e < s->constraint.offsets[c + 1]; e++)
-            J.constraints.values[e] *= *i->length;
+    matrix_weigh(J.constraints, loops->rows, loops->columns);
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
-        left[r] *= weights[r];
+        left[r] *= loops->rows[r];
     /* Two passes leave residues in directions that C hardly holds, which a motion violates in proportion to its
        acceleration. */
     rows_least_correction(i, &J, left, 2, dv);
@@ -110,7 +105,7 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
         return instance_say(i, FAILED,
             "%s: the start is a singular position, and its rates belong to none of the motions possible there (%s "
             "would open by %.3g %s/s2); start a little beside it",
-            s->name, s->rows[worst].name, lost / weights[worst], s->rows[worst].unit);
+            s->name, s->rows[worst].name, lost / loops->rows[worst], s->rows[worst].unit);
     return DONE;
 }
 
@@ -124,7 +119,7 @@ void start_set_off(Instance *i, const unsigned char *held, const double *q, doub
     double *guess = arena_alloc(i, n), *way = arena_alloc(i, n), *equal = arena_alloc(i, (size_t)s->starts), size;
     const double *x[] = {instance_field(i, s->p), loops_starts(i), equal};
     double *y[] = {guess, way};
-    Loops loops = loops_new(i, held);
+    Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
         equal[k] = 1.0;
     function_call(i, s->guesses, x, y);
