@@ -241,6 +241,16 @@ static Rows make_rate_rows(Gradient *g, const Correction *k)
     return J;
 }
 
+/* Return the velocities before a correction over the weights of their columns. */
+static const double *find_scaled_rates(Instance *i, const Correction *k)
+{
+    const double *v = k->constraints + i->scene->n;
+    double *scaled = arena_alloc(i, (size_t)i->scene->n);
+    for (int c = 0; c < i->scene->n; c++)
+        scaled[c] = v[c] / k->columns[c];
+    return scaled;
+}
+
 /* Differentiate a correction of velocities, whose right-hand side is -C v - Phi_t for the constraints and the
    residue of the rates for the ties. */
 void rated_tangents(Gradient *g, const Entry *e)
@@ -252,7 +262,7 @@ void rated_tangents(Gradient *g, const Entry *e)
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
     const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
-    const double *v = k.constraints + s->n;
+    const double *v = find_scaled_rates(i, &k);
     double *rights = arena_alloc(i, count * LANES), *rows = arena_alloc(i, n * LANES), *dx = arena_alloc(i, n),
            *dv = arena_alloc(i, n);
     double *of_ties = arena_alloc(i, count);
@@ -269,10 +279,11 @@ void rated_tangents(Gradient *g, const Entry *e)
             add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, k.rows + s->l, k.columns, k.x,
                 k.lam + s->l, right, rows + lane * s->n);
             for (int c = 0; c < s->n; c++)
-                dv[c] = t[k.places[PLACE_V] + c].lane[lane];
+                dv[c] = t[k.places[PLACE_V] + c].lane[lane] / k.columns[c];
             rows_times(&J, dv, of_ties);
             for (int j = 0; j < s->ties; j++)
-                right[j] += t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
+                right[j]
+                    += k.rows[s->l + j] * t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
         }
         lead_tangents(g, s->constraints, gradient_values_again(g, s->constraints, k.constraints), of_constraints, t);
         for (int lane = 0; lane < LANES; lane++) {
@@ -284,7 +295,7 @@ void rated_tangents(Gradient *g, const Entry *e)
                 constraints, OF_C, g->lane_registers, lane, &s->constraint, k.rows, k.columns, k.x, k.lam, right, row);
             differentiate_least_norm(i, &J, right, row, dx);
             for (int c = 0; c < s->n; c++)
-                t[k.places[PLACE_V] + c].lane[lane] += dx[c];
+                t[k.places[PLACE_V] + c].lane[lane] += k.columns[c] * dx[c];
         }
     }
     arena_release(i, arena);
@@ -299,16 +310,16 @@ void rated_adjoints(Gradient *g, const Entry *e)
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
     const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
-    const double *v = k.constraints + s->n, *r;
+    const double *v = find_scaled_rates(i, &k), *r;
     double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n), *none = arena_alloc(i, n),
            *back = arena_alloc(i, n);
     const size_t cv = result_offset(constraints, OF_CV);
     for (int c = 0; c < s->n; c++)
-        y[c] = g->adjoints[k.places[PLACE_V] + c];
+        y[c] = k.columns[c] * g->adjoints[k.places[PLACE_V] + c];
     memset(none, 0, n * sizeof *none);
     split_adjoint(i, &J, y, w, z);
     for (int j = 0; j < s->ties; j++)
-        g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += w[s->l + j];
+        g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += k.rows[s->l + j] * w[s->l + j];
     /* The product T v of the ties is differentiated here; C v is part of the function of the constraints. */
     {
         double *of_ties = arena_alloc(i, count);
@@ -316,7 +327,7 @@ void rated_adjoints(Gradient *g, const Entry *e)
         memcpy(of_ties + s->l, w + s->l, (size_t)s->ties * sizeof *of_ties);
         rows_times_back(&J, of_ties, back);
         for (int c = 0; c < s->n; c++)
-            g->adjoints[k.places[PLACE_V] + c] -= back[c];
+            g->adjoints[k.places[PLACE_V] + c] -= back[c] / k.columns[c];
     }
     r = gradient_values_again(g, s->constraints, k.constraints);
     clear_registers(g, s->constraints);

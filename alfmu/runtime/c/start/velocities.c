@@ -23,32 +23,33 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n),
-           *weights = arena_alloc(i, (size_t)loops->count), *columns = arena_alloc(i, (size_t)s->n);
-    double *lam = arena_alloc(i, (size_t)loops->count);
+           *lam = arena_alloc(i, (size_t)loops->count), *scaled = arena_alloc(i, (size_t)s->n);
+    const double *weights = loops->rows;
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     loops_evaluate(i, loops, q);
     constraints_evaluate(i, q, v, NULL, J.constraints.values, NULL, NULL);
-    for (int r = 0; r < loops->count; r++)
-        weights[r] = r < s->l ? loops->held[r] : 1.0;
-    for (int c = 0; c < s->n; c++)
-        columns[c] = 1.0;
-    matrix_weigh(J.constraints, weights, NULL);
+    matrix_weigh(J.constraints, weights, loops->columns);
+    matrix_weigh(J.ties, weights + s->l, loops->columns);
     for (int pass = 0; pass < 3; pass++) {
-        rows_times(&J, v, made);
+        for (int c = 0; c < s->n; c++)
+            scaled[c] = v[c] / loops->columns[c];
+        rows_times(&J, scaled, made);
         if (s->timed) { /* Include the motion that constraints prescribe. */
             constraints_evaluate(i, q, v, NULL, NULL, NULL, made);
             for (int r = 0; r < s->l; r++)
                 made[r] *= weights[r];
         }
         for (int r = 0; r < loops->count; r++)
-            left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
+            left[r] = (r < s->l ? 0.0 : weights[r] * rate[s->tied[r - s->l]]) - made[r];
         if (pass == 2)
             break;
         rows_least_multipliers(i, &J, left, CORRECTIONS, lam, dv);
-        tape_correction(i, weights, columns, q, v, dv, lam, 1.0);
+        tape_correction(i, weights, loops->columns, q, v, dv, lam, 1.0);
         for (int c = 0; c < s->n; c++)
-            v[c] += dv[c];
+            v[c] += loops->columns[c] * dv[c];
     }
+    for (int r = 0; r < loops->count; r++)
+        left[r] = weights[r] > 0.0 ? left[r] / weights[r] : 0.0;
     arena_release(i, arena);
 }
 
