@@ -52,7 +52,8 @@ Loops loops_new(Instance *i, const unsigned char *held, double length)
     const Scene *s = i->scene;
     Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL, NULL,
         NULL};
-    length = ldexp(1.0, (int)floor(log2(length) + 0.5));
+    int exponent;
+    length = frexp(length, &exponent) < sqrt(0.5) ? ldexp(0.5, exponent) : ldexp(1.0, exponent);
     loops.residue = arena_alloc(i, (size_t)loops.count);
     loops.trial = arena_alloc(i, (size_t)s->n);
     loops.rows = arena_alloc(i, (size_t)loops.count);
