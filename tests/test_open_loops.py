@@ -69,6 +69,29 @@ def test_random_linkages_close_within_their_limits() -> None:
     assert told
 
 
+def test_an_open_linkage_of_any_size_closes_alike() -> None:
+    """Torn-off bars of a five-bar, guessed off by up to 0.6 rad and 0.3 of their size: nothing else tells its place."""
+    m = alfmu.Mechanism("loose")
+    L = m.parameter("L", 1.0, "m")
+    ends = [m.ground.at()]
+    for k, (length, x, y, angle) in enumerate([(0.6, 0.4, 0.1, 0.7), (0.9, 0.8, 0.9, 0.8), (1.1, 1.0, 0.4, -0.8)]):
+        pose = (m.coordinate(f"x{k}", "m", start=x * L), m.coordinate(f"y{k}", "m", start=y * L))
+        bar = m.bar(f"b{k}", mass=1.0, length=length * L, pose=(*pose, m.coordinate(f"a{k}", "rad", start=angle)))
+        m.revolute(f"J{k}", ends[-1], bar.start)
+        ends.append(bar.end)
+    m.revolute("J3", m.ground.at(1.5 * L, 0.0), ends[-1])
+    e, found, rad = alfmu.derive(m), [], [c.unit == "rad" for c in m.coordinates]
+    for size in 2.0 ** np.array([0, 1, 14, -3, -20]):
+        i = alfmu.Instance(e)
+        i.set("L", size)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            i.initialize()
+        found.append(i.q / np.where(rad, 1.0, size))
+        assert np.abs(np.array(e.Phi(i.q, i.memory["p"]))).max() < 1e-12 * size
+    assert np.ptp(found, axis=0).max() < 1e-12
+
+
 def test_a_hinge_does_not_close_half_a_turn_away() -> None:
     """Directions that it keeps parallel are opposite there, and their product across vanishes as well."""
     m = alfmu.Mechanism("lid")

@@ -55,7 +55,7 @@ from .friction import Rubs, rubbing
 from .interface import variables_of
 from .loads import efforts_of, inertia_of, is_guided, limited_by, potential_of
 from .measures import measures
-from .reactions import carried_by, driving, lengths_of, locking, reactions_of, spatial_efforts
+from .reactions import carried_by, driving, lengths_of, locking, reach_of, reactions_of, spatial_efforts
 from .types import Equations, Followed, Leap, Row, Variable
 
 __all__ = ["derive"]
@@ -445,6 +445,7 @@ def _equations(
         leaps=_leaps(m, closures),
         limited=[Variable(stop.name, stop.unit) for _, stop in read.limits],
         wrapped=read.wrapped,
+        reach=reach_of(m),
         works=m.moves or bool(frictions) or not terms.f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,

@@ -298,6 +298,8 @@ class Equations:
     """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
     peaks: dict[str, list[str]] = field(default_factory=dict)
     """Peaks requested, and the outputs that each consists of."""
+    reach: float = 0.0
+    """Largest coordinate [m] of a joint's point on the ground, by default parameters; round-off grows with it."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

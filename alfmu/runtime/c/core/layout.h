@@ -139,7 +139,7 @@
 #define TORN 0.3
 #define SHORTEST 6.103515625e-05
 #define SAID 6
-#define FIRST_STEP 0.001
+#define FIRST_STEP 0.05
 #define SHORTENED 0.2
 #define REGAINED 1.1
 #define EXACTER 1.1
@@ -151,6 +151,7 @@
 #define SEEN_FLOOR 0.1
 #define STUCK 20
 #define REST 1e-09
+#define SLOW_STEP 0.02
 #define MOVING 2.0
 #define STOPPED 1e-13
 #define NEARLY_STOPPED 0.01
@@ -164,12 +165,12 @@
 #define SEARCHED 60
 #define RIGHT_THERE 0.0009765625
 #define SEEN_BETWEEN 16
-#define LOOKED_INTO 1e-07
+#define LOOKED_INTO 5e-06
 #define AT_ONCE 8
-#define JAM_AHEAD 1e-06
+#define JAM_AHEAD 5e-05
 #define JAM_SHORTER 4.0
 #define ONE_STEP 1e-09
-#define EARLIEST 0.001
+#define EARLIEST 0.05
 #define LEFT_TO_RK4 16.0
 #define LAST_DIGITS 4.0
 

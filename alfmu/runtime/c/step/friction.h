@@ -16,6 +16,7 @@ void friction_rates(Instance *i, double *rates);
 const double *friction_gripped(Instance *i);
 int friction_jammed(Instance *i);
 Outcome friction_say_jam(Instance *i);
+double friction_rest(const Instance *i);
 Outcome friction_event(Instance *i, const unsigned char *stopped);
 Outcome friction_checked(Instance *i);
 Outcome friction_begin(Instance *i);
