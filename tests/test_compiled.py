@@ -34,6 +34,7 @@ from alfmu.runtime import pipeline, shipped
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
+from alfmu.runtime.shipped import installed
 from alfmu.simulation import prepared, run
 
 LIBRARY = f"{COMPILED}{HERE}{SUFFIX}"
@@ -199,9 +200,9 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
 @pytest.mark.slow
 def test_a_scene_refuses_the_functions_of_another(own_cache):
     e = prepared(by_rk4("five_bar"), "compiled")
-    Scene(packed(e)).compiled_by(e.library)
+    Scene(packed(e), installed()).compiled_by(e.library)
     with pytest.raises(ValueError, match=r"particle_on_circle: kernel_.* has the functions of another scene"):
-        Scene(packed(prepared(derived("particle_on_circle")))).compiled_by(e.library)
+        Scene(packed(prepared(derived("particle_on_circle"))), installed()).compiled_by(e.library)
 
 
 @pytest.mark.slow

@@ -37,6 +37,7 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
+from .shipped import installed
 from .stored import Start, constants, stored_decision, stored_scene, stored_start
 
 __all__ = [
@@ -387,7 +388,7 @@ def packed(equations: Traced) -> bytes:
 @once
 def loaded(equations: Traced) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
-    scene = Scene(packed(equations))
+    scene = Scene(packed(equations), installed())
     if equations.library:
         scene.compiled_by(equations.library)
     return scene
