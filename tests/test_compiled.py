@@ -338,6 +338,16 @@ def test_compilers_are_looked_for_in_order(monkeypatch, tmp_path):
     assert build.compiler() == [str(tmp_path / "gcc")]
 
 
+@pytest.mark.parametrize(("command", "level"), [(["cc"], "-O2"), (["cc", "-O0", "-g"], "-O0")])
+def test_a_level_of_optimisation_in_cc_counts(monkeypatch, command, level):
+    """The last one on a command line is in force."""
+    told = []
+    monkeypatch.setattr(build, "build", lambda scene, command, *given: told.append(command))
+    build._built("it", command, ["int x;"], "kernel")
+    assert told[0][: len(command)] == command
+    assert [x for x in told[0] if x.startswith("-O")][-1] == level
+
+
 def in_fmpy(path: Path, blocked: str = "") -> tuple[list[str], list[str]]:
     """A process with fmpy that runs an FMU for 0.5 s: the end, as numbers to the bit, and the libraries it loaded.
 

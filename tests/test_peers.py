@@ -21,7 +21,7 @@ OTHERS = {"pin": "Pinocchio", "exudyn": "Exudyn", "mujoco": "MuJoCo"}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, quick_compiler):
     """The profile over 1 s, where nothing but alfmu and SciPy is installed."""
     made = tmp_path_factory.mktemp("peers")
     effort = PROFILES["peers"][1]
