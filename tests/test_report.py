@@ -40,7 +40,7 @@ from alfmu.studies.report import (
 )
 from alfmu.studies.rivals import RIVALS
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compiler")]
 
 MAPS = stability.Effort(
     total=0.0,
