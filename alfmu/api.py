@@ -18,7 +18,7 @@ from .model.errors import AlfmuError, InputError
 from .model.files import scratch
 from .model.mechanism import Mechanism
 from .runtime import Instance
-from .runtime.library import library
+from .runtime.shipped import installed
 from .simulation import Progress, by_name, checked, finer, run, settings_of
 from .simulation.result import Film, Result, Signal
 
@@ -29,7 +29,18 @@ if TYPE_CHECKING:
 
     from .view.picture import Drawing
 
-__all__ = ["animate", "described", "draw", "drawing_of", "export", "library", "load", "mechanisms", "plot", "simulate"]
+__all__ = [
+    "animate",
+    "described",
+    "draw",
+    "drawing_of",
+    "export",
+    "installed",
+    "load",
+    "mechanisms",
+    "plot",
+    "simulate",
+]
 
 
 def simulate(

@@ -13,7 +13,7 @@
 #include "fmi2Functions.h"
 
 #ifndef INSTANCES
-#define INSTANCES 10000 /* each reads its scene from the file */
+#define INSTANCES 1000 /* each reads its scene from the file */
 #endif
 #define THREADS 4
 #define STEPS 300

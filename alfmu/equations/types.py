@@ -190,8 +190,18 @@ _TUPLES = (
 """Fields of equations that are converted to tuples, as users read them."""
 
 
+class _Functions:
+    """The functions of equations as attributes."""
+
+    if TYPE_CHECKING:
+        M = d = f = Phi = C = xi = Phi_dot = displacements = gaps = gaps_matrix = ca.Function()
+        kinetic_energy = potential_energy = input_power = other_power = motion_power = state_rates = ca.Function()
+        readings = shares = rubbing = sliding = instants = stops = laws = ca.Function()
+        guess = guess_rate = ties = ties_matrix = ca.Function()
+
+
 @dataclass(frozen=True, repr=False)
-class Equations:
+class Equations(_Functions):
     """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
 
     `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs, and behind them the states x),
@@ -353,11 +363,13 @@ class Equations:
         """Whether there are Euler parameters, whose pivots are small in turn along a motion."""
         return any(c.unit == "1" for c in self.coordinates)
 
-    def __getattr__(self, name: str) -> ca.Function:
-        functions = self.__dict__.get("functions", {})
-        if name in functions:
-            return functions[name]
-        raise AttributeError(name)
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> ca.Function:
+            functions = self.__dict__.get("functions", {})
+            if name in functions:
+                return functions[name]
+            raise AttributeError(name)
 
 
 @dataclass(frozen=True, repr=False)
