@@ -45,6 +45,16 @@ def test_random_linkages_close(planar: bool) -> None:
         assert apart(m, np.array([closed.values[c.name] for c in m.coordinates])) < 1e-9
 
 
+def test_a_matrix_that_vanishes_on_one_side_of_its_diagonal_alone() -> None:
+    """Constants of this linkage's joints cancel in one of two equal entries of the matrix that shares its reactions."""
+    m = opened(311, True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        i = alfmu.Instance(m)
+        i.initialize()
+    assert apart(m, i.q) < 1e-10
+
+
 def test_random_linkages_close_within_their_limits() -> None:
     """Joints stop 1.1 rad and 0.35 sizes beside an assembly; guesses are up to 1 rad and 0.3 sizes from it."""
     told = 0

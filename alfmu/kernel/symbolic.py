@@ -453,8 +453,9 @@ class Scene:
 
     def _inverse(self, K: SX) -> method.Solve:
         """Return a solver with a matrix (l, l)."""
-        order = K.sparsity().amd()
-        K = ca.sparsify(K)[order, order]
+        order = (K.sparsity() + K.sparsity().T).amd()
+        K = ca.sparsify(K)  # an entry may vanish, by constants of a joint, on one side of the diagonal alone
+        K = ca.project(K, K.sparsity() + K.sparsity().T)[order, order]
         D, L = self._factors_of(K)
         inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
         return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
