@@ -102,6 +102,32 @@ def test_an_open_linkage_of_any_size_closes_alike() -> None:
     assert np.ptp(found, axis=0).max() < 1e-12
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_one_guess_tells_the_assembly(side: float) -> None:
+    """A rod guessed within 0.3 rad of one of two assemblies of a four-bar; its rocker has no guess, nothing is said."""
+    m = alfmu.Mechanism("rocker")
+    guess = m.parameter("guess", 0.0, "rad")
+    crank = m.bar("crank", mass=1.0, length=0.3)
+    rod, rocker = m.bar("rod", mass=1.0, length=0.8), m.bar("rocker", mass=1.0, length=0.7)
+    turn = m.coordinate("turn", "rad", start=0.6, independent=True)
+    m.revolute("A", m.ground.at(), crank.start, coordinate=turn)
+    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=guess))
+    m.revolute("D", m.ground.at(0.9, 0.0), rocker.start, coordinate=m.coordinate("swing", "rad"))
+    m.revolute("C", rod.end, rocker.end)
+    e = alfmu.derive(m)
+    for angle in np.linspace(-3.0, 3.0, 13):
+        B = 0.3 * np.exp(1j * angle)  # a triangle of rod, rocker and the way from B to D
+        way = 0.9 - B
+        aside = np.arccos((0.8**2 + abs(way) ** 2 - 0.7**2) / (2 * 0.8 * abs(way)))
+        bend = np.angle(way * np.exp(1j * (side * aside - angle)))
+        for off in (-0.3, 0.0, 0.3):
+            i = alfmu.Instance(e)
+            i.set("start.turn", angle)
+            i.set("guess", bend + off)
+            i.initialize()
+            assert np.exp(1j * i.q[1]) == pytest.approx(np.exp(1j * bend), abs=1e-9), (angle, off)
+
+
 def test_a_hinge_does_not_close_half_a_turn_away() -> None:
     """Directions that it keeps parallel are opposite there, and their product across vanishes as well."""
     m = alfmu.Mechanism("lid")

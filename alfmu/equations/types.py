@@ -57,6 +57,8 @@ class Variable(Brief):
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
     nominal: float | None = None
     """Order of magnitude, if one is declared."""
+    readiness: float = 1.0
+    """Weight of the change of a coordinate in the assembly: larger for one without a guess."""
     of_step: bool = False
     """Whether an output belongs to the last communication step, and changes only with steps."""
 

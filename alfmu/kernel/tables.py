@@ -61,7 +61,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 20
+VERSION = 21
 """Version of scene files, increased whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -487,6 +487,7 @@ class _Table:
         normal = np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n))
         normal[:, e.dependent :] = 0.0
         w.reals(normal.ravel())
+        w.reals(c.readiness for c in e.coordinates)
         closure, constraints = (e.signatures[name]["outputs"] for name in ("closure", "constraints"))
         for shape in (*constraints[:2], *closure[:2]):
             self._pattern(w, shape)

@@ -144,6 +144,9 @@ static void read_body(Reader *r)
     s->normal = reader_reals(r, &count);
     if (count < (size_t)(TRIES > RANKED ? TRIES : RANKED) * (size_t)s->n)
         reader_spoil(r, "it has %zu standard normal numbers", count);
+    s->readiness = reader_reals(r, &count);
+    if (count != (size_t)s->n)
+        reader_spoil(r, "it has %zu weights of %d coordinates", count, s->n);
     if (r->bad)
         return;
     tables_read_pattern(r, &s->mass, s->n, s->n);

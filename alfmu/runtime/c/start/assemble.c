@@ -48,8 +48,8 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
             from = k;
             memcpy(found, q, (size_t)s->n * sizeof *q);
         }
-        away = loops_apart(i, loops, guess, q);
-        if (away < another->way && loops_apart(i, loops, another->own, q) > DISTINCT) {
+        away = coordinates_apart(s, loops->columns, guess, q);
+        if (away < another->way && coordinates_apart(s, loops->units, another->own, q) > DISTINCT) {
             another->way = away;
             for (int c = 0; c < s->n; c++) /* Angles that a reader compares with the guess, without whole turns. */
                 another->q[c] = guess[c] + coordinate_shortest_way(s, c, q[c] - guess[c]);
@@ -69,10 +69,10 @@ static int start_values_determine(Instance *i, Loops *loops, const double *assem
     const int paused = tape_pause(i, 1);
     int back;
     for (int c = 0; c < s->n; c++)
-        q[c] = assembly[c] + loops->columns[c] * DISTINCT * s->normal[c] / sqrt(s->n);
+        q[c] = assembly[c] + loops->units[c] * DISTINCT * s->normal[c] / sqrt(s->n);
     loops_follow(i, loops, q);
     tape_pause(i, paused);
-    back = loops_close(i, loops, q) && loops_apart(i, loops, assembly, q) < DISTINCT * DISTINCT;
+    back = loops_close(i, loops, q) && coordinates_apart(s, loops->units, assembly, q) < DISTINCT * DISTINCT;
     arena_release(i, arena);
     return back;
 }
@@ -84,7 +84,7 @@ static int find_changed_side(const Scene *s, const Loops *loops, const double *f
     int most = -1;
     double longest = AWAY;
     for (int c = 0; c < s->n; c++) {
-        const double change = fabs(to[c] - from[c]) / loops->columns[c];
+        const double change = fabs(to[c] - from[c]) / loops->units[c];
         if (coordinate_is_length(s, c) && from[c] * to[c] < 0.0 && change > longest) {
             longest = change;
             most = c;
@@ -100,7 +100,8 @@ static Outcome warn_of_other_assembly(
     const Scene *s = i->scene;
     char own[QUANTITY], given[QUANTITY], other[QUANTITY];
     int most, c = find_changed_side(s, loops, guess, q);
-    if (another->way < BETWEEN * loops_apart(i, loops, guess, q) && start_values_determine(i, loops, q)) {
+    if (another->way < BETWEEN * coordinates_apart(s, loops->columns, guess, q)
+        && start_values_determine(i, loops, q)) {
         loops_way(i, loops, q, another->q, &most);
         instance_say(i, DONE,
             "%s: the guess lies between two assemblies; in the one taken %s is %s, guessed as %s, and in the other, "
@@ -166,20 +167,24 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     double step, moved, size, away = INFINITY, *other = arena_alloc(i, (size_t)s->n);
     Another another = {q, arena_alloc(i, (size_t)s->n), INFINITY};
     char own[QUANTITY], given[QUANTITY], theirs[QUANTITY];
-    int most, from, direct;
+    int most, from, direct, unguessed = 0;
     i->text[0] = '\0';
     memcpy(q, guess, (size_t)s->n * sizeof *q);
     tape_copy(i, q, guess, (size_t)s->n);
     step = loops_follow(i, loops, q);
     moved = loops_close(i, loops, q) ? loops_way(i, loops, guess, q, &most) : INFINITY;
     direct = moved <= 1.5 * step + 1e-6;
-    if (direct && (moved <= AWAY || s->n > DENSE))
+    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* without weights that is the way */
+    if (direct && (size <= AWAY || s->n > DENSE))
         return DONE;
     /* A long way, or none: is there an assembly nearer to the guess? */
-    size = fmin(moved, 3.0);
+    size = fmin(size, 3.0);
     from = find_nearest(i, loops, guess, size, other, &another);
     if (from >= 0)
         away = loops_way(i, loops, guess, other, &most);
+    for (int c = 0; c < s->n; c++)
+        unguessed |= s->readiness[c] > 1.0;
+    direct &= away >= NEARER * moved || !unguessed;
     if (direct) {
         if (away < NEARER * moved) {
             loops_way(i, loops, q, other, &most);
@@ -196,10 +201,14 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     if (from < 0 && moved == INFINITY)
         return report_not_closed(i, loops, guess, q);
     if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess leads to another assembly, or to none. */
+        memcpy(another.q, q, (size_t)s->n * sizeof *q);
+        another.way = moved < INFINITY ? coordinates_apart(s, loops->columns, guess, q) : INFINITY;
         tape_cut(i, begin);
         loops_beside_guess(i, loops, guess, size, from, q);
         tape_copy(i, q, guess, (size_t)s->n);
         loops_follow(i, loops, q);
+        if (unguessed) /* The coordinates that have a guess tell which assembly is meant. */
+            return warn_of_other_assembly(i, loops, guess, q, &another);
         loops_way(i, loops, guess, q, &most);
         return instance_say(i, DONE,
             "%s: no short way leads from the guess to closed loops; in the nearest assembly found, which is taken, %s "

@@ -41,7 +41,7 @@ static int fits_in_degrees(
     }
     if (fits)
         loops_follow(i, loops, there);
-    fits = fits && loops_close(i, loops, there) && loops_apart(i, loops, there, q) > DISTINCT;
+    fits = fits && loops_close(i, loops, there) && coordinates_apart(s, loops->units, there, q) > DISTINCT;
     for (int c = 0; c < s->n; c++)
         fits &= meant[c] == guess[c] || fabs(coordinate_shortest_way(s, c, there[c] - meant[c])) < AWAY;
     tape_pause(i, paused);
@@ -165,7 +165,7 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double *allowed, *tried, *found, nearest_way = INFINITY, left;
+    double *allowed, *tried, *found, nearest_way = INFINITY, left, away;
     char how[QUANTITY], own[QUANTITY], given[QUANTITY];
     int worst, most;
     if (!s->limit_count || s->n > DENSE)
@@ -183,8 +183,10 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
             memcpy(tried, q, n * sizeof *tried);
             if (k >= 0)
                 loops_beside_guess(i, loops, guess, 3.0, k, tried);
-            if (bring_within_limits(i, loops, allowed, tried) && loops_apart(i, loops, guess, tried) < nearest_way) {
-                nearest_way = loops_apart(i, loops, guess, tried);
+            away = bring_within_limits(i, loops, allowed, tried) ? coordinates_apart(s, loops->columns, guess, tried)
+                                                                 : INFINITY;
+            if (away < nearest_way) {
+                nearest_way = away;
                 memcpy(found, tried, n * sizeof *found);
             }
         }

@@ -51,17 +51,20 @@ Loops loops_new(Instance *i, const unsigned char *held, double length)
 {
     const Scene *s = i->scene;
     Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL, NULL,
-        NULL};
+        NULL, NULL};
     int exponent;
     length = frexp(length, &exponent) < sqrt(0.5) ? ldexp(0.5, exponent) : ldexp(1.0, exponent);
     loops.residue = arena_alloc(i, (size_t)loops.count);
     loops.trial = arena_alloc(i, (size_t)s->n);
     loops.rows = arena_alloc(i, (size_t)loops.count);
     loops.columns = arena_alloc(i, (size_t)s->n);
+    loops.units = arena_alloc(i, (size_t)s->n);
     for (int k = 0; k < loops.count; k++)
         loops.rows[k] = (k >= s->l || held[k]) / (row_is_length(s, k) ? length : 1.0);
-    for (int c = 0; c < s->n; c++)
-        loops.columns[c] = coordinate_is_length(s, c) ? length : 1.0;
+    for (int c = 0; c < s->n; c++) {
+        loops.units[c] = coordinate_is_length(s, c) ? length : 1.0;
+        loops.columns[c] = s->readiness[c] * loops.units[c];
+    }
     return loops;
 }
 
@@ -110,7 +113,7 @@ double loops_follow(Instance *i, Loops *loops, double *q)
             first = linear_norm(dq, s->n);
         for (int c = 0; c < s->n; c++)
             if (!strcmp(s->coordinates[c].unit, "rad"))
-                turned = fmax(turned, fabs(dq[c]));
+                turned = fmax(turned, fabs(loops->columns[c] * dq[c]));
         for (part = fmin(1.0, LONGEST_TURN / turned); part > 1e-4; part /= 2) {
             for (int c = 0; c < s->n; c++)
                 loops->trial[c] = q[c] - part * loops->columns[c] * dq[c];
@@ -133,12 +136,12 @@ double coordinate_shortest_way(const Scene *s, int coordinate, double change)
     return strcmp(s->coordinates[coordinate].unit, "rad") ? change : remainder(change, 4 * QUARTER);
 }
 
-/* The weighed length of the shortest way from one place to another. */
-double loops_apart(const Instance *i, const Loops *loops, const double *from, const double *to)
+/* The length of the shortest way from one place to another, in units of each coordinate. */
+double coordinates_apart(const Scene *s, const double *units, const double *from, const double *to)
 {
     double square = 0.0;
-    for (int c = 0; c < i->scene->n; c++)
-        square += pow(coordinate_shortest_way(i->scene, c, to[c] - from[c]) / loops->columns[c], 2);
+    for (int c = 0; c < s->n; c++)
+        square += pow(coordinate_shortest_way(s, c, to[c] - from[c]) / units[c], 2);
     return sqrt(square);
 }
 
@@ -149,7 +152,7 @@ void loops_beside_guess(
     const Scene *s = i->scene;
     for (int c = 0; c < s->n; c++)
         q[c] = guess[c]
-            + loops->columns[c] * size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
+            + loops->units[c] * size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
 }
 
 /* The widest gap, or the start value that is missed most. */
@@ -183,8 +186,8 @@ double loops_way(const Instance *i, const Loops *loops, const double *from, cons
     for (int c = 0; c < i->scene->n; c++) {
         const double change = (to[c] - from[c]) / loops->columns[c];
         square += change * change;
-        if (fabs(change) > longest) {
-            longest = fabs(change);
+        if (fabs(to[c] - from[c]) > longest * loops->units[c]) {
+            longest = fabs(to[c] - from[c]) / loops->units[c];
             *most = c;
         }
     }
