@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 20
+#define SCENE_VERSION 21
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -274,6 +274,7 @@
     X(change) \
     X(near) \
     X(size) \
+    X(exchange) \
     X(workspace) \
     X(most) \
     X(patient) \
@@ -321,6 +322,7 @@
     X(sliding) \
     X(laws) \
     X(breaks) \
+    X(state_rates) \
     X(stops) \
     X(place) \
     X(bring) \

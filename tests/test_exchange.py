@@ -1,0 +1,339 @@
+"""Model Exchange: fmpy integrates the states of native FMUs, judged by the same solver on the equations of references.
+
+fmpy's CVode is BDF, whose error over a run is some hundred times its tolerance, whatever coordinates it integrates.
+"""
+
+from collections.abc import Callable
+from ctypes import POINTER, c_double
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.sundials import CVodeSolver
+from fmpy.validation import validate_fmu
+from oracles import ode
+from oracles.end_stop import EndStop
+from oracles.flyball import Governor
+from oracles.parallelogram import Parallelogram
+from oracles.slider_crank import SliderCrank
+
+import alfmu
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
+
+STEP = 0.02
+TOLERANCE = 1e-7
+
+
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar", ...)`: the path of that native FMU."""
+    return partial(fmu_of, kind="native", reference=False)
+
+
+def exchanged(path: Path, stop: float, given: dict[str, Any], solver: str = "CVode", step: float = STEP, **more: Any):
+    """The results of fmpy at every step; its CVode makes steps of its own in between."""
+    found = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        solver=solver,
+        stop_time=stop,
+        step_size=step,
+        output_interval=step,
+        start_values=given,
+        **{"relative_tolerance": TOLERANCE, **more},
+    )
+    _, first = np.unique(np.round(found["time"] / step).astype(int), return_index=True)
+    assert len(first) == round(stop / step) + 1
+    return found[first]
+
+
+def by_cvode(right_side: Callable[[float, np.ndarray], Any], start: tuple, times: np.ndarray) -> np.ndarray:
+    """The states (len(times), n) at `times` of y' = right_side(t, y), by the solver that fmpy gives FMUs."""
+    here = SimpleNamespace(y=np.array(start), t=0.0)
+
+    def array(pointer: Any, count: int) -> np.ndarray:
+        return np.ctypeslib.as_array(pointer, (count,))
+
+    solver = CVodeSolver(
+        nx=len(start),
+        nz=0,
+        get_x=lambda x, n: np.copyto(array(x, n), here.y),
+        set_x=lambda x, n: setattr(here, "y", array(x, n).copy()),
+        get_dx=lambda dx, n: np.copyto(array(dx, n), right_side(here.t, here.y)),
+        get_z=lambda z, n: None,
+        get_nominals=lambda x, n: array(x, n).fill(1.0),
+        set_time=lambda t: setattr(here, "t", t),
+        input=None,
+        startTime=0.0,
+        maxStep=times[-1] / 50,
+        relativeTolerance=TOLERANCE,
+    )
+    rows, time = [here.y.copy()], 0.0
+    for end in times[1:]:
+        _, _, time = solver.step(time, end)
+        rows.append(here.y.copy())
+    return np.array(rows)
+
+
+TIMES = STEP * np.arange(151)
+FIVE, FOUR, CRANK = Parallelogram(), Parallelogram(m4=None), SliderCrank()
+ALIGNED = SliderCrank(l1=1.0, l2=1.0, aligned=True)
+STOPPED, GOVERNOR = EndStop(), Governor()
+
+
+def of_one(reference: Parallelogram | SliderCrank, torque: float = 0.0) -> Callable[[float, np.ndarray], Any]:
+    """The equation of one angle."""
+    if isinstance(reference, SliderCrank):
+        return lambda t, y: [y[1], reference.acceleration(*y)]
+    inertia, weight = float(reference.inertia), float(reference.weight)
+    return lambda t, y: [y[1], (torque - weight * np.cos(y[0])) / inertia]
+
+
+CASES = {
+    "five-bar through singular positions": (
+        *("five_bar", {}, {"start.angle": 0.0, "start.angular_velocity": 2.0}, "link1.angle"),
+        *(of_one(FIVE), (0.0, 2.0), FIVE.swing(0.0, 2.0, TIMES)[:, 0]),
+    ),
+    "four-bar under a torque": (
+        *("four_bar", {}, {"start.angle": -1.2, "start.angular_velocity": 0.5, "A.torque": 4.0}, "link1.angle"),
+        *(of_one(FOUR, 4.0), (-1.2, 0.5), FOUR.driven(-1.2, 0.5, TIMES, 4.0)[:, 0]),
+    ),
+    "slider-crank": (
+        *("slider_crank", {}, {"start.angle": 0.7, "start.angular_velocity": 3.0}, "crank.angle"),
+        *(of_one(CRANK), (0.7, 3.0), CRANK.motion(0.7, 3.0, TIMES)[:, 0]),
+    ),
+    "slider-crank in natural coordinates": (
+        "slider_crank",
+        {"coordinates": "natural"},
+        *({"start.angle": 0.7, "start.angular_velocity": 6.0}, "crank.angle"),
+        *(of_one(CRANK), (0.7, 6.0), CRANK.motion(0.7, 6.0, TIMES)[:, 0]),
+    ),
+    "slider-crank through singular positions": (
+        *("slider_crank", {}, {"l1": 1.0, "l2": 1.0, "start.angle": 0.7, "start.angular_velocity": 8.0}, "crank.angle"),
+        *(of_one(ALIGNED), (0.7, 8.0), ALIGNED.motion(0.7, 8.0, TIMES)[:, 0]),
+    ),
+    "end stop": (
+        *("end_stop", {}, {"start.angle": -2.0, "start.angular_velocity": 2.0}, "flywheel.angle"),
+        *(STOPPED.right_side, (-2.0, 2.0, 0.0), None),
+    ),
+    "governor": ("flyball_governor", {}, {}, "slider.position", GOVERNOR.right_side, None, None),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_errors_are_those_of_the_solver(built, case):
+    """At most ten times the error of the same solver on the equation of the reference, and constraints hold."""
+    name, options, given, output, right_side, start, exact = CASES[case]
+    stop = {"governor": 0.5}.get(case, 3.0)
+    times = STEP * np.arange(round(stop / STEP) + 1)
+    start = (0.0, np.pi / 6, 0.5, 2 * np.pi, 0.0, 0.0, 0.0) if start is None else start
+    which = 2 if case == "governor" else 0
+    if exact is None:
+        exact = ode.solved(right_side, start, times, method="Radau" if case == "governor" else "DOP853", most=1e-3)[
+            :, which
+        ]
+    found = exchanged(built(name, options), stop, given)
+    error = np.abs(found[output] - exact).max()
+    own = np.abs(by_cvode(right_side, start, times)[:, which] - exact).max()
+    assert error <= 10 * own
+    assert found["monitor.position_error"].max() <= 1e-12
+    assert found["monitor.velocity_error"].max() <= 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_constraints_hold_over_100_s(built, fmi):
+    """|Phi| and |Phi-dot| of the five-bar through some hundred singular positions, at a tolerance of 1e-6."""
+    found = exchanged(built("five_bar", fmi=fmi), 100.0, {"start.angle": 0.3}, relative_tolerance=1e-6)
+    assert np.count_nonzero(np.diff(np.sign(found["link1.angle"]))) >= 50
+    assert found["monitor.position_error"].max() <= 1e-10
+    assert found["monitor.velocity_error"].max() <= 1e-10
+
+
+def test_euler_gains_its_first_order(built):
+    """Half the step, half the error; constraints hold after steps of Euler's method, too."""
+    errors = []
+    for step in (1e-3, 5e-4):
+        found = exchanged(built("four_bar", fmi=3), 1.0, {"start.angle": -1.2}, "Euler", step)
+        errors.append(np.abs(found["link1.angle"] - FOUR.swing(-1.2, 2.0, found["time"])[:, 0]).max())
+        assert found["monitor.position_error"].max() <= 1e-12
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
+
+
+class Model:
+    """An instance for Model Exchange, in continuous-time mode."""
+
+    def __init__(self, path: Path, **given: float):
+        self.description = fmpy.read_model_description(str(path))
+        self.fmi3 = self.description.fmiVersion.startswith("3")
+        self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(path)), self.description, "ModelExchange")
+        self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        if not self.fmi3:
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+        for name, value in given.items():
+            self.set(name.replace("_", ".", 1), value)
+        self.fmu.exitInitializationMode()
+        self.event()
+        self.fmu.enterContinuousTimeMode()
+        self.states = [name for name in self.references if name.startswith("state.")]
+        self.rates = [f"der({name})" for name in self.states]
+
+    def event(self) -> tuple:
+        return self.fmu.updateDiscreteStates() if self.fmi3 else self.fmu.newDiscreteStates()
+
+    def set(self, name: str, value: float) -> None:
+        (self.fmu.setFloat64 if self.fmi3 else self.fmu.setReal)([self.references[name]], [value])
+
+    def get(self, *names: str) -> np.ndarray:
+        return np.array((self.fmu.getFloat64 if self.fmi3 else self.fmu.getReal)([self.references[x] for x in names]))
+
+    def vector(self, get: Callable[[Any, int], Any]) -> np.ndarray:
+        found = np.full(len(self.states), np.nan)
+        get(found.ctypes.data_as(POINTER(c_double)), len(found))
+        return found
+
+    def at(self, x: np.ndarray) -> None:
+        self.fmu.setContinuousStates(np.ascontiguousarray(x).ctypes.data_as(POINTER(c_double)), len(x))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_derivatives_by_states_and_inputs_are_those_of_differences(built, fmi):
+    """Of rates of states and of all outputs, beside the constraints too, where an importer's steps lead."""
+    m = Model(built("four_bar", fmi=fmi), start_angle=0.7)
+    outputs = [v for v in m.description.modelVariables if v.causality == "output" and v.variability == "continuous"]
+    unknowns = [*m.rates, *(v.name for v in outputs if not v.name.startswith("monitor."))]
+    x = m.vector(m.fmu.getContinuousStates) + 1e-4 * np.random.default_rng(1).standard_normal(len(m.states))
+    m.at(x)
+    inputs = ["A.torque", "D.torque"]
+    found = [
+        m.fmu.getDirectionalDerivative([m.references[u] for u in unknowns], [m.references[known]], [1.0])
+        for known in (*m.states, *inputs)
+    ]
+    differences = []
+    for k in range(len(m.states) + len(inputs)):
+        sides = []
+        for h in (1e-6, -1e-6):
+            moved = x.copy()
+            moved[k : k + 1] += h
+            m.at(moved)
+            if k >= len(x):
+                m.set(inputs[k - len(x)], h)
+            sides.append(m.get(*unknowns))
+            if k >= len(x):
+                m.set(inputs[k - len(x)], 0.0)
+        differences.append((sides[0] - sides[1]) / 2e-6)
+    assert np.abs(np.array(found) - differences).max() <= 1e-8 * np.abs(differences).max()
+    assert np.abs(differences).max() > 1.0
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_state_is_restored_to_the_last_bit(built, fmi):
+    """The importer's own states among it, which are beside the constraints; also from bytes, in another instance."""
+    m = Model(built("five_bar", fmi=fmi), start_angle=0.7)
+    get, set_, write, read = (
+        getattr(m.fmu, name.replace("FMU", "FMUS" if fmi == 3 else "FMUs", 1))
+        for name in (
+            "getFMUtate",
+            "setFMUtate",
+            "serializeFMUtate",
+            "deserializeFMUtate" if fmi == 3 else "deSerializeFMUtate",
+        )
+    )
+    x = m.vector(m.fmu.getContinuousStates) + 1e-4
+    m.fmu.setTime(0.3)
+    m.at(x)
+    seen, kept = m.get(*m.rates, "C.force.x"), get()
+    saved = write(kept)
+    m.at(x + 0.1)
+    assert (m.get(*m.rates, "C.force.x") != seen).all()
+    set_(kept)
+    assert m.vector(m.fmu.getContinuousStates).tobytes() == x.tobytes()
+    assert m.get(*m.rates, "C.force.x").tobytes() == seen.tobytes()
+    m.at(x + 0.1)
+    set_(read(saved))
+    assert m.get(*m.rates, "C.force.x").tobytes() == seen.tobytes()
+
+
+def test_nominal_values_are_the_length_of_the_mechanism(built):
+    m = Model(built("five_bar"), start_angle=0.7)
+    nominals = dict(zip(m.states, m.vector(m.fmu.getNominalsOfContinuousStates), strict=True))
+    assert nominals["state.th1"] == nominals["state.th1_rate"] == 1.0
+    assert nominals["state.x2"] == nominals["state.x2_rate"] == pytest.approx(1.0, rel=0.5)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_what_is_illegal_is_refused(built, fmi):
+    """Calls of the other interface, wrong modes and lengths; the instance goes on after them."""
+    m = Model(built("five_bar", fmi=fmi))
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.event()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.fmu.getContinuousStates((c_double * 3)(), 3)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.fmu.setTime(np.nan)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.at(np.full(len(m.states), np.nan))
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.set("state.th1", 0.3)
+    assert np.isfinite(m.get(*m.rates)).all()
+
+
+def test_both_interfaces_are_in_one_fmu(built, tmp_path):
+    """Valid for fmpy and for alfmu; variables of Model Exchange have values in co-simulation, too."""
+    for fmi in (2, 3):
+        path = built("five_bar", fmi=fmi)
+        assert not validate_fmu(str(path))
+        assert not validate(path)
+        description = fmpy.read_model_description(str(path))
+        assert description.coSimulation
+        assert description.modelExchange
+        names = [f"{x}state.th1{y}" for x, y in (("", ""), ("", "_rate"), ("der(", "_rate)"))]
+        outputs = [*names, "link1.angle", "link1.angular_velocity", "link1.angular_acceleration"]
+        found = fmpy.simulate_fmu(str(path), stop_time=1.0, output_interval=0.1, output=outputs)
+        for name, same in zip(outputs[:3], outputs[3:], strict=True):
+            assert np.array_equal(found[name], found[same])
+    path = built("five_bar", interface="me")
+    description = fmpy.read_model_description(str(path))
+    assert description.coSimulation is None
+    assert not validate_fmu(str(path))
+    path = built("five_bar", interface="cs")
+    assert fmpy.read_model_description(str(path)).modelExchange is None
+    with Fmu(built("five_bar")) as one, Fmu(path) as other:
+        for fmu in (one, other):
+            fmu.initialize()
+            fmu.step(0.5, 0.0)
+        assert one.read().tobytes() == other.read().tobytes()
+
+
+REFUSED = {
+    "an input that moves something": "angle moves something",
+    "friction": "dry friction",
+    "outputs": "monitor.distance",
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_exchanged_is_refused_by_name(tmp_path, case):
+    outputs = None
+    m = alfmu.Mechanism("scene")
+    s = m.coordinate("s", "m", start=0.0)
+    body = m.body("block", mass=2.0)
+    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    if case == "friction":
+        m.friction(guide, coulomb=0.3)
+    elif case == "outputs":
+        outputs = ["block.x"]
+    else:
+        m.motion(guide, m.input("angle", "m"))
+    m.gravity(1.0, -9.81)
+    for interface in ("both", "me"):
+        with pytest.raises(alfmu.ExportError, match=REFUSED[case]):
+            alfmu.export(alfmu.Recipe(m, interface=interface, outputs=outputs), tmp_path / "scene.fmu")
+    path = alfmu.export(alfmu.Recipe(m, outputs=outputs), tmp_path / "scene.fmu")
+    assert fmpy.read_model_description(str(path)).modelExchange is None
