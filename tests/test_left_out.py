@@ -58,8 +58,8 @@ CASES = {
         {"ERROR_CONTROL", "INTERFACE_JACOBIAN"},
     ),
     "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"ERROR_CONTROL", "PEAKS", "MODEL_EXCHANGE"}),
-    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
-    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
+    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
     "led and locked": (led, {}, {"MOVING_INPUTS", "SWITCHES", "ERROR_CONTROL"}),
 }
 each_case = pytest.mark.parametrize("case", CASES)

@@ -101,12 +101,13 @@ def model_description(
     directional: bool = True,
     interfaces: Sequence[str] = ("cs",),
     states: Sequence[tuple[Variable, Variable]] = (),
+    indicators: Sequence[Variable] = (),
 ) -> bytes:
     """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     A native FMU may have directional derivatives, and of the interfaces "me" (Model Exchange) and "cs";
-    `states` are those that an importer may integrate, with their rates.
+    `states` are those that an importer may integrate, with their rates, beside its event indicators.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -120,7 +121,7 @@ def model_description(
             for c, v in variables
         ]
     if own and fmi == 2:
-        head["numberOfEventIndicators"] = "0"
+        head["numberOfEventIndicators"] = str(len(indicators))
     root = ET.Element("fmiModelDescription", head, variableNamingConvention=_convention(e), **credits)
     known = {
         "directional": str(native and directional).lower(),
@@ -133,7 +134,11 @@ def model_description(
         interface_of = ET.SubElement(root, element, {"modelIdentifier": e.name, **capabilities})
         if fmi == 2 and sources:
             _files(ET.SubElement(interface_of, "SourceFiles"), "File", sources)
-    units = {v.unit for v in (*(v for _, v in variables), *(v for pair in own for v in pair)) if v.type == "Real"}
+    units = {
+        v.unit
+        for v in (*(v for _, v in variables), *(v for pair in own for v in pair), *(indicators if own else ()))
+        if v.type == "Real"
+    }
     _units(root, sorted({*["s"] * (fmi == 3), *units}))
     types = ET.SubElement(root, "TypeDefinitions") if choices else root
     for name, items in choices.items():
@@ -153,9 +158,9 @@ def model_description(
                 head.pop("initial", None)
             ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
     first = len(variables)
-    for k, v in enumerate((*(v for v, _ in own), *(v for _, v in own))):
+    for k, v in enumerate((*(v for v, _ in own), *(v for _, v in own), *(indicators if own else ()))):
         head, kind = _facts(first + k, "local", v)
-        if k >= len(own):
+        if len(own) <= k < 2 * len(own):
             kind["derivative"] = str(first + k - len(own) + (fmi == 2))
         if fmi == 2:
             ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), "Real", kind)
@@ -164,15 +169,17 @@ def model_description(
     if fmi == 3:
         time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
         ET.SubElement(
-            model_variables, "Float64", {"name": "time", "valueReference": str(first + 2 * len(states)), **time}
+            model_variables,
+            "Float64",
+            {"name": "time", "valueReference": str(first + 2 * len(states) + len(indicators)), **time},
         )
-    _structure(root, e, variables, fmi, range(first, first + len(own)))
+    _structure(root, e, variables, fmi, range(first, first + len(own)), len(indicators))
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
 def _structure(
-    root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int, states: range
+    root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int, states: range, indicators: int
 ) -> None:
     """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
 
@@ -203,6 +210,8 @@ def _structure(
         ET.SubElement(*element, {key: number}, dependencies=needed)
     for number in (*own, *rates):
         ET.SubElement(*element, {key: number})
+    for k in range(indicators if states and fmi == 3 else 0):
+        ET.SubElement(structure, "EventIndicator", {key: str(states[-1] + len(states) + 1 + k)})
 
 
 def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:

@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
-from ..kernel.exchange import exchanged, obstacle
+from ..kernel.exchange import exchanged, indicators, obstacle
 from ..kernel.form import Traced
 from ..kernel.tables import alone, identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
@@ -211,7 +211,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, fmi, recipe.derivatives, interfaces, states
+    facts = _credits(declared), choices, fmi, recipe.derivatives, interfaces, states, indicators(e) if states else []
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
     form = {}
     if fmi == 3:

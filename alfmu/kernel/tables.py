@@ -38,7 +38,7 @@ from .alternatives import CHOSEN
 from .alternatives import formulations as carried
 from .controlled import whole
 from .emit import compiled_code
-from .exchange import ACCELERATIONS, obstacle
+from .exchange import ACCELERATIONS, FADING, obstacle
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
 from .joined import joined
 from .lanes import laned
@@ -184,6 +184,7 @@ NUMBERS: dict[str, Number] = {
 
 REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
+    "fading": lambda t: FADING / t.e.interval,
     "share": lambda t: t.share[0],
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT5_SHORT)[0],
@@ -489,6 +490,7 @@ class _Table:
             w.text(r.direction)
             w.text(r.unit)
         w.reals(r.size for r in e.rows)
+        w.reals(v.nominal or 1.0 for v in e.states)
         normal = np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n))
         normal[:, e.dependent :] = 0.0
         w.reals(normal.ravel())

@@ -350,6 +350,7 @@
 
 #define SCENE_REALS(X) \
     X(no_slope) \
+    X(fading) \
     X(share) \
     X(exponent) \
     X(short_share) \

@@ -15,19 +15,19 @@
 #include "scene_sizes.h"
 #include "variables.h"
 
-/* Return whether a variable is a state of Model Exchange or its rate, which follow those of the scene. */
+/* Return whether a variable is one of Model Exchange, which follow those of the scene. */
 static int is_exchanged(const Component *c, unsigned reference)
 {
     const Scene *s = c->instance->scene;
     const unsigned first = (unsigned)scene_variable_count(s);
-    return reference >= first && reference - first < 2 * (unsigned)scene_exchanged(s);
+    return reference >= first && reference - first < (unsigned)scene_exchange_variables(s);
 }
 
 /* Time is the last variable. */
 static int is_time(const Component *c, unsigned reference)
 {
     const Scene *s = c->instance->scene;
-    return c->has_time && reference == (unsigned)(scene_variable_count(s) + 2 * scene_exchanged(s));
+    return c->has_time && reference == (unsigned)(scene_variable_count(s) + scene_exchange_variables(s));
 }
 
 /* Return the kind of a variable of the scene; the others are outputs. */
@@ -134,7 +134,9 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
         if (!component_begun(c))
             return component_refused(c, STATUS_ERROR);
     }
-    if (outputs && exchange_or_read(i, exchanged) != DONE && i->flags.mode)
+    if (exchanged && exchange_indicate(i) != DONE)
+        return component_refused(c, STATUS_DISCARD);
+    if (outputs && !exchanged && exchange_or_read(i, 0) != DONE && i->flags.mode)
         return component_refused(c, STATUS_DISCARD);
     for (size_t k = 0; k < count; k++) {
         const double value = is_time(c, references[k]) ? *instance_time(i) : instance_get(i, (int)references[k]);
@@ -229,6 +231,10 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
         || !addressed_knowns(c, knowns, known_count, back ? found : seed, *of_knowns, call))
         return STATUS_ERROR;
     i = c->instance;
+    for (size_t k = 0; k < unknown_count; k++)
+        if (is_exchanged(c, unknowns[k])
+            && unknowns[k] >= (unsigned)(scene_variable_count(i->scene) + 2 * scene_exchanged(i->scene)))
+            return component_refuse(c, ERROR_, call, "event indicators have no derivatives");
     if (!i->flags.initialized && (component_phase(c) != INITIALIZING || !component_begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
     outcome = exchange_or_read(i, 0);

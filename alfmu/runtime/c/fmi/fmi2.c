@@ -276,7 +276,7 @@ API fmi2Status fmi2CompletedIntegratorStep(
 {
     (void)no_way_back;
     *enter = *terminate = fmi2False;
-    INSIDE(fmi2Status, exchange_accepted(c, "fmi2CompletedIntegratorStep"));
+    INSIDE(fmi2Status, exchange_accepted(c, enter, "fmi2CompletedIntegratorStep"));
 }
 
 API fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)

@@ -391,9 +391,14 @@ API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3
 API fmi3Status fmi3CompletedIntegratorStep(
     fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *enter, fmi3Boolean *terminate)
 {
+    int far = 0;
+    const Border border = border_in();
+    const Status status = exchange_accepted(c, &far, "fmi3CompletedIntegratorStep");
+    border_out(&border);
     (void)no_way_back;
-    *enter = *terminate = fmi3False;
-    INSIDE(fmi3Status, exchange_accepted(c, "fmi3CompletedIntegratorStep"));
+    *enter = far != 0;
+    *terminate = fmi3False;
+    return (fmi3Status)status;
 }
 
 API fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)

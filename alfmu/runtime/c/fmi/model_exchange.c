@@ -79,7 +79,7 @@ Status exchange_time(Component *c, double time, const char *call)
 
 static int length_of(const Component *c, Exchanged which)
 {
-    return which == INDICATORS ? 0 : scene_exchanged(c->scene);
+    return which == INDICATORS ? c->scene->frictions : scene_exchanged(c->scene);
 }
 
 static int is_array(Component *c, Exchanged which, const double *values, size_t count, const char *call)
@@ -112,10 +112,11 @@ Status exchange_get(Component *c, Exchanged which, double *values, size_t count,
     else if (which == STATES)
         memcpy(values, i->exchange, count * sizeof *values);
     else {
-        const Status status = answered(c, exchange_read(i));
+        const int states = scene_exchanged(c->scene);
+        const Status status = answered(c, which == RATES ? exchange_read(i) : exchange_indicate(i));
         if (status != STATUS_OK)
             return status;
-        memcpy(values, i->exchange + scene_exchanged(c->scene), count * sizeof *values);
+        memcpy(values, i->exchange + (which == RATES ? states : 2 * states), count * sizeof *values);
     }
     return STATUS_OK;
 }
@@ -128,14 +129,20 @@ Status exchange_count(Component *c, Exchanged which, size_t *count, const char *
     return STATUS_OK;
 }
 
-Status exchange_accepted(Component *c, const char *call)
+Status exchange_accepted(Component *c, int *enter, const char *call)
 {
-    return is_in(c, CONTINUOUS_MODE, call) ? answered(c, exchange_accept(c->instance)) : STATUS_ERROR;
+    return is_in(c, CONTINUOUS_MODE, call) ? answered(c, exchange_accept(c->instance, enter)) : STATUS_ERROR;
 }
 
 Status exchange_updated(Component *c, Exchange_event *event, const char *call)
 {
-    event->timed = 0;
-    event->next = 0.0;
-    return is_in(c, EVENT_MODE, call) ? answered(c, exchange_event(c->instance, &event->changed)) : STATUS_ERROR;
+    Outcome outcome;
+    if (!is_in(c, EVENT_MODE, call))
+        return STATUS_ERROR;
+    event->next = INFINITY;
+    outcome = exchange_event(c->instance, &event->changed, &event->next);
+    event->timed = event->next < INFINITY;
+    if (outcome != DONE)
+        return component_refused(c, STATUS_ERROR);
+    return component_warn(c);
 }

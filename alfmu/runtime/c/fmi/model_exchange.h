@@ -31,7 +31,7 @@ Status exchange_time(Component *c, double time, const char *call);
 Status exchange_set(Component *c, const double *states, size_t count, const char *call);
 Status exchange_get(Component *c, Exchanged which, double *values, size_t count, const char *call);
 Status exchange_count(Component *c, Exchanged which, size_t *count, const char *call);
-Status exchange_accepted(Component *c, const char *call);
+Status exchange_accepted(Component *c, int *enter, const char *call);
 Status exchange_updated(Component *c, Exchange_event *event, const char *call);
 #else
 static inline Component *exchange_instance(Component *c, char *why, size_t why_size)
@@ -49,7 +49,7 @@ static inline Status exchange_none(Component *c, const char *call)
 #define exchange_set(c, states, count, call) exchange_none(c, ((void)(states), (void)(count), call))
 #define exchange_get(c, which, values, count, call) exchange_none(c, ((void)(values), (void)(count), call))
 #define exchange_count(c, which, count, call) exchange_none(c, ((void)(count), call))
-#define exchange_accepted(c, call) exchange_none(c, call)
+#define exchange_accepted(c, enter, call) exchange_none(c, call)
 #define exchange_updated(c, event, call) exchange_none(c, ((void)(event), call))
 #endif
 

@@ -2,8 +2,8 @@
 
    Errors of the importer's steps leave the constraints. Rates and outputs are those of the position on the constraints
    next to the importer's states, found by projection (10), and each rate leads back to it. So constraints hold in every
-   output, errors across them fade, and no event corrects states after a step, which would restart the importer's
-   method (docs/howto/exchange.md has the measurement). */
+   output, and errors across them fade. No event corrects states after a step, which would restart the importer's
+   method, but where they are far away (docs/howto/exchange.md has the measurement). */
 
 #include "exchange.h"
 
@@ -11,9 +11,13 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "breaks.h"
 #include "equations.h"
+#include "friction.h"
+#include "friction_events.h"
 #include "instance.h"
 #include "interpret.h"
+#include "jumps.h"
 #include "layout.h"
 #include "outputs.h"
 #include "projection.h"
@@ -24,9 +28,14 @@
 #include "state.h"
 #include "topology.h"
 
-/* Share of the distance to the constraints by which states return in an internal step [1]: errors across constraints
-   fade within ten steps, which no method with steps of that length finds stiff. */
-#define RETURNED 0.1
+/* Distance of states from the constraints after a step, in units of their nominal values, above which an event corrects
+   them: methods of first order get there, those that control their error do not. */
+#define FAR_AWAY 1e-3
+
+/* Length of an interval that is searched for the next event, in internal steps, and how many are before the importer
+   has to ask again. */
+#define WINDOW 50
+#define MOST_WINDOWS 1000
 
 /* Copy the importer's states into the state of the instance, or back. */
 static void move_states(Instance *i, int back)
@@ -74,7 +83,7 @@ static void find_rates(Instance *i)
                  n = (size_t)scene_coordinates(s);
     double *rates = i->exchange + scene_exchanged(s), *q = instance_field(i, s->z), *v = q + s->n,
            *a = i->workspace + s->exchange;
-    const double back = i->flags.mode && s->l && settings_project(i) ? RETURNED / i->values[s->step_size] : 0.0,
+    const double back = i->flags.mode && s->l && settings_project(i) ? s->fading : 0.0,
                  by[] = {1.0, back, -back};
     for (size_t k = 0; k < 2 * n; k++) {
         const double *at = k < n ? q + k : v + (k - n), *rate = k < n ? v + k : a + (k - n),
@@ -116,19 +125,30 @@ Outcome exchange_read(Instance *i)
     return DONE;
 }
 
+static double *times_of(const Instance *i)
+{
+    return i->exchange + scene_exchange_variables(i->scene);
+}
+
 Outcome exchange_begin(Instance *i)
 {
+    double *times = times_of(i);
+    Outcome outcome;
     i->flags.mode = 0;
-    const Outcome outcome = exchange_read(i);
+    outcome = exchange_read(i);
     i->flags.mode = AT_EVENT;
+    times[FROM] = *instance_time(i);
+    times[UNTIL] = times[BEHIND] = INFINITY;
     return outcome;
 }
 
+/* An importer may look behind an event before it is there; laws stay those before it until then. */
 void exchange_set_time(Instance *i, double time)
 {
-    if (time != *instance_time(i))
+    const double *times = times_of(i), within = fmin(fmax(time, times[FROM]), times[UNTIL]);
+    if (within != *instance_time(i))
         i->flags.known = 0;
-    instance_set_time(i, time);
+    instance_set_time(i, within);
 }
 
 void exchange_set_states(Instance *i, const double *states)
@@ -143,7 +163,7 @@ void exchange_nominals(const Instance *i, double *found)
     const Scene *s = i->scene;
     const int n = scene_coordinates(s), count = scene_exchanged(s);
     for (int k = 0; k < count; k++)
-        found[k] = k < 2 * n && coordinate_is_length(s, k % n) ? *i->length : 1.0;
+        found[k] = k >= 2 * n ? s->nominals[k - 2 * n] : coordinate_is_length(s, k % n) ? *i->length : 1.0;
 }
 
 /* Update the angles whose whole turns are counted, by a step of no length. */
@@ -163,39 +183,124 @@ static void count_turns(Instance *i)
     i->m[s->dt] = i->values[s->step_size];
 }
 
-Outcome exchange_accept(Instance *i)
+Outcome exchange_accept(Instance *i, int *far)
 {
+    const Scene *s = i->scene;
+    const size_t n = (size_t)scene_coordinates(s);
+    const double *z = instance_field(i, s->z);
+    double *nominals;
     const Outcome outcome = exchange_read(i);
-    if (outcome == DONE)
-        count_turns(i);
+    *far = 0;
+    if (outcome != DONE)
+        return outcome;
+    count_turns(i);
+    arena_reset(i);
+    nominals = arena_alloc(i, (size_t)scene_exchanged(s));
+    exchange_nominals(i, nominals);
+    for (size_t k = 0; k < 2 * n; k++)
+        *far |= fabs(i->exchange[k] - z[k < n ? k : (size_t)s->n + k - n]) > FAR_AWAY * nominals[k];
+    arena_reset(i);
+    return DONE;
+}
+
+/* Find the next time at which forces or laws of time jump or bend, or up to which there is none. */
+static Outcome find_next_time(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *times = times_of(i), begin = *instance_time(i), end;
+    const double window = WINDOW * i->values[s->step_size];
+    Outcome outcome = DONE;
+    times[UNTIL] = times[BEHIND] = INFINITY;
+    if (!s->break_count && !s->leap_count)
+        return DONE;
+    for (int pass = 0; pass < (s->leap_count ? 1 : MOST_WINDOWS) && begin < i->stop; pass++, begin = end) {
+        end = begin + window;
+        outcome = breaks_found(i, begin, end);
+        for (int k = 0; k < i->broken && outcome == DONE; k++)
+            if (i->breaks[2 * k] <= times[FROM]) {
+                times[FROM] = fmax(times[FROM], i->breaks[2 * k + 1]);
+            } else {
+                times[UNTIL] = i->breaks[2 * k];
+                times[BEHIND] = end = i->breaks[2 * k + 1];
+                i->broken = k + 1;
+            }
+        if (outcome == DONE)
+            outcome = laws_checked(i, end);
+        if (outcome != DONE || times[UNTIL] < INFINITY)
+            return outcome;
+    }
+    if (begin < i->stop)
+        times[UNTIL] = times[BEHIND] = begin;
+    return DONE;
+}
+
+/* Let joints stick or slide where they have reached their events. */
+static Outcome change_friction(Instance *i)
+{
+    const int count = i->scene->frictions;
+    const size_t arena = arena_mark(i);
+    double *distances = arena_alloc(i, (size_t)count);
+    unsigned char *meets = (unsigned char *)arena_alloc(i, (size_t)count);
+    int any = 0;
+    Outcome outcome;
+    friction_distances(i, distances);
+    for (int k = 0; k < count; k++)
+        any |= meets[k] = fabs(*friction_slip(i, k)) == 1.0 && distances[k] <= REST;
+    outcome = any ? friction_event(i, meets) : friction_checked(i);
+    arena_release(i, arena);
     return outcome;
 }
 
-Outcome exchange_event(Instance *i, int *changed)
+Outcome exchange_event(Instance *i, int *changed, double *next)
 {
     const Scene *s = i->scene;
     const size_t size = (size_t)scene_exchanged(s) * sizeof(double);
+    double *times = times_of(i);
     Outcome outcome;
     *changed = 0;
+    if (*instance_time(i) >= times[UNTIL]) {
+        times[FROM] = times[BEHIND];
+        times[UNTIL] = INFINITY;
+        exchange_set_time(i, times[FROM]);
+    }
     outcome = exchange_read(i);
     if (outcome != DONE)
         return outcome;
-    if (i->flags.pending) {
-        arena_reset(i);
-        instance_remember(i);
-        settings_upload_arguments(i);
+    arena_reset(i);
+    instance_remember(i);
+    settings_upload_arguments(i);
+    if (i->flags.pending)
         outcome = topology_take_effect(i);
-        arena_reset(i);
-        if (outcome != DONE) {
-            instance_go_back(i);
-            memcpy(i->requested, i->active, (size_t)s->switches * sizeof *i->active);
-            i->flags.pending = 0;
-            return outcome;
-        }
+    else if (s->frictions)
+        outcome = change_friction(i);
+    if (outcome == DONE)
+        outcome = find_next_time(i);
+    arena_reset(i);
+    if (outcome != DONE) {
+        instance_go_back(i);
+        memcpy(i->requested, i->active, (size_t)s->switches * sizeof *i->active);
+        i->flags.pending = 0;
+        return outcome;
     }
+    *next = times[UNTIL];
     memcpy(i->before, i->exchange, size);
     move_states(i, 1);
     *changed = memcmp(i->before, i->exchange, size) != 0;
     i->flags.known = 0;
     return exchange_read(i);
+}
+
+/* A joint that begins to slide has no rate yet, so that its indicator is above zero by the rate that counts as rest. */
+Outcome exchange_indicate(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *found = i->exchange + 2 * scene_exchanged(s);
+    const Outcome outcome = exchange_read(i);
+    if (outcome != DONE || !s->frictions)
+        return outcome;
+    arena_reset(i);
+    friction_distances(i, found);
+    for (int k = 0; k < s->frictions; k++)
+        found[k] += fabs(*friction_slip(i, k)) == 1.0 ? REST : 0.0;
+    return DONE;
 }

@@ -12,6 +12,10 @@
 
 #include "internal_begin.h"
 
+/* Numbers behind the variables of Model Exchange: the time from which on, and that up to which, the laws in force hold,
+   and where they begin behind the next event. */
+enum { FROM, UNTIL, BEHIND, EXCHANGE_TIMES };
+
 #if HAS_MODEL_EXCHANGE
 /* Evaluate outputs and rates: at the states of the importer, or after a communication step. */
 Outcome exchange_read(Instance *i);
@@ -23,19 +27,27 @@ void exchange_set_time(Instance *i, double time);
 void exchange_set_states(Instance *i, const double *states);
 void exchange_nominals(const Instance *i, double *found);
 
-/* Accept the states of a step. */
-Outcome exchange_accept(Instance *i);
+/* Accept the states of a step; `far` is whether an event has to correct them. */
+Outcome exchange_accept(Instance *i, int *far);
 
-/* Let events at this instant happen; `changed` is whether states differ after them. */
-Outcome exchange_event(Instance *i, int *changed);
+/* Let events at this instant happen; `changed` is whether states differ after them, `next` the time [s] of the next
+   event that is known, infinity for none. */
+Outcome exchange_event(Instance *i, int *changed, double *next);
+
+/* Compute event indicators, which are above zero up to their events. */
+Outcome exchange_indicate(Instance *i);
 #else
 static inline Outcome exchange_read(Instance *i) { return (void)i, REFUSED; }
 static inline Outcome exchange_begin(Instance *i) { return (void)i, REFUSED; }
 static inline void exchange_set_time(Instance *i, double time) { (void)i, (void)time; }
 static inline void exchange_set_states(Instance *i, const double *states) { (void)i, (void)states; }
 static inline void exchange_nominals(const Instance *i, double *found) { (void)i, (void)found; }
-static inline Outcome exchange_accept(Instance *i) { return (void)i, REFUSED; }
-static inline Outcome exchange_event(Instance *i, int *changed) { return (void)i, (void)changed, REFUSED; }
+static inline Outcome exchange_accept(Instance *i, int *far) { return (void)i, (void)far, REFUSED; }
+static inline Outcome exchange_event(Instance *i, int *changed, double *next)
+{
+    return (void)i, (void)changed, (void)next, REFUSED;
+}
+static inline Outcome exchange_indicate(Instance *i) { return (void)i, REFUSED; }
 #endif
 
 /* Evaluate outputs, and the rates of states where they are wanted; those of an importer always come with them. */

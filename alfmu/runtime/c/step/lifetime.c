@@ -48,7 +48,7 @@ static size_t layout_parts(Instance *i, double *numbers)
         {&i->length, 1},
         {&i->peaks, (int)scene_peaks_length(s)},
         {&i->jacobian, s->entries},
-        {&i->exchange, 2 * scene_exchanged(s)},
+        {&i->exchange, scene_exchange_variables(s) + EXCHANGE_TIMES},
         {&i->given, s->l},
         {&i->counts, COUNTED},
         {&i->stabilisation, 2},
