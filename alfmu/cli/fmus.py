@@ -36,7 +36,7 @@ NOT_JUDGED = 3
 
 
 def add(command: Command) -> None:
-    sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
+    sub = command("export", _export, "write the FMU of a recipe or a mechanism")
     sub.epilog = _EXPORT
     add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
