@@ -176,6 +176,12 @@ class Model:
         self.fmi3 = self.description.fmiVersion.startswith("3")
         self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(path)), self.description, "ModelExchange")
         self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.states = [name for name in self.references if name.startswith("state.")]
+        self.rates = [f"der({name})" for name in self.states]
+        self.begin(**given)
+
+    def begin(self, **given: float) -> None:
+        """Lead to continuous-time mode."""
         if not self.fmi3:
             self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()
@@ -184,8 +190,6 @@ class Model:
         self.fmu.exitInitializationMode()
         self.event()
         self.fmu.enterContinuousTimeMode()
-        self.states = [name for name in self.references if name.startswith("state.")]
-        self.rates = [f"der({name})" for name in self.states]
 
     def event(self) -> tuple:
         return self.fmu.updateDiscreteStates() if self.fmi3 else self.fmu.newDiscreteStates()
@@ -285,6 +289,36 @@ def test_what_is_illegal_is_refused(built, fmi):
     with pytest.raises(fmpy.fmi1.FMICallException):
         m.set("state.th1", 0.3)
     assert np.isfinite(m.get(*m.rates)).all()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_state_of_the_other_interface_is_no_state_to_go_on_from(built, fmi):
+    """Calls are refused after it, and the instance goes on from one of its own; it can be reset, and ends."""
+    path = built("five_bar", fmi=fmi)
+    m = Model(path)
+    save, restore = ("serializeFMUS", "deserializeFMUS") if fmi == 3 else ("serializeFMUs", "deSerializeFMUs")
+    get, set_, write, read = (getattr(m.fmu, f"{name}tate") for name in (*STATE[fmi], save, restore))
+    own = get()
+    with Fmu(path) as other:
+        other.initialize()
+        foreign = other.save()
+    set_(read(foreign))
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.fmu.setTime(0.1)
+    set_(own)
+    m.fmu.setTime(0.1)
+    assert read(write(get()))
+    m.fmu.terminate()
+    assert np.isfinite(m.get(*m.rates)).all()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        m.fmu.setTime(0.2)
+    m.fmu.reset()
+    m.begin()
+    m.fmu.setTime(0.2)
+
+
+STATE = {2: ("getFMUs", "setFMUs"), 3: ("getFMUS", "setFMUS")}
+"""Functions of fmpy, without their end."""
 
 
 def test_both_interfaces_are_in_one_fmu(built, tmp_path):

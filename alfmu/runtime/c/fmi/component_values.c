@@ -175,6 +175,8 @@ Status component_slopes(Component *c, const unsigned *references, size_t count, 
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] != 1)
             return component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
+    if (c->exchanges)
+        return component_refuse(c, ERROR_, call, "the instance is for Model Exchange");
     for (size_t k = 0; k < count; k++)
         if (instance_set_slope(c->instance, (int)references[k], values[k]) != DONE)
             status = component_refused(c, STATUS_DISCARD);
@@ -187,6 +189,8 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     const Scene *s;
     if (!component_in(c, RUN, call) || !check_references_of(c, references, count, values, value_count, OUTPUT, call))
         return STATUS_ERROR;
+    if (c->exchanges)
+        return component_refuse(c, ERROR_, call, "the instance is for Model Exchange");
     s = c->instance->scene;
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] < 1 || orders[k] > 2)

@@ -267,7 +267,8 @@ API fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
     const Border border = border_in();
     const Status status = exchange_updated(c, &event, "fmi2NewDiscreteStates");
     border_out(&border);
-    *info = (fmi2EventInfo){fmi2False, fmi2False, fmi2False, event.changed, event.timed, event.next};
+    if (info)
+        *info = (fmi2EventInfo){fmi2False, fmi2False, fmi2False, event.changed, event.timed, event.next};
     return (fmi2Status)status;
 }
 
@@ -275,6 +276,8 @@ API fmi2Status fmi2CompletedIntegratorStep(
     fmi2Component c, fmi2Boolean no_way_back, fmi2Boolean *enter, fmi2Boolean *terminate)
 {
     (void)no_way_back;
+    if (!enter || !terminate)
+        return fmi2Error;
     *enter = *terminate = fmi2False;
     INSIDE(fmi2Status, exchange_accepted(c, enter, "fmi2CompletedIntegratorStep"));
 }

@@ -381,6 +381,8 @@ API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3
     const Border border = border_in();
     const Status status = exchange_updated(c, &event, "fmi3UpdateDiscreteStates");
     border_out(&border);
+    if (!again || !terminate || !nominals || !values || !has_next || !next)
+        return fmi3Error;
     *again = *terminate = *nominals = fmi3False;
     *values = event.changed != 0;
     *has_next = event.timed != 0;
@@ -396,6 +398,8 @@ API fmi3Status fmi3CompletedIntegratorStep(
     const Status status = exchange_accepted(c, &far, "fmi3CompletedIntegratorStep");
     border_out(&border);
     (void)no_way_back;
+    if (!enter || !terminate)
+        return fmi3Error;
     *enter = far != 0;
     *terminate = fmi3False;
     return (fmi3Status)status;

@@ -25,9 +25,9 @@ Component *exchange_instance(Component *c, char *why, size_t why_size)
 }
 
 /* Return whether a call is legal in these modes. */
-static int is_in(Component *c, int modes, const char *call)
+static int is_in(Component *c, int phases, int modes, const char *call)
 {
-    if (!component_in(c, RUN, call))
+    if (!component_in(c, phases, call))
         return 0;
     if (c->exchanges && modes & 1 << c->instance->flags.mode)
         return 1;
@@ -61,7 +61,7 @@ Status exchange_initialized(Component *c, const char *call)
 
 Status exchange_enter(Component *c, int mode, const char *call)
 {
-    if (!is_in(c, mode == CONTINUOUS ? EVENT_MODE : EITHER, call))
+    if (!is_in(c, STEPPING, mode == CONTINUOUS ? EVENT_MODE : EITHER, call))
         return STATUS_ERROR;
     c->instance->flags.mode = mode;
     return STATUS_OK;
@@ -69,7 +69,7 @@ Status exchange_enter(Component *c, int mode, const char *call)
 
 Status exchange_time(Component *c, double time, const char *call)
 {
-    if (!is_in(c, EITHER, call))
+    if (!is_in(c, STEPPING, EITHER, call))
         return STATUS_ERROR;
     if (!isfinite(time))
         return component_refuse(c, ERROR_, call, "the time must be a finite number");
@@ -92,7 +92,7 @@ static int is_array(Component *c, Exchanged which, const double *values, size_t 
 
 Status exchange_set(Component *c, const double *states, size_t count, const char *call)
 {
-    if (!is_in(c, CONTINUOUS_MODE, call) || !is_array(c, STATES, states, count, call))
+    if (!is_in(c, STEPPING, CONTINUOUS_MODE, call) || !is_array(c, STATES, states, count, call))
         return STATUS_ERROR;
     for (size_t k = 0; k < count; k++)
         if (!isfinite(states[k]))
@@ -104,7 +104,7 @@ Status exchange_set(Component *c, const double *states, size_t count, const char
 Status exchange_get(Component *c, Exchanged which, double *values, size_t count, const char *call)
 {
     Instance *i;
-    if (!is_in(c, EITHER, call) || !is_array(c, which, values, count, call))
+    if (!is_in(c, RUN, EITHER, call) || !is_array(c, which, values, count, call))
         return STATUS_ERROR;
     i = c->instance;
     if (which == NOMINALS)
@@ -131,13 +131,13 @@ Status exchange_count(Component *c, Exchanged which, size_t *count, const char *
 
 Status exchange_accepted(Component *c, int *enter, const char *call)
 {
-    return is_in(c, CONTINUOUS_MODE, call) ? answered(c, exchange_accept(c->instance, enter)) : STATUS_ERROR;
+    return is_in(c, STEPPING, CONTINUOUS_MODE, call) ? answered(c, exchange_accept(c->instance, enter)) : STATUS_ERROR;
 }
 
 Status exchange_updated(Component *c, Exchange_event *event, const char *call)
 {
     Outcome outcome;
-    if (!is_in(c, EVENT_MODE, call))
+    if (!is_in(c, STEPPING, EVENT_MODE, call))
         return STATUS_ERROR;
     event->next = INFINITY;
     outcome = exchange_event(c->instance, &event->changed, &event->next);
