@@ -168,6 +168,13 @@ def test_euler_gains_its_first_order(built):
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
 
 
+STATE = {
+    2: ("getFMUstate", "setFMUstate", "serializeFMUstate", "deSerializeFMUstate"),
+    3: ("getFMUState", "setFMUState", "serializeFMUState", "deserializeFMUState"),
+}
+"""Functions of fmpy for states."""
+
+
 class Model:
     """An instance for Model Exchange, in continuous-time mode."""
 
@@ -243,15 +250,7 @@ def test_derivatives_by_states_and_inputs_are_those_of_differences(built, fmi):
 def test_a_state_is_restored_to_the_last_bit(built, fmi):
     """The importer's own states among it, which are beside the constraints; also from bytes, in another instance."""
     m = Model(built("five_bar", fmi=fmi), start_angle=0.7)
-    get, set_, write, read = (
-        getattr(m.fmu, name.replace("FMU", "FMUS" if fmi == 3 else "FMUs", 1))
-        for name in (
-            "getFMUtate",
-            "setFMUtate",
-            "serializeFMUtate",
-            "deserializeFMUtate" if fmi == 3 else "deSerializeFMUtate",
-        )
-    )
+    get, set_, write, read = (getattr(m.fmu, name) for name in STATE[fmi])
     x = m.vector(m.fmu.getContinuousStates) + 1e-4
     m.fmu.setTime(0.3)
     m.at(x)
@@ -296,8 +295,7 @@ def test_a_state_of_the_other_interface_is_no_state_to_go_on_from(built, fmi):
     """Calls are refused after it, and the instance goes on from one of its own; it can be reset, and ends."""
     path = built("five_bar", fmi=fmi)
     m = Model(path)
-    save, restore = ("serializeFMUS", "deserializeFMUS") if fmi == 3 else ("serializeFMUs", "deSerializeFMUs")
-    get, set_, write, read = (getattr(m.fmu, f"{name}tate") for name in (*STATE[fmi], save, restore))
+    get, set_, write, read = (getattr(m.fmu, name) for name in STATE[fmi])
     own = get()
     with Fmu(path) as other:
         other.initialize()
@@ -315,10 +313,6 @@ def test_a_state_of_the_other_interface_is_no_state_to_go_on_from(built, fmi):
     m.fmu.reset()
     m.begin()
     m.fmu.setTime(0.2)
-
-
-STATE = {2: ("getFMUs", "setFMUs"), 3: ("getFMUS", "setFMUS")}
-"""Functions of fmpy, without their end."""
 
 
 def test_both_interfaces_are_in_one_fmu(built, tmp_path):
