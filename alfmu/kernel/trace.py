@@ -256,10 +256,10 @@ class Tracer:
         self._lost(calls, "qz vz al laml watchl")
         known, results = (
             spaced("k", found, "al laml watchl", self.losses, ["noise"] * len(self.losses)),
-            spaced("al laml watchl singular", self.losses),
+            spaced("a0 laml watchl singular", self.losses),
         )
         calls("limits", known, results, calls.scene.limits)
-        self._seen(calls, "al laml watchl")
+        self._seen(calls, "a0 laml watchl")
         return Program(calls.steps, plan)
 
     def _here(self, calls: Calls, u: str, redundant: bool) -> None:

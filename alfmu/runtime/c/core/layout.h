@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 21
+#define SCENE_VERSION 22
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -275,6 +275,7 @@
     X(change) \
     X(near) \
     X(size) \
+    X(exchange) \
     X(workspace) \
     X(most) \
     X(patient) \
@@ -322,6 +323,7 @@
     X(sliding) \
     X(laws) \
     X(breaks) \
+    X(state_rates) \
     X(stops) \
     X(place) \
     X(bring) \
@@ -349,6 +351,7 @@
 
 #define SCENE_REALS(X) \
     X(no_slope) \
+    X(fading) \
     X(share) \
     X(exponent) \
     X(short_share) \

@@ -55,7 +55,8 @@ static void check_memory(Reader *r)
           SCENE_OTHERS(CHOSEN)
 #undef CHOSEN
               {s->struck, s->n},
-          {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
+          {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2},
+          {s->exchange < 0 ? 0 : s->exchange, s->n}};
     if (!reader_check_between(s->size, 1, MOST_NUMBERS) || !reader_check_between(s->workspace, 0, MOST_NUMBERS))
         reader_spoil(r, "its memory has %d numbers", s->size);
     if (s->counted > s->angles || s->counted > s->held)

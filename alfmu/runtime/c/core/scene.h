@@ -127,6 +127,7 @@ typedef struct {
     const int *impulse_rows, *event_places;
     const Coordinate *coordinates;
     const Row *rows;
+    const double *nominals; /* of first-order states */
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
     const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */

@@ -18,7 +18,7 @@
 /* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its
    direction, the reserve of a sticking joint's multiplier relative to its limit, or the rate that a joint held by
    others lacks to move. */
-static void find_distances(Instance *i, double *found)
+void friction_distances(Instance *i, double *found)
 {
     const Scene *s = i->scene;
     friction_rates(i, found);
@@ -154,7 +154,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         outcome = make_step(i, t, dt, 1);
         if (outcome != DONE)
             break;
-        find_distances(i, now);
+        friction_distances(i, now);
         there = find_least_distance(now, meets, count);
         if (there < 0.0) {
             if (at_low <= 0.0) { /* The joint moves in the wrong direction from the beginning. */
@@ -203,13 +203,13 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         memcpy(kept.state, instance_field(i, s->z), kept.size);
         memcpy(kept.pace, instance_field(i, s->pace), past * sizeof(double));
         memcpy(kept.peaks, i->peaks, scene_peaks_length(s) * sizeof(double));
-        find_distances(i, before);
+        friction_distances(i, before);
         if (looks && friction_count_sticking(i) < (int)count)
             find_second_rates(i, bend_before);
         outcome = make_step(i, limit, dt, 0);
         if (outcome != DONE)
             break;
-        find_distances(i, after);
+        friction_distances(i, after);
         for (size_t k = 0; k < count; k++) {
             meets[k] = !(after[k] >= (fabs(*friction_slip(i, (int)k)) == 1.0 ? -rest : 0.0));
             any |= meets[k];
@@ -232,7 +232,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         outcome = locate_event(i, &kept, before, after, meets, dt);
         if (outcome != DONE)
             break;
-        find_distances(i, after);
+        friction_distances(i, after);
         {
             const double first = find_least_distance(after, meets, (int)count);
             for (size_t k = 0; k < count; k++)
