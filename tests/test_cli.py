@@ -19,7 +19,8 @@ import pytest
 import alfmu
 from alfmu.cli import GROUPS, _parser, main
 from alfmu.cli.options import name_list
-from alfmu.kernel.tables import MAGIC, VERSION
+from alfmu.kernel import VERSION
+from alfmu.kernel.tables import MAGIC
 from alfmu.runtime import library as binding
 from alfmu.runtime import shipped
 from alfmu.runtime.library import library

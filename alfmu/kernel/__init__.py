@@ -4,7 +4,7 @@ Other rooms import `alternatives`, `controlled`, `exchange`, `form`, `joined`, `
 `symbolic`, `tables`, `thresholds`, `trace`.
 """
 
-__all__ = ["DEFAULT", "KERNELS"]
+__all__ = ["DEFAULT", "KERNELS", "VERSION"]
 
 KERNELS = {
     "vm": "the method traced into functions for the scene, run by the interpreter of alfmu's runtime",
@@ -15,3 +15,6 @@ KERNELS = {
 """Ways to run a mechanism."""
 
 DEFAULT = "vm"
+
+VERSION = 22
+"""Version of scene files, increased whenever their content changes meaning."""

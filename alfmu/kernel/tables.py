@@ -33,7 +33,7 @@ from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from ..model.units import rate_of
-from . import memory, thresholds
+from . import VERSION, memory, thresholds
 from .alternatives import CHOSEN
 from .alternatives import formulations as carried
 from .controlled import whole
@@ -61,9 +61,6 @@ __all__ = [
     "packed",
     "packed_start",
 ]
-
-VERSION = 22
-"""Version of scene files, increased whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
 

@@ -7,7 +7,7 @@ from ctypes import CDLL
 from functools import cache
 from pathlib import Path
 
-from ..kernel.tables import VERSION
+from ..kernel import VERSION
 from ..model.cache import keep, kept
 from ..model.errors import ExportError, LibraryError
 from ..model.files import scratch

@@ -9,6 +9,7 @@
 #include "exchange.h"
 #include "instance.h"
 #include "scene.h"
+#include "scene_sizes.h"
 
 #define CO_SIMULATION "it is for co-simulation alone"
 
