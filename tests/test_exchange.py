@@ -175,13 +175,28 @@ STATE = {
 """Functions of fmpy for states."""
 
 
+def quiet_callbacks() -> fmpy.fmi2.fmi2CallbackFunctions:
+    """Callbacks of FMI 2 without fmpy's logger, which may call that of an FMU that another test has ended."""
+    callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *said: None)
+    callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.fmi2.calloc)
+    callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.fmi2.free)
+    return callbacks
+
+
 class Model:
     """An instance for Model Exchange, in continuous-time mode."""
 
     def __init__(self, path: Path, **given: float):
         self.description = fmpy.read_model_description(str(path))
         self.fmi3 = self.description.fmiVersion.startswith("3")
-        self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(path)), self.description, "ModelExchange")
+        self.fmu = (fmpy.fmi3.FMU3Model if self.fmi3 else fmpy.fmi2.FMU2Model)(
+            guid=self.description.guid,
+            unzipDirectory=fmpy.extract(str(path)),
+            modelIdentifier=self.description.modelExchange.modelIdentifier,
+            instanceName="one",
+        )
+        self.fmu.instantiate(**({} if self.fmi3 else {"callbacks": quiet_callbacks()}))
         self.references = {v.name: v.valueReference for v in self.description.modelVariables}
         self.states = [name for name in self.references if name.startswith("state.")]
         self.rates = [f"der({name})" for name in self.states]
