@@ -13,7 +13,7 @@
 #include "fmi2Functions.h"
 
 #ifndef INSTANCES
-#define INSTANCES 1000 /* each reads its scene from the file */
+#define INSTANCES 10000 /* each reads its scene from the file */
 #endif
 #define THREADS 4
 #define STEPS 300
@@ -84,10 +84,8 @@ static void instantiation(void)
     CHECK(!strcmp(fmi2GetTypesPlatform(), "default"));
     CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "another GUID"));
-    void *other = fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False);
-    CHECK(other || strstr(said, "for co-simulation alone"));
-    if (other)
-        fmi2FreeInstance(other);
+    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "for co-simulation alone"));
     CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "needs a name"));
     CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));

@@ -524,7 +524,7 @@ def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
 def test_a_host_that_does_all_wrong(built, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer: a block that an instance or its scene leaves is told, and
     with 100 files at most, a file that it leaves open."""
-    path = built(double_pendulum_with_a_torque(), parameters={"solver.method": "rk4"})
+    path = built(double_pendulum_with_a_torque(), parameters={"solver.method": "rk4"}, interface="cs")
     description = fmpy.read_model_description(str(path))
     references = {v.name: v.valueReference for v in description.modelVariables}
     with zipfile.ZipFile(path) as archive:

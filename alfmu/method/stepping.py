@@ -525,9 +525,8 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
 
 
-SPLIT = 3
-"""Number of steps left up to an end from which on they are made equal, so that none of them is short: short steps
-before an end waste evaluations, and their estimates are round-off."""
+SPLIT = 2.0
+"""Number of steps left up to an end below which they are made equal."""
 
 NOISE = 8.0
 """Error attributed to round-off, over one sample of it; errors below it are ignored. At a factor of 4, steps of the
@@ -548,6 +547,10 @@ PROPORTIONAL = 0.4
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Bounds of a step over the one before."""
 
+CUT_FACTOR = 1.1
+"""Upper bound of a step over the one before, after a step that was cut, as the error of longer ones is uncertain: with
+1.2, twice as many steps of order 8 are rejected beside singular positions of four-bars."""
+
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Lower bounds of the current and of the previous error over the tolerance."""
 
@@ -563,10 +566,7 @@ def chosen(condition: bool, a: float, b: float) -> float:
 
 def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
     """Return a step of about dt that covers `left` without a tiny last step."""
-    step = dt
-    for parts in range(SPLIT, 0, -1):
-        step = where(parts * dt >= left * (1 - 1e-9), left / parts, step)
-    return step
+    return where(dt >= left * (1 - 1e-9), left, where(SPLIT * dt > left, left / 2, dt))
 
 
 def judged(
@@ -593,6 +593,7 @@ def judged(
     usual = small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
     factor = SAFETY * where(cut, small ** (-1 / order), usual)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
+    following = where(cut, smaller(following, CUT_FACTOR * dt), following)
     following = where(2 * step < dt * (1 - 1e-9), larger(dt, following), following)
     return (
         where(accepted, following, again),

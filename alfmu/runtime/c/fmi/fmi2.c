@@ -38,7 +38,7 @@ API const char *fmi2GetVersion(void)
 API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
-    char why[500] = "it is for co-simulation alone";
+    char why[500];
     const Border border = border_in();
     Component *c = component_new(name, guid, resources, sizeof(Host), why, sizeof why);
     Host *host;

@@ -98,7 +98,7 @@ API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, 
 API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
     fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
-    char why[500] = "it is for co-simulation alone";
+    char why[500];
     const Border border = border_in();
     Component *c = exchange_instance(
         component_new(name, token, resources, sizeof(Host), why, sizeof why), why, sizeof why);
@@ -394,12 +394,14 @@ API fmi3Status fmi3CompletedIntegratorStep(
     fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *enter, fmi3Boolean *terminate)
 {
     int far = 0;
-    const Border border = border_in();
-    const Status status = exchange_accepted(c, &far, "fmi3CompletedIntegratorStep");
-    border_out(&border);
+    Border border;
+    Status status;
     (void)no_way_back;
     if (!enter || !terminate)
         return fmi3Error;
+    border = border_in();
+    status = exchange_accepted(c, &far, "fmi3CompletedIntegratorStep");
+    border_out(&border);
     *enter = far != 0;
     *terminate = fmi3False;
     return (fmi3Status)status;

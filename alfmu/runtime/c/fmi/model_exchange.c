@@ -11,8 +11,6 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-#define CO_SIMULATION "it is for co-simulation alone"
-
 Component *exchange_instance(Component *c, char *why, size_t why_size)
 {
     if (!c || scene_exchanged(c->scene)) {

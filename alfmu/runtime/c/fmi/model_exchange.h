@@ -4,6 +4,7 @@
 #define ALFMU_MODEL_EXCHANGE_H
 
 #include <stddef.h>
+#include <stdio.h>
 
 #include "component.h"
 #include "scene_features.h"
@@ -19,6 +20,8 @@ typedef struct {
     int timed;   /* whether there is a next event at a known time */
     double next;
 } Exchange_event;
+
+#define CO_SIMULATION "it is for co-simulation alone"
 
 #if HAS_MODEL_EXCHANGE
 /* Make a new component one of Model Exchange; NULL, and why, where it is for co-simulation alone. */
@@ -36,13 +39,15 @@ Status exchange_updated(Component *c, Exchange_event *event, const char *call);
 #else
 static inline Component *exchange_instance(Component *c, char *why, size_t why_size)
 {
+    if (c)
+        snprintf(why, why_size, CO_SIMULATION);
     component_free(c);
-    return (void)why, (void)why_size, NULL;
+    return NULL;
 }
 static inline Status exchange_initialized(Component *c, const char *call) { return component_initialized(c, call); }
 static inline Status exchange_none(Component *c, const char *call)
 {
-    return component_good(c) ? component_refuse(c, ERROR_, call, "it is for co-simulation alone") : STATUS_ERROR;
+    return component_good(c) ? component_refuse(c, ERROR_, call, CO_SIMULATION) : STATUS_ERROR;
 }
 #define exchange_enter(c, mode, call) exchange_none(c, call)
 #define exchange_time(c, time, call) exchange_none(c, ((void)(time), call))

@@ -69,7 +69,7 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     int worst = 0;
     solve_rates(i, loops, q, rate, v, left);
     for (int r = 1; r < loops->count; r++)
-        if (fabs(left[r]) > fabs(left[worst]))
+        if (loops->rows[r] * fabs(left[r]) > loops->rows[worst] * fabs(left[worst]))
             worst = r;
     if (!(linear_largest(left, loops->count) <= ROUGH * fmax(1.0, instance_largest(i, v))))
         return instance_say(i, FAILED,
