@@ -130,7 +130,8 @@ def test_validation_finds_nothing(built, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle", "flexible_four_bar", "end_stop"])
 def test_variables_are_those_of_the_python_fmu(built, exported, name):
-    described = [fmpy.read_model_description(str(path)) for path in (built(name), exported(name))]
+    paths = built(name, interface="cs"), exported(name)
+    described = [fmpy.read_model_description(str(path)) for path in paths]
     kept = [
         [
             (v.name, v.valueReference, v.causality, v.type, v.unit, v.start, v.min, v.description)
@@ -586,7 +587,10 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
         archive.extractall(tmp_path)
         names = archive.namelist()
     described = {2: tmp_path / "modelDescription.xml", 3: tmp_path / "sources" / "buildDescription.xml"}[fmi]
-    sources = [f.get("name") for f in ET.parse(described).getroot().iter({2: "File", 3: "SourceFile"}[fmi])]
+    ways = ET.parse(described).getroot().iter({2: "SourceFiles", 3: "SourceFileSet"}[fmi])
+    listed = [[f.get("name") for f in way.iter({2: "File", 3: "SourceFile"}[fmi])] for way in ways]
+    assert listed == listed[:1] * {2: 2, 3: 1}[fmi]  # in FMI 2, one list for each interface
+    sources = listed[0]
     assert sources
     library = next(tmp_path / name for name in names if name.startswith("binaries/"))
     library.unlink()

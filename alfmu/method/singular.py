@@ -101,9 +101,9 @@ LONG_SPACING = 0.1
 """distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-READ_LOSS = 20.0
-"""error of reactions at a regular position over round-off of the loads [1]: it was 0.1 to 20 in runs of slider-cranks
-and four-bars."""
+READ_LOSS = 40.0
+"""error of reactions at a regular position over round-off of the loads [1]: it was 0.1 to 25 in runs of slider-cranks,
+four-bars and five-bars."""
 
 OFF_LOSS = 4.0
 """error of reactions at a regular position over the relative error of positions and velocities [1]: it was 0.1 to 5 in
@@ -114,7 +114,7 @@ BENT_LOSS = 10.0
 penalties of 100 masses, as directions of constraints may nearly be parallel there."""
 
 NEAR_LOSS = 0.05
-"""error of reactions near a singular position over the error of loads and the fourth power of the distance [1]: in runs
+"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]: in runs
 of four-bars and five-bars it was 0.00025 to 0.05."""
 
 LIMIT_LOSS = 3.0
@@ -190,9 +190,9 @@ def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Seque
     F, carried, imbalance, inertia, of_speed = forces
     loads = (F * F + carried * carried) ** 0.5
     moved = off[0] * loads + off[1] * of_speed
-    regular = READ_LOSS * eps * loads + OFF_LOSS * moved
-    held = imbalance / margin**0.5 + off[2] * inertia * (BENT_LOSS + 1 / margin)
-    return regular + held + NEAR_LOSS * direct_error(margin, eps * loads + moved)
+    regular = READ_LOSS * eps * loads + NEAR_LOSS * direct_error(margin, eps * loads)
+    off_constraints = moved * (OFF_LOSS + 1 / margin**1.5) + off[2] * inertia * (BENT_LOSS + 1 / margin)
+    return regular + off_constraints + imbalance / margin**0.5
 
 
 def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: Array) -> Array:
