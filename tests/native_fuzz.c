@@ -222,7 +222,7 @@ static void *made(Fuzz *f, int bad)
     static const fmi2CallbackFunctions functions = {logged, calloc, free, NULL, NULL};
     void *c;
     alarm(PATIENCE);
-    c = fmi2Instantiate(bad == 1 ? NULL : bad == 2 ? "" : "one", bad == 3 ? fmi2ModelExchange : fmi2CoSimulation,
+    c = fmi2Instantiate(bad == 1 ? NULL : bad == 2 ? "" : "one", bad == 3 ? (fmi2Type)2 : fmi2CoSimulation,
         bad == 4 ? "other" : bad == 5 ? NULL : guid, resources, one_in(f, 8) ? NULL : &functions, fmi2False,
         (fmi2Boolean)below(f, 2));
     f->made++;
@@ -385,14 +385,63 @@ static void looked(fmi3InstanceEnvironment host, fmi3Float64 time, fmi3Boolean s
     (void)can_return;
 }
 
+/* An instance of Model Exchange, if there is any: its functions in any order, and those of co-simulation never. */
+static void exchanged(Fuzz *f)
+{
+    fmi3Instance c = fmi3InstantiateModelExchange("one", guid, resources, 0, 1, f, logged);
+    fmi3Boolean a, b, d, e, g;
+    size_t states = 0, indicators = 0;
+    double x[64] = {0.0}, time = 0.0;
+    if (!c)
+        return;
+    CALLED(fmi3GetNumberOfContinuousStates, ONLY(OK), c, &states);
+    CALLED(fmi3GetNumberOfEventIndicators, ONLY(OK), c, &indicators);
+    if (one_in(f, 4) || CALLED(fmi3EnterInitializationMode, ONLY(OK), c, 0, 0.0, 0.0, 0, 0.0) == OK)
+        CALLED(fmi3ExitInitializationMode, ALL, c);
+    for (int k = 0; k < 20 && states <= 64 && indicators <= 64; k++)
+        switch (below(f, 10)) {
+        case 0:
+            CALLED(fmi3EnterEventMode, ALL, c);
+            break;
+        case 1:
+            CALLED(fmi3UpdateDiscreteStates, ALL, c, &a, &b, &d, &e, &g, &time);
+            break;
+        case 2:
+            CALLED(fmi3EnterContinuousTimeMode, ALL, c);
+            break;
+        case 3:
+            CALLED(fmi3SetTime, ALL, c, one_in(f, 4) ? NAN : 0.1 * (double)below(f, 9));
+            break;
+        case 4:
+            CALLED(fmi3GetContinuousStates, ALL, c, x, states);
+            break;
+        case 5:
+            x[below(f, 64)] = one_in(f, 4) ? NAN : 0.1 * (double)below(f, 9);
+            CALLED(fmi3SetContinuousStates, ALL, c, x, states + one_in(f, 4));
+            break;
+        case 6:
+            CALLED(fmi3GetContinuousStateDerivatives, ALL, c, x, states);
+            break;
+        case 7:
+            CALLED(fmi3GetEventIndicators, ALL, c, x, indicators);
+            break;
+        case 8:
+            CALLED(fmi3CompletedIntegratorStep, ALL, c, one_in(f, 2), &a, &b);
+            break;
+        default:
+            CALLED(fmi3DoStep, ONLY(ERROR_), c, 0.0, 0.1, one_in(f, 2), &a, &b, &d, &time);
+        }
+    fmi3FreeInstance(c);
+}
+
 static void *made(Fuzz *f, int bad)
 {
     void *c;
     alarm(PATIENCE);
     if (bad == 3) {
-        if (fmi3InstantiateModelExchange("one", guid, "", 0, 1, f, logged)
-            || fmi3InstantiateScheduledExecution("one", guid, "", 0, 1, f, logged, NULL, NULL, NULL))
+        if (fmi3InstantiateScheduledExecution("one", guid, "", 0, 1, f, logged, NULL, NULL, NULL))
             wrong(f, "an instance of another kind");
+        exchanged(f);
         return NULL;
     }
     c = fmi3InstantiateCoSimulation(bad == 1 ? NULL : bad == 2 ? "" : "one", bad == 4 ? "other" : bad == 5 ? NULL : guid,

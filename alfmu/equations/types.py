@@ -196,10 +196,33 @@ class _Functions:
     """The functions of equations as attributes."""
 
     if TYPE_CHECKING:
-        M = d = f = Phi = C = xi = Phi_dot = displacements = gaps = gaps_matrix = ca.Function()
-        kinetic_energy = potential_energy = input_power = other_power = motion_power = state_rates = ca.Function()
-        readings = shares = rubbing = sliding = instants = stops = laws = ca.Function()
-        guess = guess_rate = ties = ties_matrix = ca.Function()
+        M: ca.Function
+        d: ca.Function
+        f: ca.Function
+        Phi: ca.Function
+        C: ca.Function
+        xi: ca.Function
+        Phi_dot: ca.Function
+        displacements: ca.Function
+        gaps: ca.Function
+        gaps_matrix: ca.Function
+        kinetic_energy: ca.Function
+        potential_energy: ca.Function
+        input_power: ca.Function
+        other_power: ca.Function
+        motion_power: ca.Function
+        state_rates: ca.Function
+        readings: ca.Function
+        shares: ca.Function
+        rubbing: ca.Function
+        sliding: ca.Function
+        instants: ca.Function
+        stops: ca.Function
+        laws: ca.Function
+        guess: ca.Function
+        guess_rate: ca.Function
+        ties: ca.Function
+        ties_matrix: ca.Function
 
 
 @dataclass(frozen=True, repr=False)

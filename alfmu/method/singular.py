@@ -114,8 +114,8 @@ BENT_LOSS = 10.0
 penalties of 100 masses, as directions of constraints may nearly be parallel there."""
 
 NEAR_LOSS = 0.05
-"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]: in runs
-of four-bars and five-bars it was 0.00025 to 0.05."""
+"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]: in
+runs of four-bars and five-bars it was 0.00025 to 0.05."""
 
 LIMIT_LOSS = 3.0
 """error of a limit over round-off of its nearest positions [1]: in runs of four-bars and five-bars it was 0.05 to 5."""

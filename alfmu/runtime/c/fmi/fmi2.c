@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "border.h"
@@ -42,8 +43,13 @@ API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String gui
     const Border border = border_in();
     Component *c = component_new(name, guid, resources, sizeof(Host), why, sizeof why);
     Host *host;
-    if (type != fmi2CoSimulation)
+    if (type == fmi2ModelExchange)
         c = exchange_instance(c, why, sizeof why);
+    else if (c && type != fmi2CoSimulation) {
+        snprintf(why, sizeof why, "%d is no type of FMU", (int)type);
+        component_free(c);
+        c = NULL;
+    }
     border_out(&border);
     (void)visible;
     if (!c) {

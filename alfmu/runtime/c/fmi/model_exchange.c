@@ -23,18 +23,27 @@ Component *exchange_instance(Component *c, char *why, size_t why_size)
     return NULL;
 }
 
-/* Return whether a call is legal in these modes. */
-static int is_in(Component *c, int phases, int modes, const char *call)
+/* Return whether a call of Model Exchange is legal in these phases. */
+static int exchanges_now(Component *c, int phases, const char *call)
 {
     if (!component_in(c, phases, call))
         return 0;
-    if (c->exchanges && modes & 1 << c->instance->flags.mode)
+    if (!c->exchanges)
+        component_refuse(c, ERROR_, call, "the instance is for co-simulation");
+    return c->exchanges;
+}
+
+/* Return whether a call is legal in these modes. */
+static int is_in(Component *c, int phases, int modes, const char *call)
+{
+    if (!exchanges_now(c, phases, call))
+        return 0;
+    if (modes & 1 << c->instance->flags.mode)
         return 1;
     component_refuse(c, ERROR_, call,
-        !c->exchanges                            ? "the instance is for co-simulation"
-            : c->instance->flags.mode == AT_EVENT ? "not in event mode"
-            : c->instance->flags.mode             ? "not in continuous-time mode"
-                                                  : "its state is one of co-simulation");
+        c->instance->flags.mode == AT_EVENT ? "not in event mode"
+            : c->instance->flags.mode       ? "not in continuous-time mode"
+                                            : "its state is one of co-simulation");
     return 0;
 }
 
@@ -122,7 +131,7 @@ Status exchange_get(Component *c, Exchanged which, double *values, size_t count,
 
 Status exchange_count(Component *c, Exchanged which, size_t *count, const char *call)
 {
-    if (!component_in(c, ANY, call) || !count)
+    if (!exchanges_now(c, ANY, call) || !count)
         return STATUS_ERROR;
     *count = (size_t)length_of(c, which);
     return STATUS_OK;

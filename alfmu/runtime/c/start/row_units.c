@@ -110,10 +110,12 @@ double units_own_length(Instance *i, const double *q)
         for (int e = p->offsets[c]; !coordinate_is_length(s, c) && e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
+            /* A turn changes Euler parameters by half of its angle. */
+            const double reached = amplitudes[e].most * (coordinate_is_angle(s, c) ? 1.0 : 0.5);
             if (strcmp(s->rows[r].unit, "m"))
                 continue;
-            known = fmax(known, unit > 0.0 ? amplitudes[e].most / unit : 0.0);
-            arm = fmax(arm, amplitudes[e].most);
+            known = fmax(known, unit > 0.0 ? reached / unit : 0.0);
+            arm = fmax(arm, reached);
         }
     for (int k = 0; k < RANKED && arm == 0.0; k++) { /* One way alone may be along the radius, where nothing turns. */
         memset(size, 0, l * sizeof *size);
