@@ -100,9 +100,14 @@ typedef struct {
     Compiled *compiled; /* compiled code that replaces it, or NULL */
 } Function;
 
-/* Calls of functions on the memory of an instance, choices, loops. */
+/* Calls of functions on the memory of an instance, choices, loops: places and lengths. */
+#ifndef WORD
+#define WORD int32_t
+#endif
+typedef WORD Word;
+
 typedef struct {
-    const int32_t *code;
+    const Word *code;
     size_t words;
 } Program;
 
@@ -155,16 +160,11 @@ typedef struct {
     struct Block *blocks;
 } Scene;
 
-/* CRC-32 of bytes that follow others; it begins with CHECK_BEGIN, and its complement is the check sum. */
-#define CHECK_BEGIN 0xffffffffu
-
 #define HEAD 64 /* bytes before the body */
 #define DEEPEST 16 /* choices and loops within each other */
 #define MOST_NUMBERS (1 << 28) /* in the memory or the registers of an instance */
 #define MOST_UNKNOWNS 10000 /* of a dense system */
 #define MOST_RESULTS (1 << 26) /* of all functions */
-
-uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count);
 
 /* A scene from the bytes of its file; NULL, and why, where it is damaged. */
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
