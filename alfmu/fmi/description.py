@@ -79,11 +79,12 @@ def model_description(
     choices: Choices = MappingProxyType({}),
     fmi: int = 2,
     directional: bool = True,
+    once: bool = False,
 ) -> bytes:
     """Return modelDescription.xml (co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
-    A native FMU may have directional derivatives.
+    A native FMU may have directional derivatives; of one of sources there is memory for one instance (`once`).
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -96,6 +97,7 @@ def model_description(
         "order": 2 * native,
     }
     capabilities = {name: value.format(**known) for name, value in _CAPABILITIES[fmi].items()}
+    capabilities |= {"canBeInstantiatedOnlyOncePerProcess": "true"} if once else {}
     simulation = ET.SubElement(root, "CoSimulation", {"modelIdentifier": e.name, **capabilities})
     if fmi == 2 and sources:
         _files(ET.SubElement(simulation, "SourceFiles"), "File", sources)

@@ -27,6 +27,7 @@ from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
 from ..model.mechanism import Mechanism
+from ..model.settings import Settings
 from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
@@ -45,6 +46,7 @@ from .description import (
 from .recipe import Recipe
 from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
+from .source import source
 from .terminals import document, terminals
 
 __all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
@@ -83,11 +85,19 @@ class Rest(Protocol):
 def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = None) -> Path:
     """Write the FMU of a recipe and return its path; `rest` is an equilibrium in which it starts;
     see `alfmu.export`."""
+    if recipe.kind == "source":
+        recipe = _fixed(recipe)
     declared = recipe.declared()
     every, equations = _scene(recipe, declared, rest)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
+    if recipe.kind == "source" and equations.jacobian:
+        raise ExportError(f"{equations.name}: sources have no interface Jacobian; leave it out, or use --kind native")
+    if recipe.kind == "source" and path.suffix == ".c":
+        if recipe.fmi != 2:
+            raise ExportError(f"{equations.name}: plain C is of no version of FMI; leave --fmi out, or write an .fmu")
+        return _plain(equations, path)
     if path.suffix != ".fmu":
         raise ExportError(f"{equations.name}: {path} does not end in .fmu")
 
@@ -96,7 +106,7 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = record_files(equations) if recipe.reference else {}
-    files_of = _native if recipe.kind == "native" else _python
+    files_of = _python if recipe.kind == "python" else _native
     archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})
     return path
 
@@ -196,26 +206,33 @@ def packed_scene(
 
 
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
-    """Return the files of a native FMU."""
-    e, fmi = equations, recipe.fmi
-    chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi, native.left_out(e, recipe.derivatives)), packed(e)
+    """Return the files of a native FMU, or of one of sources."""
+    e, fmi, alone = equations, recipe.fmi, recipe.kind == "source"
+    derivatives = recipe.derivatives is not False and not alone
+    chosen, scene = [] if alone else native.platforms(e.name, recipe.platforms), packed(e)
     generator = f"alfmu {version}"
-    guid = _guid(generator, hashlib.sha256(scene).hexdigest())
+    guid = _guid(generator, hashlib.sha256(scene + b"source" * alone).hexdigest())
+    files = source(e, fmi, guid) if alone else native.sources(recipe.fmi, native.left_out(e, derivatives))
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
+    if alone:
+        needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
     variables, choices = interface(e).causalities, known_choices(e)
+    if alone:
+        choices["solver.formulation"] = {RESIDUAL: choices["solver.formulation"][RESIDUAL]}
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, fmi, recipe.derivatives
+    facts = _credits(declared), choices, fmi, derivatives, alone
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
-    form = {}
+    form, scene_files = {}, {}
     if fmi == 3:
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
+    if not alone:
+        scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
     libraries = {}
     for each, data in native.libraries(e.name, chosen).items():
         platform = native.PLATFORMS[each]
@@ -227,11 +244,35 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         _PICTURE[fmi]: picture,
         "documentation/index.html": page.encode(),
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
-        f"resources/{SCENE}": identified(scene, guid),
-        f"resources/{OPTIONS}": _options(recipe, e),
+        **scene_files,
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
+
+
+RESIDUAL = Settings.formulation
+"""The only formulation of sources."""
+
+
+def _fixed(recipe: Recipe) -> Recipe:
+    """Return the recipe of sources, whose steps are those of RK4; ExportError where it asks for others."""
+    for name, only in (("solver.method", "rk4"), ("solver.formulation", RESIDUAL)):
+        if (asked := recipe.parameters.get(name, only)) != only:
+            raise ExportError(
+                f"{recipe}: sources have {name} {only} alone, whose work in a step has a bound, not {asked}; leave "
+                f"{name} out, or use --kind native"
+            )
+    return recipe.changed(parameters={"solver.method": "rk4"})
+
+
+def _plain(equations: Traced, path: Path) -> Path:
+    """Write plain C in place of an FMU."""
+    if path.stem != equations.name:
+        raise ExportError(f"{equations.name}: C has the name of the model; write {equations.name}.c, not {path.name}")
+    for name, text in source(equations).items():
+        with atomic(path.with_name(name)) as file:
+            file.write(text.encode("ascii"))
+    return path
 
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}

@@ -24,12 +24,15 @@ __all__ = [
     "FEATURES",
     "PLATFORMS",
     "checked",
+    "featured",
     "file_name",
     "left_out",
     "libraries",
     "libraries_in",
     "platforms",
     "sources",
+    "with_headers",
+    "without_comments",
 ]
 
 
@@ -96,11 +99,11 @@ def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
-    files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in paths}
+    files = {path.name: without_comments(path.read_text(encoding="ascii")) for path in paths}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
-    text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
-    found = {"alfmu.h": _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], text)}
+    text += with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
+    found = {"alfmu.h": featured(text, without)}
     for folder in _FOLDERS:
         own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
         own = [name for name in own if name not in _APART]
@@ -108,7 +111,7 @@ def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
         found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
     for name in ("files.c", f"fmi{fmi}.c"):
-        text = _with_headers(files[name], files, set(headers))
+        text = with_headers(files[name], files, set(headers))
         found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
     return found
 
@@ -125,11 +128,17 @@ _APART = ("files.c", "fmi2.c", "fmi3.c")
 _FEATURE = re.compile(r"^#if HAS_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
 """Declarations of a header where its feature is there, and where it is left out."""
 
+
+def featured(text: str, without: Container[str]) -> str:
+    """A text whose declarations are those without these features."""
+    return _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], text)
+
+
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
 
 
-def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
+def with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
     """A text with each header in place of its first inclusion."""
 
     def header(found: re.Match[str]) -> str:
@@ -138,7 +147,7 @@ def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str
             return ""
         if not name.startswith("internal_"):  # which stand where declarations begin and end, each time
             there.add(name)
-        return _with_headers(headers[name], headers, there)
+        return with_headers(headers[name], headers, there)
 
     return _INCLUDE.sub(header, text)
 
@@ -150,7 +159,7 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/"
 _MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
 
 
-def _without_comments(text: str) -> str:
+def without_comments(text: str) -> str:
     """A text without comments and empty lines, indented by tabs, which makes an archive smaller."""
     text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
     return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)

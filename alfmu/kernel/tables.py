@@ -58,6 +58,7 @@ __all__ = [
     "machine_code",
     "number_of",
     "packed",
+    "packed_fixed",
     "packed_start",
 ]
 
@@ -321,6 +322,21 @@ def packed(equations: Traced) -> bytes:
     """Return the scene file of traced equations."""
     with getting_ready():
         return _file(equations, alone(equations))
+
+
+def packed_fixed(equations: Traced) -> bytes:
+    """Return the smallest scene file: calls of shared functions, and no programs whose loops stop on convergence.
+
+    What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
+    continues there.
+    """
+    with getting_ready():
+        own = standalone(whole(equations))
+        without = {"move", "close", "instant_patient", "limit_patient", *["impact"] * (not own.switches)}
+        if default_settings(equations).branch != "continue":
+            without |= {"branch", "limit"}
+        kernel = {name: program for name, program in own.kernel.items() if name not in without}
+        return _file(equations, _ordered(replace(own, kernel=kernel)))
 
 
 def packed_start(equations: Configuration) -> bytes:

@@ -1,0 +1,3 @@
+/* Texts are in message.h. */
+
+#include "message.h"
