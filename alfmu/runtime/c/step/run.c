@@ -50,11 +50,16 @@ static Outcome integrate_stretch(Instance *i, double start, double end, long mad
         if (run_is_ended(i))
             outcome = diagnose_interrupted(i);
         else if (i->flags.fast && done != (double)made) {
-            const double whole = (double)made > done ? (double)made - done : steps - done;
+            const double left = (double)made > done ? (double)made - done : steps - done;
+            const long wanted = i->flags.whole ? (long)left : 1L;
+            long taken;
             instance_set_time(i, start + done * dt);
             if (i->flags.brakes)
                 rank_freeze(i);
-            done += (double)step_fixed(i, i->flags.whole ? (long)whole : 1L, dt);
+            taken = step_fixed(i, wanted, dt);
+            done += (double)taken;
+            if (taken == wanted)
+                continue;
         }
         if (done < steps && outcome == DONE && !i->ended) {
             outcome = step_robust(i, start + done * dt, dt);
