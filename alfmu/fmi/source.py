@@ -204,60 +204,21 @@ def _texts(fmi: int, without: list[str]) -> tuple[str, str]:
     paths = {path.name: path for path in [*build.sources(folders), *_OWN.glob("*.[ch]")]}
     absent |= {"fmi2.c", "fmi3.c", "plain.c"} - {last} | {each for each in paths if _LOADER.fullmatch(each)}
     texts = {key: native.without_comments(path.read_text(encoding="ascii")) for key, path in paths.items()}
-    texts = {key: _plain(native.featured(text, without)) for key, text in texts.items() if key not in absent}
+    texts = {key: native.featured(text, without) for key, text in texts.items() if key not in absent}
     texts["scene.h"] += "static const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)\n"
     found: set[str] = set()
 
     def joined(names: list[str]) -> str:
         text = "".join(native.with_headers(texts[each], texts, found) for each in names)
-        text = re.sub(r"^#include <.*>\n", "", text, flags=re.MULTILINE)
+        text = _EXTENSIONS.sub("0", re.sub(r"^#include <.*>\n", "", text, flags=re.MULTILINE))
+        text = text.replace('__attribute__((visibility("default")))', "")
         return re.sub(r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])", r"SCENE_OF(\1)", text)
 
     return joined([each for each in texts if each.endswith(".c") and each != last]), joined([last])
 
 
-_COMPILER = {
-    *("__GNUC__", "__clang__", "__x86_64__", "__aarch64__", "__SSE2__", "_M_X64", "__GLIBC__", "__has_attribute"),
-    *("__SANITIZE_THREAD__", "BY_PROCESSOR", "ALFMU_SSE", "ALFMU_OLD", "PRINTF_LIKE", "_WIN32"),
-}
-"""What only compilers with extensions define, or the runtime where they do."""
-
-_EXPORTED = """#if defined(_WIN32)
-#define API __declspec(dllexport)
-#else
-#define API
-#endif
-"""
-
-
-def _plain(text: str) -> str:
-    """Return a text as a compiler without extensions sees it."""
-    lines: list[str] = []
-    decided: list[tuple[bool | None, bool]] = []
-    """Of each condition around a line: whether it holds (None: the compiler decides), and whether one did before."""
-    for line in text.splitlines(keepends=True):
-        word = line.split(None, 1)[0] if line.strip() else ""
-        names = set(re.findall(r"defined\((\w+)\)", line))
-        if word in ("#if", "#ifdef", "#ifndef", "#elif"):
-            known = bool(names & _COMPILER) or "__has_attribute" in line
-            holds = None if not known else "!defined" in line and len(names) == 1
-            if word == "#elif":
-                _, before = decided.pop()
-                holds = False if before else holds
-                decided.append((holds, before or bool(holds)))
-            else:
-                decided.append((holds, bool(holds)))
-            skipped = holds is not None
-        elif word == "#else" and decided[-1][0] is not None:
-            decided[-1] = not decided[-1][1], True
-            skipped = True
-        elif word == "#endif":
-            skipped = decided.pop()[0] is not None
-        else:
-            skipped = False
-        if not skipped and all(holds is not False for holds, _ in decided):
-            lines.append(line)
-    return re.sub(r"#define API __attribute__.*\n", _EXPORTED, "".join(lines))
+_EXTENSIONS = re.compile(r"\bdefined\((?:__GNUC__|__SSE2__|_M_X64|__GLIBC__)\)")
+"""Conditions for extensions of compilers, none of which holds in sources."""
 
 
 def _prefixed(text: str, fmi: int) -> str:
