@@ -141,6 +141,20 @@ def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, tmp_path,
 
 
 @by_a_compiler
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
+    with zipfile.ZipFile(fmu_of("five_bar", kind="source", fmi=fmi)) as archive:
+        archive.extract("sources/five_bar.c", tmp_path)
+    given = [f"-DFMI{fmi}_FUNCTION_PREFIX=own_", "-O1", "-shared", "-fPIC", "sources/five_bar.c", "-o", "own.so", "-lm"]
+    compiled([*WARNINGS, *given], tmp_path)
+    library = ctypes.CDLL(str(tmp_path / "own.so"))
+    names = set(re.findall(rf"fmi{fmi}[A-Z]\w+", (tmp_path / "own.so").read_bytes().decode("latin")))
+    assert {f"fmi{fmi}DoStep", f"fmi{fmi}SetBoolean", f"fmi{fmi}GetContinuousStates"} <= names
+    assert not [each for each in names if hasattr(library, each)]
+    assert all(hasattr(library, f"own_fmi{fmi}{each}") for each in ("DoStep", "SetBoolean", "GetContinuousStates"))
+
+
+@by_a_compiler
 def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
     path = with_binary(fmu_of("five_bar", kind="source"), 2, tmp_path / "own.fmu")
     guid = re.search(r'guid="(.*?)"', (tmp_path / "own" / "modelDescription.xml").read_text())[1].encode()
@@ -167,6 +181,7 @@ TWO = "atan2 copysign fmax fmin fmod hypot nextafter pow remainder"
 HEADERS = {
     "math.h": '#define NAN __builtin_nanf("")\n#define INFINITY __builtin_inff()\n'
     "#define isnan(x) ((x) != (x))\n#define isfinite(x) ((x) - (x) == 0)\n"
+    "double frexp(double, int *);\ndouble ldexp(double, int);\n"
     + re.sub(r"(\w+) ?", r"double \1(double);\n", ONE)
     + re.sub(r"(\w+) ?", r"double \1(double, double);\n", TWO),
     "string.h": "#include <stddef.h>\nvoid *memcpy(void *, const void *, size_t);\n"
@@ -237,6 +252,8 @@ REFUSED = {
     "derivatives": ({"derivatives": True}, "have no derivatives"),
     "kernel": ({"kernel": "vm"}, "has a kernel of its own"),
     "platforms": ({"platforms": ["linux64"]}, "is for no platform of its own"),
+    "Model Exchange": ({"interface": "me"}, "is for co-simulation alone; leave --interface out, or use --kind native"),
+    "both interfaces": ({"interface": "both"}, "an FMU of sources is for co-simulation alone"),
     "Jacobian": ({"outputs": ["link1.angle", "link1.angle/A.torque"]}, "have no interface Jacobian"),
     "FMI 3": ({"fmi": 3, "path": "five_bar.c"}, "plain C is of no version of FMI"),
     "name": ({"path": "other.c"}, "C has the name of the model"),

@@ -40,7 +40,12 @@ _LENGTHS: dict[str, Callable[[Structure], int]] = {
             **{"Choice.values": "count", "Switch.rows": "count", "Pattern.indices": "entries", "Program.code": "words"},
             **dict.fromkeys(("Envelope.place", "Envelope.first", "Envelope.start"), "size"),
             **{"Scene.choice": "choices", "Scene.switched": "switches", "Scene.friction": "frictions"},
-            **{"Scene.impulse_rows": "impulses", "Scene.event_places": "event_count", "Scene.coordinates": "n"},
+            **{
+                "Scene.impulse_rows": "impulses",
+                "Scene.event_places": "event_count",
+                "Scene.coordinates": "n",
+                "Scene.readiness": "n",
+            },
             **{"Scene.rows": "l", "Scene.angle_starts": "angles", "Scene.tied": "ties"},
             **{"Scene.break_levels": "break_count", "Scene.followed": "followed_count"},
             **{"Scene.limited": "limit_count", "Scene.leaps": "leap_count", "Scene.jacobian": "entries"},

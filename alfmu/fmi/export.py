@@ -21,8 +21,9 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
+from ..kernel.exchange import exchanged, indicators, obstacle
 from ..kernel.form import Traced
-from ..kernel.tables import identified, interface, known_choices
+from ..kernel.tables import alone, identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -207,32 +208,33 @@ def packed_scene(
 
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
     """Return the files of a native FMU, or of one of sources."""
-    e, fmi, alone = equations, recipe.fmi, recipe.kind == "source"
-    derivatives = recipe.derivatives is not False and not alone
-    chosen, scene = [] if alone else native.platforms(e.name, recipe.platforms), packed(e)
-    generator = f"alfmu {version}"
-    guid = _guid(generator, hashlib.sha256(scene + b"source" * alone).hexdigest())
-    files = source(e, fmi, guid) if alone else native.sources(recipe.fmi, native.left_out(e, derivatives))
-    compiled = [name for name in files if name.endswith(".c")]
-    needs = "This FMU needs nothing but the C library."
-    if alone:
-        needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
+    e, fmi, bare = equations, recipe.fmi, recipe.kind == "source"
+    chosen = [] if bare else native.platforms(e.name, recipe.platforms)
+    interfaces, derivatives = _interfaces(recipe, e), recipe.derivatives is not False
+    states = [] if bare or obstacle(alone(e)) else exchanged(e)
+    scene, generator = packed(e), f"alfmu {version}"
+    guid = _guid(generator, hashlib.sha256(scene + b"source" * bare).hexdigest())
     variables, choices = interface(e).causalities, known_choices(e)
-    if alone:
+    if bare:
+        files, scene_files = source(e, fmi, guid), {}
+        needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
         choices["solver.formulation"] = {RESIDUAL: choices["solver.formulation"][RESIDUAL]}
+    else:
+        files = native.sources(fmi, native.left_out(e, derivatives, "me" in interfaces))
+        scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
+        needs = "This FMU needs nothing but the C library."
+    compiled = [name for name in files if name.endswith(".c")]
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, fmi, derivatives, alone
+    facts = _credits(declared), choices, fmi, derivatives, interfaces, states, indicators(e) if states else [], bare
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
-    form, scene_files = {}, {}
+    form = {}
     if fmi == 3:
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
-    if not alone:
-        scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
     libraries = {}
     for each, data in native.libraries(e.name, chosen).items():
         platform = native.PLATFORMS[each]
@@ -262,7 +264,7 @@ def _fixed(recipe: Recipe) -> Recipe:
                 f"{recipe}: sources have {name} {only} alone, whose work in a step has a bound, not {asked}; leave "
                 f"{name} out, or use --kind native"
             )
-    return recipe.changed(parameters={"solver.method": "rk4"})
+    return recipe.changed(parameters={"solver.method": "rk4"}, interface="cs", derivatives=False)
 
 
 def _plain(equations: Traced, path: Path) -> Path:
@@ -273,6 +275,17 @@ def _plain(equations: Traced, path: Path) -> Path:
         with atomic(path.with_name(name)) as file:
             file.write(text.encode("ascii"))
     return path
+
+
+def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:
+    """Return the interfaces of a native FMU, of "me" and "cs"; ExportError if it cannot have what the recipe asks."""
+    why = obstacle(alone(equations)) if recipe.interface != "cs" else ""
+    if why and recipe.interface:
+        raise ExportError(
+            f"{equations.name}: it cannot be exported for Model Exchange, as {why}; use --interface cs, co-simulation"
+        )
+    asked = "cs" if why else recipe.interface or "both"
+    return ("me", "cs") if asked == "both" else (asked,)
 
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}

@@ -20,7 +20,7 @@ from ..model.words import LONGEST, Brief
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
 
-__all__ = ["GROUP", "KINDS", "Recipe", "load", "of", "recipes"]
+__all__ = ["GROUP", "INTERFACES", "KINDS", "Recipe", "load", "of", "recipes"]
 
 GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
@@ -32,10 +32,17 @@ KINDS = {
 }
 """Kinds of FMUs, the default first."""
 
+INTERFACES = {
+    "both": "co-simulation and Model Exchange",
+    "cs": "co-simulation alone",
+    "me": "Model Exchange alone",
+}
+"""Interfaces of native FMUs."""
+
 _MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
 """Matches text in every file that declares a recipe."""
 
-_OF_A_KIND = ("kernel", "platforms", "fmi")
+_OF_A_KIND = ("kernel", "platforms", "fmi", "interface")
 """Fields that apply to one kind of FMU only."""
 
 
@@ -81,6 +88,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
     "start": _one_of("declared", "equilibrium"),
+    "interface": _one_of(*INTERFACES, None),
 }
 """Fields of a recipe: a check of the value, and the expected form in words."""
 
@@ -136,6 +144,9 @@ class Recipe(Brief):
     this installation."""
     fmi: int = 2
     """Version of FMI; 3 for FMUs of kinds native and source."""
+    interface: str | None = None
+    """Interfaces of a native FMU, of INTERFACES; None for both, or co-simulation alone where an importer cannot
+    integrate the mechanism."""
     derivatives: bool | None = None
     """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them. None
     for those that a kind has."""
@@ -167,9 +178,13 @@ class Recipe(Brief):
             raise ExportError(
                 f"{self}: a {self.kind} FMU has a kernel of its own; leave --kernel out, or use --kind python"
             )
+        what = "that runs in Python" if self.kind == "python" else "of sources"
         if self.kind != "native" and self.platforms:
-            what = "that runs in Python" if self.kind == "python" else "of sources"
             raise ExportError(f"{self}: an FMU {what} is for no platform of its own; leave --platform out")
+        if self.kind != "native" and self.interface not in (None, "cs"):
+            raise ExportError(
+                f"{self}: an FMU {what} is for co-simulation alone; leave --interface out, or use --kind native"
+            )
         if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind == "python"):
             raise ExportError(
                 f"{self}: there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3"

@@ -22,6 +22,7 @@ from ..model.errors import ExportError
 from ..model.settings import internal_steps
 from ..runtime import build
 from ..runtime.library import DONE, Scene, Unit
+from ..runtime.shipped import installed
 from . import native
 from .constants import Structure, literal, loaded, tables
 
@@ -60,12 +61,14 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     """Return C files of traced equations: those of an FMU of a version of FMI with this GUID, or plain C for 0."""
     if equations.name in _RESERVED:
         raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
-    kept, name = Scene(identified(packed_fixed(equations), guid)), equations.name
-    scene, state = loaded(kept), _state(kept, equations)
+    kept, name = Scene(identified(packed_fixed(equations), guid), installed()), equations.name
+    scene = loaded(kept)
+    scene.exchange = -1
+    state = _state(kept, equations)
     steps = internal_steps(equations.interval, default_settings(equations).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
-    without = [*dict.fromkeys([*native.left_out(equations, derivatives=False), "DERIVATIVES", "ERROR_CONTROL"])]
+    without = [*dict.fromkeys([*native.left_out(equations, derivatives=False, exchange=False), "ERROR_CONTROL"])]
     texts = _texts(fmi, [*without, *["START"] * (not starts)])
     used = _reached("".join(texts))
     wide = _lean(scene, set(_WORD.findall(used)))
@@ -192,7 +195,7 @@ def _start(state: bytes) -> tuple[str, int]:
     return text, 8 * len(numbers) + 4 * _FLAGS
 
 
-_HEAD, _FLAGS, _NUMBERS, CHOICES = 72, 13, 128, 3
+_HEAD, _FLAGS, _NUMBERS, CHOICES = 72, 14, 128, 3
 """In a saved state (step/state.c): where flags begin and how many there are, and where numbers begin."""
 
 
@@ -227,7 +230,7 @@ def _prefixed(text: str, fmi: int) -> str:
     names = set(re.findall(rf"\b(fmi{fmi}[A-Z]\w+)\(", text)) | set(
         re.findall(r"^UNKNOWN\((\w+)\)", text, re.MULTILINE)
     )
-    kinds = re.findall(r"^\w*VALUES\((\w+)\b", text, re.MULTILINE)
+    kinds = re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE)
     names |= {f"fmi{fmi}{form}{kind}" for kind in kinds for form in ("Get", "Set")}
     lines = [f"#if defined({macro})", "#define JOINED(a, b) JOINED_(a, b)", "#define JOINED_(a, b) a##b"]
     lines += [f"#define {each} JOINED({macro}, {each})" for each in sorted(names)]
