@@ -6,9 +6,8 @@ import ctypes
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Container
 from functools import cache
-from operator import attrgetter
 from typing import Any
 
 from ..kernel import thresholds
@@ -27,54 +26,26 @@ _PLAIN: dict[str, Any] = {
     **{"Type": ctypes.c_int, "Kind": ctypes.c_int, "Word": ctypes.c_int32},
 }
 
-_LENGTHS: dict[str, Callable[[Structure], int]] = {
-    "Pattern.offsets": lambda x: x.columns + 1,
-    "Function.lengths": lambda x: x.inputs + x.outputs,
-    **dict.fromkeys(("Function.narrow", "Function.wide"), lambda x: x.words + x.results),
-    "Scene.variables": lambda x: x.parameters + x.choices + x.inputs + x.switches + x.outputs + x.entries,
-    "Scene.peak_parts": lambda x: 3 * x.peaks,
-    "Scene.normal": lambda x: max(thresholds.TRIES, thresholds.RANKED) * x.n,
-    **{
-        name: attrgetter(count)
-        for name, count in {
-            **{"Choice.values": "count", "Switch.rows": "count", "Pattern.indices": "entries", "Program.code": "words"},
-            **dict.fromkeys(("Envelope.place", "Envelope.first", "Envelope.start"), "size"),
-            **{"Scene.choice": "choices", "Scene.switched": "switches", "Scene.friction": "frictions"},
-            **{
-                "Scene.impulse_rows": "impulses",
-                "Scene.event_places": "event_count",
-                "Scene.coordinates": "n",
-                "Scene.readiness": "n",
-            },
-            **{"Scene.rows": "l", "Scene.angle_starts": "angles", "Scene.tied": "ties"},
-            **{"Scene.break_levels": "break_count", "Scene.followed": "followed_count"},
-            **{"Scene.limited": "limit_count", "Scene.leaps": "leap_count", "Scene.jacobian": "entries"},
-            **{"Scene.constants": "constant_count", "Scene.functions": "function_count"},
-            "Scene.programs": "program_count",
-        }.items()
-    },
-}
-"""Lengths of the arrays that fields point to; there is nothing behind other pointers."""
-
 
 @cache
-def _structures() -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the structures by name, and the type of what each pointer points to."""
+def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
+    """Return the structures by name, and what each pointer points to: its type, and how many there are, which follows
+    the pointer in a comment in brackets; there is nothing else behind a pointer."""
     text = "".join((build.SOURCES / "core" / name).read_text(encoding="ascii") for name in ("linear.h", "scene.h"))
-    text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    text = re.sub(r"/\* (\[[^\]]+\])?.*?\*/", r"\1", text, flags=re.DOTALL)
     for macro, names, kind in (("SCENE_NUMBERS", NUMBERS, "int"), ("SCENE_REALS", REALS, "double")):
         fields = "".join(f"{kind} {name};" for name in names)
         text = re.sub(rf"#define NUMBER.*?\n\s*{macro}\(NUMBER\)\n#undef NUMBER", fields, text)
     made: dict[str, Any] = {}
-    targets: dict[str, str] = {}
+    targets: dict[str, tuple[str, str]] = {}
     for body, structure in re.findall(r"typedef struct \{(.*?)\} (\w+);", text, re.DOTALL):
         own: list[tuple[str, Any]] = []
-        for found in re.finditer(r"(?:const\s+|struct\s+)*(\w+)\s+([^;]+);", body):
-            base = found[1]
-            for stars, name, size in re.findall(r"((?:\*|const\s+)*)(\w+)(?:\[(\d+)\])?", found[2]):
+        declared = re.findall(r"(?:const\s+|struct\s+)*(\w+)\s+([^;\]]+(?:\[\d+\])?);(?:\s*\[([^\]]+)\])?", body)
+        for base, names, count in declared:
+            for stars, name, size in re.findall(r"((?:\*|const\s+)*)(\w+)(?:\[(\d+)\])?", names):
                 type_of: Any = _PLAIN.get(base) or made.get(base)
                 if "*" in stars:
-                    targets[f"{structure}.{name}"] = base + " *const" * (stars.count("*") - 1)
+                    targets[f"{structure}.{name}"] = base + " *const" * (stars.count("*") - 1), count
                     if base == "char":
                         type_of = ctypes.c_char_p
                     if type_of is None:
@@ -84,6 +55,15 @@ def _structures() -> tuple[dict[str, Any], dict[str, str]]:
                 own.append((name, type_of * int(size) if size else type_of))
         made[structure] = type(structure, (ctypes.Structure,), {"_fields_": own})
     return made, targets
+
+
+def _count(text: str, owner: Structure) -> int:
+    """Return a sum of products of fields, thresholds and numbers."""
+
+    def of(x: str) -> int:
+        return int(x) if x.isdigit() else int(getattr(owner, x, 0) or getattr(thresholds, x, 0))
+
+    return sum(math.prod(map(of, term.split(" * "))) for term in text.split(" + ") if term)
 
 
 def literal(x: float) -> str:
@@ -96,9 +76,11 @@ def loaded(scene: Scene) -> Structure:
     return _structures()[0]["Scene"].from_address(scene.address)
 
 
-def tables(scene: Structure, name: str, texts: bool, words: int) -> tuple[str, int]:
-    """Return the scene as a constant of C of this name, and the bytes of its arrays; texts that only messages use are
-    empty unless they are asked for; words of programs have so many bytes."""
+def tables(scene: Structure, texts: bool, words: int, used: Container[str]) -> tuple[str, int]:
+    """Return the scene as a constant of C, and the bytes of its arrays, which are those that the C uses.
+
+    Texts that only messages use are empty unless they are asked for; words of programs have so many bytes.
+    """
     arrays: dict[str, str] = {}
     size = ctypes.sizeof(scene)
 
@@ -118,19 +100,18 @@ def tables(scene: Structure, name: str, texts: bool, words: int) -> tuple[str, i
 
     def below(owner: Structure, field: str, x: Any) -> str:
         nonlocal size
-        target = _structures()[1].get(field)
-        if target is None or target == "char":
+        target, count = _structures()[1].get(field, ("", ""))
+        if not target or target == "char":
             return "0" if x is None else value(x, field)
-        if field not in _LENGTHS or not x or not (count := _LENGTHS[field](owner)):
+        if not x or field.rpartition(".")[2] not in used or not (length := _count(count, owner)):
             return "0"
-        items = [x[k] for k in range(count)]
-        text = ", ".join(value(each, field) for each in items)
-        text = f"static const {target} @[{count}] = {{{text}}};\n"
+        text = ", ".join(value(each, field) for each in x[:length])
+        text = f"static const {target} @[{length}] = {{{text}}};\n"
         if text not in arrays:
-            size += (2 if target == "Word" and words == 2 else ctypes.sizeof(x._type_)) * count
+            size += (2 if target == "Word" and words == 2 else ctypes.sizeof(x._type_)) * length
             arrays[text] = f"table{len(arrays)}"
         return arrays[text]
 
     whole = value(scene, "")
     lines = [text.replace("@", made, 1) for text, made in arrays.items()]
-    return "".join(lines) + f"static const Scene {name} = {whole};\n", size
+    return "".join(lines) + f"static const Scene the_scene = {whole};\n", size

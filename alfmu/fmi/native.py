@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE
@@ -32,7 +33,6 @@ __all__ = [
     "libraries_in",
     "platforms",
     "sources",
-    "with_headers",
     "without_comments",
 ]
 
@@ -98,17 +98,20 @@ def checked(equations: Equations) -> None:
     raise ExportError(f"{e.name}: an FMU has no {what}")
 
 
-def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
+def sources(
+    fmi: int, without: Container[str] = (), instead: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str]:
     """The C files by name: one header, and one file per folder of the runtime, without these features.
 
-    They have no comments, and neither `binding` nor the functions of the other version of FMI.
+    They have no comments, and neither `binding` nor the functions of the other version of FMI. Texts `instead` stand in
+    place of those of files; the last one is `plain.c` among them where there is no version of FMI (0).
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
-    files = {path.name: without_comments(path.read_text(encoding="ascii")) for path in paths}
+    files = {path.name: without_comments(path.read_text(encoding="ascii")) for path in paths} | dict(instead)
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
-    text += with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
+    text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
     found = {"alfmu.h": featured(text, without)}
     for folder in _FOLDERS:
         own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
@@ -116,8 +119,8 @@ def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
         system = {line for name in own for line in _SYSTEM.findall(files[name])}
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
         found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
-    for name in ("files.c", f"fmi{fmi}.c"):
-        text = with_headers(files[name], files, set(headers))
+    for name in ("files.c", f"fmi{fmi}.c" if fmi else "plain.c"):
+        text = _with_headers(files[name], files, set(headers))
         found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
     return found
 
@@ -144,7 +147,7 @@ _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
 
 
-def with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
+def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
     """A text with each header in place of its first inclusion."""
 
     def header(found: re.Match[str]) -> str:
@@ -153,7 +156,7 @@ def with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
             return ""
         if not name.startswith("internal_"):  # which stand where declarations begin and end, each time
             there.add(name)
-        return with_headers(headers[name], headers, there)
+        return _with_headers(headers[name], headers, there)
 
     return _INCLUDE.sub(header, text)
 

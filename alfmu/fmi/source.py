@@ -9,15 +9,14 @@ from __future__ import annotations
 import re
 import struct
 import zipfile
-from collections import defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 from ..equations.interface import default_settings
 from ..kernel.arrangement import KINDS, OPERANDS
-from ..kernel.form import Traced
-from ..kernel.scene import CALLS
-from ..kernel.tables import FUNCTIONS, identified, packed_fixed
+from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
+from ..kernel.tables import FUNCTIONS, fixed, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
 from ..runtime import build
@@ -28,10 +27,6 @@ from .constants import Structure, literal, loaded, tables
 
 __all__ = ["facts", "source"]
 
-_OWN = build.SOURCES / "source"
-_ABSENT = ("adaptive.c", "files.c", "message.c", "record.c", "resources.c", "robust.c", "text.c")
-_LOADER = re.compile(r"scene(_functions|_programs|_reader|_tables)?\.c")
-_SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
 _INSTANCE = 96
 """Numbers in whose place an Instance without messages fits on every machine."""
 
@@ -44,12 +39,11 @@ MOST_ITERATIONS = 1000
 STATES = 2
 """States of an instance that an FMU has memory for."""
 
-
 _RESERVED = frozenset(
     """auto break case char const continue default do double else enum extern float for goto if inline int long register
     restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main abs acos
-    acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmax fmin fmod free hypot log
-    log1p malloc memcpy memset pow remainder sin sinh sqrt tan tanh""".split()  # noqa: SIM905
+    acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmax fmin fmod free frexp hypot
+    ldexp log log1p malloc memcpy memset pow remainder sin sinh sqrt tan tanh""".split()  # noqa: SIM905
 )
 """Names in C that a model may not have."""
 
@@ -61,24 +55,25 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     """Return C files of traced equations: those of an FMU of a version of FMI with this GUID, or plain C for 0."""
     if equations.name in _RESERVED:
         raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
-    kept, name = Scene(identified(packed_fixed(equations), guid), installed()), equations.name
+    own, name = fixed(equations), equations.name
+    kept = Scene(identified(packed(equations, own), guid), installed())
     scene = loaded(kept)
-    scene.exchange = -1
-    state = _state(kept, equations)
-    steps = internal_steps(equations.interval, default_settings(equations).step_size)
+    scene.exchange = -1  # its states are nobody else's
+    state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
-    without = [*dict.fromkeys([*native.left_out(equations, derivatives=False, exchange=False), "ERROR_CONTROL"])]
-    texts = _texts(fmi, [*without, *["START"] * (not starts)])
-    used = _reached("".join(texts))
-    wide = _lean(scene, set(_WORD.findall(used)))
-    word = _word(scene)
-    constants, size = tables(scene, "the_scene", fmi > 0, word // 8)
+    without = native.left_out(equations, derivatives=False, exchange=False)
+    without = [*without, "ERROR_CONTROL", *["START"] * (not starts)]
+    header, *texts = _texts(fmi, without)
+    used = set(_WORD.findall(_reached("".join([header, *texts]))))
+    work, kinds, wide = _lean(scene, own, used, steps)
+    widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
+    word = 16 if widest < 2**15 else 32
+    constants, size = tables(scene, fmi > 0, word // 8, used)
     length = kept.library.alfmu_length(kept.address, starts)
-    place, message = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0), _TEXT if fmi else 8
-    defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": message, "HAS_START": int(starts)}
+    place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
+    defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
     defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide)}
-    defined |= {f"HAS_{each}": 0 for each in without}
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
@@ -87,7 +82,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     head = [
         f"/* {name}: the mechanism and the runtime of alfmu in C99; generated.",
         f"   {size + start_size} bytes of constant tables, {memory}",
-        f"   {_work(scene, equations, steps)} */",
+        f"   {work} */",
         f"#ifndef MOST_STEPS\n#define MOST_STEPS {max(_STEPS, 2 * steps)}\n#endif",
         *["#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif"] * (fmi > 0),
         "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
@@ -96,22 +91,19 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         *[f'#include "{name}.h"'] * (not fmi),
         *(f"#define {key} {number}" for key, number in defined.items()),
     ]
-    text = _reached(texts[0] + constants + start + texts[1])
-    if not fmi:
-        text = _named(text, name)
-    text = text if wide else _of_kinds(text, _kinds(scene))
-    files = {f"{name}.c": "\n".join([*head, _prefixed(text, fmi) if fmi else text])}
+    text = _reached("".join([header, constants, start, *texts]))
+    text = _prefixed(text, fmi) if fmi else _named(text, name)
+    text = text if wide else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
+    files = {f"{name}.c": "\n".join([*head, text])}
     if not fmi:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
     return files
 
 
-def _named(text: str, name: str) -> str:
-    """Return plain C with the name of the model, which nothing of the runtime has."""
-    own = "|".join([name, *(each.replace("NAME", name) for each in set(re.findall(r"\bNAME_\w+", text)))])
-    words = re.compile(rf'"(?:\\.|[^"\\])*"|\b(?:{own})\b')
-    text = words.sub(lambda found: found[0] if found[0].startswith('"') else f"runtime_{found[0]}", text)
-    return text.replace("NAME", name)
+_SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
+
+_OPERATION = re.compile(r"(\(X\) \\\n\t)?\bX\((\d+), .*\)(?=[ \\]*\n)")
+"""An operation of the interpreter, with its kind; the first of a list, which has one at least, after its head."""
 
 
 def facts(path: Path) -> list[str]:
@@ -124,50 +116,7 @@ def facts(path: Path) -> list[str]:
     return [line.strip().removesuffix(" */") for line in text.partition("*/")[0].splitlines()[1:]]
 
 
-def _lean(scene: Structure, words: set[str]) -> bool:
-    """Leave out of a scene what the words of its C do not mention; return whether functions have wide places."""
-    called = {getattr(scene, name) for name in FUNCTIONS if name in words}
-    for program in scene.programs[: scene.program_count]:
-        called |= {each for _, each, _ in _steps(scene, program.code[: program.words])}
-    scene.registers, wide = scene.constant_count, False
-    for k, f in enumerate(scene.functions[: scene.function_count]):
-        if k in called:
-            scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
-        else:
-            f.inputs = f.outputs = f.words = f.results = 0
-    if "normal" not in words:
-        scene.normal = None
-    scene.choice[scene.formulation].count = 1
-    scene.lane_registers = 0
-    return wide
-
-
-def _kinds(scene: Structure) -> set[int]:
-    """Return the kinds of operations of functions whose places are narrow."""
-    found = set()
-    for f in scene.functions[: scene.function_count]:
-        at = 0
-        while at < f.words:
-            found.add(f.narrow[at])
-            at += 2 + f.narrow[at + 1] * OPERANDS[KINDS[f.narrow[at]]]
-    return found
-
-
-def _of_kinds(text: str, kinds: set[int]) -> str:
-    """Return C without the operations that no function has, but one of each number of operands."""
-
-    def rows(found: re.Match[str]) -> str:
-        lines = re.findall(r"X\((\d+), .*\)", found[2])
-        own = [line for k, line in enumerate(re.findall(r"X\(\d+, .*\)", found[2])) if not k or int(lines[k]) in kinds]
-        return found[1] + " \\\n\t".join(["", *own]) + "\n"
-
-    return re.sub(r"(#define (?:BINARY|UNARY)_OPERATIONS\(X\))((?:.*\\\n)+.*\n)", rows, text)
-
-
-def _word(scene: Structure) -> int:
-    """Return the bits of the words of programs."""
-    words = (word for program in scene.programs[: scene.program_count] for word in program.code[: program.words])
-    return 16 if max(map(abs, words), default=0) < 2**15 else 32
+# The scene ------------------------------------------------------------------------------------------------------------
 
 
 def _state(scene: Scene, e: Traced) -> bytes:
@@ -190,38 +139,113 @@ def _start(state: bytes) -> tuple[str, int]:
     flags = struct.unpack_from(f"<{_FLAGS}i", state, _HEAD)
     numbers = struct.unpack(f"<{(len(state) - _NUMBERS) // 8}d", state[_NUMBERS:])
     text = f"static const double start_numbers[] = {{{', '.join(map(literal, numbers))}}};\n"
-    own, choices = (", ".join(map(str, each)) for each in (flags[:-CHOICES], flags[-CHOICES:]))
+    own, choices = (", ".join(map(str, each)) for each in (flags[:-_CHOICES], flags[-_CHOICES:]))
     text += f"static const Flags start_flags = {{{own}, {{{choices}}}}};\n"
     return text, 8 * len(numbers) + 4 * _FLAGS
 
 
-_HEAD, _FLAGS, _NUMBERS, CHOICES = 72, 14, 128, 3
+_HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
 """In a saved state (step/state.c): where flags begin and how many there are, and where numbers begin."""
 
 
-def _texts(fmi: int, without: list[str]) -> tuple[str, str]:
-    """Return the runtime as C without these features, and behind it the functions of FMI or of plain C."""
-    absent = {file for each in without if each in native.FEATURES for file in native.FEATURES[each].files} | {*_ABSENT}
-    last = f"fmi{fmi}.c" if fmi else "plain.c"
-    folders = [each for each in build.FOLDERS if each not in ("binding", *["fmi"] * (not fmi))]
-    paths = {path.name: path for path in [*build.sources(folders), *_OWN.glob("*.[ch]")]}
-    absent |= {"fmi2.c", "fmi3.c", "plain.c"} - {last} | {each for each in paths if _LOADER.fullmatch(each)}
-    texts = {key: native.without_comments(path.read_text(encoding="ascii")) for key, path in paths.items()}
-    texts = {key: native.featured(text, without) for key, text in texts.items() if key not in absent}
-    texts["scene.h"] += "static const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)\n"
-    found: set[str] = set()
+def _lean(scene: Structure, e: Traced, words: Container[str], steps: int) -> tuple[str, set[int], bool]:
+    """Leave out of a scene what the words of its C do not mention; return what it says of its work, the kinds of
+    operations, and whether functions have wide places."""
+    needed = {own for name, own in FUNCTIONS.items() if name in words}
+    needed.update(name for program in e.kernel.values() for name in called(program))
+    costs: dict[str, int] = {}
+    kinds, wide = set[int](), False
+    scene.registers = scene.constant_count
+    for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
+        if name in needed:
+            made = _operations(f)
+            scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
+            costs[name], kinds = made.total(), kinds | {*made}
+        else:
+            f.inputs = f.outputs = f.words = f.results = 0
+    scene.choice[scene.formulation].count = 1
+    scene.lane_registers = 0
+    return _work(e, costs, steps, bool(scene.break_count)), kinds, wide
 
-    def joined(names: list[str]) -> str:
-        text = "".join(native.with_headers(texts[each], texts, found) for each in names)
-        text = _EXTENSIONS.sub("0", re.sub(r"^#include <.*>\n", "", text, flags=re.MULTILINE))
-        text = text.replace('__attribute__((visibility("default")))', "")
-        return re.sub(r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])", r"SCENE_OF(\1)", text)
 
-    return joined([each for each in texts if each.endswith(".c") and each != last]), joined([last])
+def _operations(f: Structure) -> Counter[int]:
+    """Return how many operations of each kind a function makes."""
+    found, places, at = Counter[int](), f.narrow or f.wide, 0
+    while at < f.words:
+        found[places[at]] += places[at + 1]
+        at += 2 + places[at + 1] * OPERANDS[KINDS[places[at]]]
+    return found
 
 
-_EXTENSIONS = re.compile(r"\bdefined\((?:__GNUC__|__SSE2__|_M_X64|__GLIBC__)\)")
-"""Conditions for extensions of compilers, none of which holds in sources."""
+def _work(e: Traced, costs: Mapping[str, int], steps: int, breaks: bool) -> str:
+    """Say how many operations a communication step of the default experiment takes: as a rule, and at most."""
+    tiers, ends = ("quick", "careful", "branch"), ("instant_quick", "instant", "limit")
+    every = {each: _most(e.kernel[each].steps, costs) if each in e.kernel else 0 for each in (*tiers, *ends)}
+    usual = steps * every["quick"] + (every["instant_quick"] or every["instant"])
+    step, reading = sum(every[each] for each in tiers), sum(every[each] for each in ends)
+    most = f"{steps * step + reading} at most"
+    if e.frictions or e.switches or e.leaps or breaks:
+        most = f"at events more: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
+    return f"a step of {e.interval:g} s (internal steps: {steps}): {usual} operations as a rule, {most}"
+
+
+def _most(steps: Steps, costs: Mapping[str, int]) -> int:
+    """Return the most operations of steps: of a choice those of both ways."""
+    found = 0
+    for step in steps:
+        if isinstance(step, Call):
+            found += costs[step.function]
+        elif isinstance(step, Choice):
+            found += _most((*step.nonzero, *step.zero), costs)
+        elif isinstance(step, Loop):
+            found += (step.most if isinstance(step.most, int) else MOST_ITERATIONS) * _most(step.body, costs)
+        elif isinstance(step, Lanes):
+            found += _most(step.calls, costs)
+        else:
+            side = step.side * step.count
+            found += 60 * side**3 if isinstance(step, LeastNorm) else 2 * side**2
+            found += side**3 // 3 if isinstance(step, Factor) else 0
+    return found
+
+
+# The text -------------------------------------------------------------------------------------------------------------
+
+
+def _texts(fmi: int, without: list[str]) -> list[str]:
+    """Return the runtime as C without these features: its headers, its files, the functions of FMI or of plain C."""
+    own = {path.name: path.read_text(encoding="ascii") for path in (build.SOURCES / "source").glob("*.[ch]")}
+    own = {name: native.featured(native.without_comments(text), without) for name, text in own.items()}
+    own |= dict.fromkeys(["robust.c", *["message.c", "text.c", "text.h"] * (not fmi)], "")
+    if fmi:
+        del own["message.h"]
+    texts = [*native.sources(fmi, without, own).values()]
+    for pattern, instead in _INSTEAD.items():
+        texts = [re.sub(pattern, instead, text, flags=re.MULTILINE) for text in texts]
+    return texts
+
+
+_INSTEAD = {
+    r"^#include .*\n": "",
+    r"\bdefined\((?:__GNUC__|__SSE2__|_M_X64|__GLIBC__)\)": "0",
+    r'__attribute__\(\(visibility\("default"\)\)\)': "",
+    r"\bcalloc\(": "memory_take(",
+    r"\bmalloc\(": "memory_take(1, ",
+    r"\bfree\(": "memory_give(",
+    r"\bsnprintf\(": "write_text(",
+    r"\bscene_of_fmu\(resources, why, why_size\)": "((void)resources, (Scene *)(void *)&the_scene)",
+    r"\bscene_free\(c->scene\);": "",
+    r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
+    r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
+}
+"""What stands in place of headers, extensions of compilers, memory, files and scenes that are loaded."""
+
+
+def _named(text: str, name: str) -> str:
+    """Return plain C with the name of the model, which nothing of the runtime has."""
+    own = "|".join([name, *(each.replace("NAME", name) for each in set(re.findall(r"\bNAME_\w+", text)))])
+    words = re.compile(rf'"(?:\\.|[^"\\])*"|\b(?:{own})\b')
+    text = words.sub(lambda found: found[0] if found[0].startswith('"') else f"runtime_{found[0]}", text)
+    return text.replace("NAME", name)
 
 
 def _prefixed(text: str, fmi: int) -> str:
@@ -290,67 +314,6 @@ def _static(chunk: str, known: str, outside: re.Pattern[str]) -> str:
     if not known or chunk.startswith(("#", "static", "API")) or outside.fullmatch(known):
         return chunk
     return "static " + chunk.removeprefix("extern ")
-
-
-_CALL, _CHOICE, _LOOP, _FACTOR, _SOLVE, _LEAST_NORM, _LANES = range(len(CALLS))
-
-
-def _work(scene: Structure, e: Traced, steps: int) -> str:
-    """Say how many operations a communication step of the default experiment takes: as a rule, and at most."""
-    tiers, ends = ("quick", "careful", "branch_step"), ("instant_quick", "instant", "limit")
-    every = {each: _operations(scene, getattr(scene, each)) for each in (*tiers, *ends)}
-    usual = steps * every["quick"] + (every["instant_quick"] or every["instant"])
-    step, reading = sum(every[each] for each in tiers), sum(every[each] for each in ends)
-    most = f"{steps * step + reading} at most"
-    if e.frictions or e.switches or e.leaps or scene.break_count:
-        most = f"at events more: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
-    return f"a step of {e.interval:g} s (internal steps: {steps}): {usual} operations as a rule, {most}"
-
-
-def _operations(scene: Structure, program: int) -> int:
-    """Return the most operations of a program."""
-    if program < 0:
-        return 0
-    kept = scene.programs[program]
-
-    def of(times: int, function: int, own: int) -> int:
-        if function < 0:
-            return own
-        f = scene.functions[function]
-        return times * int(f.registers - scene.constant_count - sum(f.lengths[: f.inputs]))
-
-    return sum(of(*each) for each in _steps(scene, kept.code[: kept.words]))
-
-
-def _steps(scene: Structure, code: list[int]) -> Iterator[tuple[int, int, int]]:
-    """Yield how often a program calls each function at most, or -1 and operations of linear algebra; of a choice both
-    ways."""
-    at = 0
-    while at < len(code):
-        what, c = code[at], at + 1
-        if what == _CALL:
-            f = scene.functions[code[c]]
-            yield 1, code[c], 0
-            at = c + 1 + f.inputs + f.outputs
-        elif what in (_CHOICE, _LOOP):
-            times = 1 if what == _CHOICE else code[c + 1] if code[c + 1] >= 0 else MOST_ITERATIONS
-            at = c + 3 + code[c + 2] + (code[c + 1] if what == _CHOICE else 0)
-            for each in _steps(scene, code[c + 3 : at]):
-                yield each[0] * times, each[1], each[2] * times
-        elif what == _FACTOR:
-            side = code[c] * code[c + 1]
-            yield 1, -1, side**3 // 3 + side**2
-            at = c + 6 + code[c + 1] * code[c + 2]
-        elif what == _SOLVE:
-            yield 1, -1, 2 * (code[c] * code[c + 1]) ** 2
-            at = c + 5 + code[c + 1]
-        elif what == _LEAST_NORM:
-            yield 1, -1, 60 * code[c] ** 3
-            at = c + 4
-        else:
-            f = scene.functions[code[c + 1]]
-            yield code[c], code[c + 1], 0
-            at = c + 2 + code[c] * (f.inputs + f.outputs)
 
 
 def _identifiers(scene: Scene, name: str) -> list[str]:

@@ -1,7 +1,7 @@
 """The kernel: the method traced over a mechanism's equations into flat functions and programs.
 
 Other rooms import `alternatives`, `arrangement`, `controlled`, `exchange`, `form`, `joined`, `kinks`, `memory`,
-`scene`, `stream`, `symbolic`, `tables`, `thresholds`, `trace`.
+`stream`, `symbolic`, `tables`, `thresholds`, `trace`.
 """
 
 __all__ = ["DEFAULT", "KERNELS", "VERSION"]

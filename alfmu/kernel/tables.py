@@ -51,6 +51,7 @@ from .trace import CAREFUL
 __all__ = [
     "HEAD",
     "alone",
+    "fixed",
     "function_sizes",
     "identified",
     "interface",
@@ -59,7 +60,6 @@ __all__ = [
     "machine_code",
     "number_of",
     "packed",
-    "packed_fixed",
     "packed_start",
 ]
 
@@ -321,14 +321,15 @@ def function_sizes(equations: Traced) -> dict[str, int]:
     return found
 
 
-def packed(equations: Traced) -> bytes:
-    """Return the scene file of traced equations."""
+def packed(equations: Traced, own: Traced | None = None) -> bytes:
+    """Return the scene file of traced equations; `own` are those with its programs and functions."""
     with getting_ready():
-        return _file(equations, alone(equations))
+        return _file(equations, own or alone(equations))
 
 
-def packed_fixed(equations: Traced) -> bytes:
-    """Return the smallest scene file: calls of shared functions, and no programs whose loops stop on convergence.
+def fixed(equations: Traced) -> Traced:
+    """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
+    programs whose loops stop on convergence.
 
     What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
     continues there.
@@ -339,7 +340,7 @@ def packed_fixed(equations: Traced) -> bytes:
         if default_settings(equations).branch != "continue":
             without |= {"branch", "limit"}
         kernel = {name: program for name, program in own.kernel.items() if name not in without}
-        return _file(equations, _ordered(replace(own, kernel=kernel)))
+        return _ordered(replace(own, kernel=kernel))
 
 
 def packed_start(equations: Configuration) -> bytes:

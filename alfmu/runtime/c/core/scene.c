@@ -11,7 +11,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "check_sum.h"
 #include "layout.h"
 #include "scene_features.h"
 #include "scene_functions.h"
@@ -81,6 +80,27 @@ static void check_memory(Reader *r)
     for (size_t k = 0; k < sizeof handed / sizeof *handed; k++)
         if (handed[k].place < 0 || handed[k].place + (int64_t)handed[k].length > s->workspace)
             reader_spoil(r, "a value is outside its workspace");
+}
+
+/* A check sum goes on: CRC-32 as in zip archives, four bytes at a time. */
+uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
+{
+    uint32_t table[4][256];
+    for (uint32_t k = 0; k < 256; k++) {
+        table[0][k] = k;
+        for (int bit = 0; bit < 8; bit++)
+            table[0][k] = table[0][k] >> 1 ^ (table[0][k] & 1 ? 0xedb88320u : 0);
+    }
+    for (int j = 1; j < 4; j++)
+        for (int k = 0; k < 256; k++)
+            table[j][k] = table[j - 1][k] >> 8 ^ table[0][table[j - 1][k] & 255];
+    for (; count >= 4; count -= 4, at += 4) {
+        sum ^= (uint32_t)bytes_little(at, 4);
+        sum = table[3][sum & 255] ^ table[2][sum >> 8 & 255] ^ table[1][sum >> 16 & 255] ^ table[0][sum >> 24];
+    }
+    for (; count; count--, at++)
+        sum = table[0][(sum ^ *at) & 255] ^ sum >> 8;
+    return sum;
 }
 
 /* Check that this library, which may be of one scene alone, has the features that the scene needs. */
@@ -171,11 +191,11 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
             (unsigned)bytes_little(bytes + 8, 4), (unsigned)SCENE_VERSION);
     else if (bytes_little(bytes + 12, 4) != size)
         reader_spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)bytes_little(bytes + 12, 4));
-    else if (bytes_little(bytes + 16, 8) != (uint32_t)~check_sum(CHECK_BEGIN, bytes + 24, size - 24))
+    else if (bytes_little(bytes + 16, 8) != (uint32_t)~scene_check_sum(CHECK_BEGIN, bytes + 24, size - 24))
         reader_spoil(&r, "its check sum does not agree; it is damaged");
     else {
         memcpy(s->guid, bytes + 24, sizeof s->guid - 1);
-        s->body = ~check_sum(CHECK_BEGIN, bytes + HEAD, size - HEAD);
+        s->body = ~scene_check_sum(CHECK_BEGIN, bytes + HEAD, size - HEAD);
         r.at = bytes + HEAD;
         read_body(&r);
     }

@@ -5,13 +5,13 @@
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "begin.h"
 #include "driving_inputs.h"
 #include "instance.h"
 #include "lifetime.h"
-#include "memory.h"
 #include "outputs.h"
 #include "resources.h"
 #include "run.h"
@@ -43,7 +43,7 @@ Component *component_new(
                         : "there is not enough memory");
     if (!name || !*name || !guid)
         return NULL;
-    c = memory_take(1, sizeof *c);
+    c = calloc(1, sizeof *c);
     if (!c)
         return NULL;
     c->scene = scene_of_fmu(resources, why, why_size);
@@ -52,13 +52,13 @@ Component *component_new(
             snprintf(why, why_size,
                 "its description has another GUID, or instantiation token; scene and description must be of one FMU");
         scene_free(c->scene);
-        memory_give(c);
+        free(c);
         return NULL;
     }
     c->magic = HANDLE;
     c->logged = ALWAYS;
-    c->name = memory_take(strlen(name) + 1, 1);
-    c->host = memory_take(1, host);
+    c->name = malloc(strlen(name) + 1);
+    c->host = calloc(1, host);
     c->instance = instance_new(c->scene);
     if (!c->name || !c->host || !c->instance) {
         component_free(c);
@@ -79,11 +79,11 @@ void component_free(Component *c)
     c->magic = 0;
     instance_free(c->instance);
     scene_free(c->scene);
-    memory_give(c->before);
-    memory_give(c->after);
-    memory_give(c->host);
-    memory_give(c->name);
-    memory_give(c);
+    free(c->before);
+    free(c->after);
+    free(c->host);
+    free(c->name);
+    free(c);
 }
 
 int component_good(const Component *c)
@@ -334,7 +334,7 @@ Status component_step(Component *c, double point, double step, int *early, const
 static State *new_state(const Component *c)
 {
     const size_t size = state_size(c->instance);
-    State *state = memory_take(1, sizeof *state + size);
+    State *state = calloc(1, sizeof *state + size);
     if (state) {
         state->magic = SAVED;
         state->size = size;
@@ -387,7 +387,7 @@ Status component_forget(Component *c, void **state, const char *call)
 {
     if (!component_in(c, ANY, call) || !state || (*state && !state_known(c, *state, call)))
         return STATUS_ERROR;
-    memory_give(*state);
+    free(*state);
     *state = NULL;
     return STATUS_OK;
 }

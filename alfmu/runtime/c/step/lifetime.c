@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "breaks.h"
@@ -13,7 +14,6 @@
 #include "lanes.h"
 #include "layout.h"
 #include "linear.h"
-#include "memory.h"
 #include "peaks.h"
 #include "scene.h"
 #include "scene_sizes.h"
@@ -123,12 +123,12 @@ void instance_lay(Instance *i, const Scene *s, double *numbers, int starts)
 
 Instance *instance_new(const Scene *s)
 {
-    Instance *i = memory_take(1, sizeof *i);
-    double *numbers = i ? memory_take(instance_length(s, 1), sizeof *numbers) : NULL;
+    Instance *i = calloc(1, sizeof *i);
+    double *numbers = i ? calloc(instance_length(s, 1), sizeof *numbers) : NULL;
     if (numbers)
         instance_lay(i, s, numbers, 1);
     else
-        memory_give(i);
+        free(i);
     return numbers ? i : NULL;
 }
 
@@ -137,8 +137,8 @@ void instance_free(Instance *i)
     if (i) {
         gradient_free(i->gradient);
         gradient_free(i->of_step);
-        memory_give(i->numbers);
-        memory_give(i);
+        free(i->numbers);
+        free(i);
     }
 }
 

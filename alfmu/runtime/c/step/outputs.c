@@ -190,7 +190,7 @@ Outcome instance_read(Instance *i)
     return instance_say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller "
         "inputs%s%s%s",
-        s->name, *instance_time(i), name, message_number(value),
+        s->name, *instance_time(i), name, value,
         settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start",
         settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
 }

@@ -379,6 +379,6 @@ Outcome instance_output_derivatives(
     for (size_t each = 0; outcome == DONE && each < count; each++)
         if (!isfinite(values[each]))
             outcome = instance_say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start,
-                orders[each], s->variables[references[each]].name, message_number(values[each]));
+                orders[each], s->variables[references[each]].name, values[each]);
     return outcome;
 }

@@ -6,7 +6,6 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "check_sum.h"
 #include "exchange.h"
 #include "instance.h"
 #include "layout.h"
@@ -62,9 +61,9 @@ static unsigned state_sum(const unsigned char *state, size_t size)
 {
     const unsigned nothing = 0;
     const size_t at = offsetof(Head, sum);
-    unsigned sum = check_sum(CHECK_BEGIN, state, at);
-    sum = check_sum(sum, (const unsigned char *)&nothing, sizeof nothing);
-    return ~check_sum(sum, state + at + sizeof nothing, size - at - sizeof nothing);
+    unsigned sum = scene_check_sum(CHECK_BEGIN, state, at);
+    sum = scene_check_sum(sum, (const unsigned char *)&nothing, sizeof nothing);
+    return ~scene_check_sum(sum, state + at + sizeof nothing, size - at - sizeof nothing);
 }
 
 void state_save(const Instance *i, unsigned char *state)

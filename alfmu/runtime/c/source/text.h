@@ -1,3 +1,0 @@
-/* Texts are in message.h. */
-
-#include "message.h"
