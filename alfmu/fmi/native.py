@@ -26,14 +26,12 @@ __all__ = [
     "FEATURES",
     "PLATFORMS",
     "checked",
-    "featured",
     "file_name",
     "left_out",
     "libraries",
     "libraries_in",
     "platforms",
     "sources",
-    "without_comments",
 ]
 
 
@@ -108,11 +106,12 @@ def sources(
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
-    files = {path.name: without_comments(path.read_text(encoding="ascii")) for path in paths} | dict(instead)
+    files = {path.name: path.read_text(encoding="ascii") for path in paths} | dict(instead)
+    files = {name: _without_comments(text) for name, text in files.items()}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
     text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
-    found = {"alfmu.h": featured(text, without)}
+    found = {"alfmu.h": text}
     for folder in _FOLDERS:
         own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
         own = [name for name in own if name not in _APART]
@@ -122,6 +121,9 @@ def sources(
     for name in ("files.c", f"fmi{fmi}.c" if fmi else "plain.c"):
         text = _with_headers(files[name], files, set(headers))
         found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
+    for name in ("alfmu.h", "plain.c"):
+        if name in found:
+            found[name] = _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], found[name])
     return found
 
 
@@ -136,12 +138,6 @@ _APART = ("files.c", "fmi2.c", "fmi3.c")
 
 _FEATURE = re.compile(r"^#if HAS_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
 """Declarations of a header where its feature is there, and where it is left out."""
-
-
-def featured(text: str, without: Container[str]) -> str:
-    """A text whose declarations are those without these features."""
-    return _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], text)
-
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
@@ -168,7 +164,7 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/"
 _MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
 
 
-def without_comments(text: str) -> str:
+def _without_comments(text: str) -> str:
     """A text without comments and empty lines, indented by tabs, which makes an archive smaller."""
     text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
     return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)

@@ -170,30 +170,27 @@ class Recipe(Brief):
         # Options of the command line have the names of fields of a recipe.
         if self.kind not in list(KINDS):
             raise ExportError(f"{self}: there is no kind {self.kind!r} of FMU; use one of {', '.join(KINDS)}")
-        if self.kernel == "oracle":
-            raise ExportError(
-                f"{self}: no FMU carries the oracle, which is for comparison in the library; leave --kernel out"
-            )
-        if self.kind != "python" and self.kernel is not None:
-            raise ExportError(
-                f"{self}: a {self.kind} FMU has a kernel of its own; leave --kernel out, or use --kind python"
-            )
-        what = "that runs in Python" if self.kind == "python" else "of sources"
-        if self.kind != "native" and self.platforms:
-            raise ExportError(f"{self}: an FMU {what} is for no platform of its own; leave --platform out")
-        if self.kind != "native" and self.interface not in (None, "cs"):
-            raise ExportError(
-                f"{self}: an FMU {what} is for co-simulation alone; leave --interface out, or use --kind native"
-            )
-        if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind == "python"):
-            raise ExportError(
-                f"{self}: there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3"
-            )
-        if self.kind == "source" and self.derivatives:
-            raise ExportError(
-                f"{self}: sources have no derivatives, which take memory in a run; leave --derivatives out, or use "
-                "--kind native"
-            )
+        native, python = self.kind == "native", self.kind == "python"
+        what = "a native FMU" if native else "an FMU that runs in Python" if python else "an FMU of sources"
+        for refused, why in (
+            (self.kernel == "oracle", "no FMU carries the oracle, which is for comparison; leave --kernel out"),
+            (self.kernel and not python, f"{what} has a kernel of its own; leave --kernel out, or use --kind python"),
+            (self.platforms and not native, f"{what} is for no platform of its own; leave --platform out"),
+            (
+                self.interface in ("me", "both") and not native,
+                f"{what} is for co-simulation alone; leave --interface out, or use --kind native",
+            ),
+            (
+                self.fmi not in (2, 3) or (self.fmi == 3 and python),
+                f"there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3",
+            ),
+            (
+                self.derivatives and self.kind == "source",
+                "sources have no derivatives, which take memory; leave --derivatives out, or use --kind native",
+            ),
+        ):
+            if refused:
+                raise ExportError(f"{self}: {why}")
 
     def __str__(self) -> str:
         return self.name or getattr(self.mechanism, "name", str(self.mechanism))

@@ -16,7 +16,7 @@ from pathlib import Path
 from ..equations.interface import default_settings
 from ..kernel.arrangement import KINDS, OPERANDS
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
-from ..kernel.tables import FUNCTIONS, fixed, identified, packed
+from ..kernel.tables import FUNCTIONS, PROGRAMS, fixed, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
 from ..runtime import build
@@ -65,7 +65,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     without = native.left_out(equations, derivatives=False, exchange=False)
     without = [*without, "ERROR_CONTROL", *["START"] * (not starts)]
     header, *texts = _texts(fmi, without)
-    used = set(_WORD.findall(_reached("".join([header, *texts]))))
+    used = {*re.findall(r"(?:->|\.)(\w+)", _reached("".join([header, *texts])))}
     work, kinds, wide = _lean(scene, own, used, steps)
     widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
     word = 16 if widest < 2**15 else 32
@@ -148,11 +148,14 @@ _HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
 """In a saved state (step/state.c): where flags begin and how many there are, and where numbers begin."""
 
 
-def _lean(scene: Structure, e: Traced, words: Container[str], steps: int) -> tuple[str, set[int], bool]:
-    """Leave out of a scene what the words of its C do not mention; return what it says of its work, the kinds of
-    operations, and whether functions have wide places."""
-    needed = {own for name, own in FUNCTIONS.items() if name in words}
-    needed.update(name for program in e.kernel.values() for name in called(program))
+def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
+    """Leave functions and programs that the C does not use out of a scene; return what it says of its work, the kinds
+    of operations, and whether functions have wide places."""
+    run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
+    needed = {own for name, own in FUNCTIONS.items() if name in used}
+    needed.update(name for program in run.values() for name in called(program))
+    for name, program in zip(e.kernel, scene.programs[: scene.program_count], strict=True):
+        program.words *= name in run
     costs: dict[str, int] = {}
     kinds, wide = set[int](), False
     scene.registers = scene.constant_count
@@ -165,7 +168,8 @@ def _lean(scene: Structure, e: Traced, words: Container[str], steps: int) -> tup
             f.inputs = f.outputs = f.words = f.results = 0
     scene.choice[scene.formulation].count = 1
     scene.lane_registers = 0
-    return _work(e, costs, steps, bool(scene.break_count)), kinds, wide
+    most = {key: _most(program.steps, costs) for key, program in run.items()}
+    return _work(e, most, steps, bool(scene.break_count)), kinds, wide
 
 
 def _operations(f: Structure) -> Counter[int]:
@@ -177,12 +181,11 @@ def _operations(f: Structure) -> Counter[int]:
     return found
 
 
-def _work(e: Traced, costs: Mapping[str, int], steps: int, breaks: bool) -> str:
+def _work(e: Traced, every: Mapping[str, int], steps: int, breaks: bool) -> str:
     """Say how many operations a communication step of the default experiment takes: as a rule, and at most."""
     tiers, ends = ("quick", "careful", "branch"), ("instant_quick", "instant", "limit")
-    every = {each: _most(e.kernel[each].steps, costs) if each in e.kernel else 0 for each in (*tiers, *ends)}
-    usual = steps * every["quick"] + (every["instant_quick"] or every["instant"])
-    step, reading = sum(every[each] for each in tiers), sum(every[each] for each in ends)
+    usual = steps * every["quick"] + every.get("instant_quick", every["instant"])
+    step, reading = (sum(every.get(each, 0) for each in programs) for programs in (tiers, ends))
     most = f"{steps * step + reading} at most"
     if e.frictions or e.switches or e.leaps or breaks:
         most = f"at events more: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
@@ -214,10 +217,10 @@ def _most(steps: Steps, costs: Mapping[str, int]) -> int:
 def _texts(fmi: int, without: list[str]) -> list[str]:
     """Return the runtime as C without these features: its headers, its files, the functions of FMI or of plain C."""
     own = {path.name: path.read_text(encoding="ascii") for path in (build.SOURCES / "source").glob("*.[ch]")}
-    own = {name: native.featured(native.without_comments(text), without) for name, text in own.items()}
-    own |= dict.fromkeys(["robust.c", *["message.c", "text.c", "text.h"] * (not fmi)], "")
     if fmi:
         del own["message.h"]
+    else:
+        own |= dict.fromkeys(("message.c", "text.c", "text.h"), "")
     texts = [*native.sources(fmi, without, own).values()]
     for pattern, instead in _INSTEAD.items():
         texts = [re.sub(pattern, instead, text, flags=re.MULTILINE) for text in texts]
@@ -251,11 +254,9 @@ def _named(text: str, name: str) -> str:
 def _prefixed(text: str, fmi: int) -> str:
     """Return C with the prefix that FMI gives functions of models that are linked together."""
     macro = f"FMI{fmi}_FUNCTION_PREFIX"
-    names = set(re.findall(rf"\b(fmi{fmi}[A-Z]\w+)\(", text)) | set(
-        re.findall(r"^UNKNOWN\((\w+)\)", text, re.MULTILINE)
-    )
-    kinds = re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE)
-    names |= {f"fmi{fmi}{form}{kind}" for kind in kinds for form in ("Get", "Set")}
+    names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
+    for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):
+        names |= {f"fmi{fmi}Get{kind}", f"fmi{fmi}Set{kind}"}
     lines = [f"#if defined({macro})", "#define JOINED(a, b) JOINED_(a, b)", "#define JOINED_(a, b) a##b"]
     lines += [f"#define {each} JOINED({macro}, {each})" for each in sorted(names)]
     return "\n".join([*lines, "#endif\n"]) + text
@@ -353,22 +354,15 @@ enum {{
    step cannot be made; the state is that before it. */
 enum {{ {name.upper()}_DONE, {name.upper()}_REFUSED }};
 
-/* The instance at its default values; before the other functions. */
+/* The instance at its default values, before all else. Values in SI units: of a parameter or start value before the
+   start, of an input at any time. The start at a time [s], which closes constraints; outputs are known from then on.
+   A step of a length [s] with the present inputs, in internal steps of solver.step_size. A value now, NAN where it is
+   not known. The time of the state [s]. */
 void {name}_init({name} *m);
-
-/* A value in SI units: of a parameter or start value before the start, of an input at any time. */
 int {name}_set({name} *m, int variable, double value);
-
-/* The start of the run at a time [s]: constraints are closed, outputs are known from here on. */
 int {name}_start({name} *m, double time);
-
-/* A step of a length [s] with the present inputs, in internal steps of solver.step_size. */
 int {name}_step({name} *m, double length);
-
-/* A value now; NAN where it is not known. */
 double {name}_get({name} *m, int variable);
-
-/* The time of the state [s]. */
 double {name}_time({name} *m);
 
 #endif

@@ -1,20 +1,14 @@
 /* Steps by fixed numbers of iterations alone: where those of the kernel's tiers do not suffice, the step fails. */
 
-#ifndef ALFMU_ROBUST_H
-#define ALFMU_ROBUST_H
+#include "robust.h"
 
-#include "fixed.h"
-#include "instance.h"
-#include "message.h"
-#include "rank.h"
-
-static Outcome step_robust(Instance *i, double start, double dt)
+Outcome step_robust(Instance *i, double start, double dt)
 {
     return instance_say(i, FAILED, "%s, t = %.6g s: a step of %g s takes more iterations than this FMU has; reduce "
         "solver.step_size, or export it as --kind native", i->scene->name, start, dt);
 }
 
-static Outcome step_rk4(Instance *i, double start, double dt)
+Outcome step_rk4(Instance *i, double start, double dt)
 {
     i->left--;
     if (i->flags.brakes)
@@ -22,10 +16,8 @@ static Outcome step_rk4(Instance *i, double start, double dt)
     return i->flags.fast && step_fixed(i, 1, dt) == 1 ? DONE : step_robust(i, start, dt);
 }
 
-static Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
+Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
 {
     (void)once;
     return step_robust(i, end, dt);
 }
-
-#endif
