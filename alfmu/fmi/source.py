@@ -279,8 +279,9 @@ def _chunks(text: str) -> Iterator[str]:
 
 
 _FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
-_DATA = re.compile(r"(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
+_DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
 _MACRO = re.compile(r"#define (\w+)")
+_OUTSIDE = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
 _WORD = re.compile(r"\b[A-Za-z_]\w*\b")
 
 
@@ -291,16 +292,11 @@ def _reached(text: str) -> str:
     named: list[str] = []
     kept: set[int] = set()
     for k, chunk in enumerate(chunks):
-        if chunk.startswith("#"):
-            found = _MACRO.match(chunk)
-        else:
-            found = _FUNCTION.match(chunk) or (None if "typedef" in chunk[:8] else _DATA.match(chunk))
-        known = found[1] if found else ""
-        named.append(known)
-        if known:
-            owners[known].append(k)
-    outside = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
-    waiting = [k for k, each in enumerate(named) if not each or outside.fullmatch(each)]
+        found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
+        named.append(found[1] if found else "")
+        if found:
+            owners[found[1]].append(k)
+    waiting = [k for k, each in enumerate(named) if not each or _OUTSIDE.fullmatch(each)]
     while waiting:
         k = waiting.pop()
         if k in kept:
@@ -308,13 +304,10 @@ def _reached(text: str) -> str:
         kept.add(k)
         for word in _WORD.findall(chunks[k]):
             waiting += [each for each in owners.get(word, ()) if each not in kept]
-    return "".join(_static(chunks[k], named[k], outside) for k in sorted(kept))
-
-
-def _static(chunk: str, known: str, outside: re.Pattern[str]) -> str:
-    if not known or chunk.startswith(("#", "static", "API")) or outside.fullmatch(known):
-        return chunk
-    return "static " + chunk.removeprefix("extern ")
+    for k in kept:
+        if named[k] and not chunks[k].startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(named[k]):
+            chunks[k] = "static " + chunks[k].removeprefix("extern ")
+    return "".join(chunks[k] for k in sorted(kept))
 
 
 def _identifiers(scene: Scene, name: str) -> list[str]:

@@ -1,4 +1,5 @@
-/* Memory of instances from a static arena: blocks one behind another, each behind its size and whether it is taken. */
+/* Memory of instances from a static arena: blocks one behind another, each behind its length, below zero while it is
+   taken. */
 
 #ifndef ALFMU_MEMORY_H
 #define ALFMU_MEMORY_H
@@ -8,41 +9,30 @@
 
 typedef union {
     double number;
-    struct {
-        size_t length; /* of a block with this cell; 0 in the last one, which nothing has been taken from */
-        size_t taken;
-    } block;
+    ptrdiff_t length;
 } Cell;
 
-static Cell cells[(ARENA * sizeof(double) + sizeof(Cell) - 1) / sizeof(Cell)];
-
-#define CELLS (sizeof cells / sizeof *cells)
-
-static size_t block_length(size_t at)
-{
-    return cells[at].block.length ? cells[at].block.length : CELLS - at;
-}
+static Cell cells[ARENA * sizeof(double) / sizeof(Cell) + 1];
 
 /* Memory that is zero, to be given back; NULL where there is none. */
 static void *memory_take(size_t count, size_t size)
 {
-    const size_t wanted = 1 + (count * size + sizeof(Cell) - 1) / sizeof(Cell);
-    for (size_t at = 0, length; at < CELLS; at += length) {
-        length = block_length(at);
-        if (cells[at].block.taken)
+    const ptrdiff_t all = (ptrdiff_t)(sizeof cells / sizeof *cells);
+    const ptrdiff_t wanted = 1 + (ptrdiff_t)((count * size + sizeof(Cell) - 1) / sizeof(Cell));
+    if (!cells[0].length)
+        cells[0].length = all;
+    for (ptrdiff_t at = 0, next; at < all; at = next) {
+        next = at + (cells[at].length < 0 ? -cells[at].length : cells[at].length);
+        if (cells[at].length < 0)
             continue;
-        while (at + length < CELLS && !cells[at + length].block.taken) /* Free blocks join. */
-            length += block_length(at + length);
-        cells[at].block.length = length;
-        if (length < wanted)
+        for (; next < all && cells[next].length > 0; next += cells[next].length)
+            cells[at].length += cells[next].length; /* Free blocks join. */
+        if (cells[at].length < wanted)
             continue;
-        if (length > wanted) {
-            cells[at + wanted].block.length = length - wanted;
-            cells[at + wanted].block.taken = 0;
-        }
-        cells[at].block.length = wanted;
-        cells[at].block.taken = 1;
-        return memset(cells + at + 1, 0, (wanted - 1) * sizeof(Cell));
+        if (cells[at].length > wanted)
+            cells[at + wanted].length = cells[at].length - wanted;
+        cells[at].length = -wanted;
+        return memset(cells + at + 1, 0, (size_t)(wanted - 1) * sizeof(Cell));
     }
     return NULL;
 }
@@ -50,7 +40,7 @@ static void *memory_take(size_t count, size_t size)
 static void memory_give(void *given)
 {
     if (given)
-        ((Cell *)given - 1)->block.taken = 0;
+        ((Cell *)given)[-1].length *= -1;
 }
 
 #endif
