@@ -346,7 +346,7 @@ def test_info_shows_what_fmus_carry(capsys, tmp_path):
         scene = archive.getinfo("resources/scene.bin").file_size
     packed, whole = (sum(getattr(i, name) for i in libraries) / 1000 for name in ("compress_size", "file_size"))
     assert f"compiled libraries {packed:.1f} {whole:.1f}" in " ".join(kinds[0].split())
-    parts = [float(line.split()[-1]) for line in kinds[1].split("\n\n")[1].splitlines()[1:]]
+    parts = [float(line.split()[-1]) for line in kinds[-1].split("\n\n")[1].splitlines()[1:]]
     assert sum(parts) == pytest.approx(scene / 1000, abs=0.5)
     assert "steps and outputs that iterate until they converge" in said
 

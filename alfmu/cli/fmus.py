@@ -42,10 +42,13 @@ def add(command: Command) -> None:
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
-        choices=("native", "python"),
-        help="native, the default, is C and nothing else, for every host; python runs in hosts that have Python alone",
+        choices=("native", "python", "source"),
+        help="native, the default, is C and nothing else, for every host; python runs in hosts that have Python alone; "
+        "source is one file of C for rigs and microcontrollers: an FMU, or with -o NAME.c plain C",
     )
-    sub.add_argument("--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for native FMUs alone")
+    sub.add_argument(
+        "--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for kinds native and source"
+    )
     sub.add_argument(
         "--platform",
         metavar="all|NAMES",
@@ -125,6 +128,7 @@ def _export(chosen: argparse.Namespace) -> None:
     from ..api import export
     from ..fmi.native import PLATFORMS, libraries_in
     from ..fmi.recipe import load
+    from ..fmi.source import facts
 
     recipe = changed_by(chosen, load(chosen.mechanism)).changed(
         kind=chosen.kind,
@@ -137,9 +141,15 @@ def _export(chosen: argparse.Namespace) -> None:
         derivatives=chosen.derivatives,
         reference=chosen.reference,
     )
+    if recipe.kind == "source" and chosen.reference and str(chosen.output).endswith(".c"):
+        raise InputError(f"{chosen.mechanism}: plain C has no reference results; leave --reference out")
     older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # empty if -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
+    if recipe.kind == "source":
+        print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind source: C99 for any compiler")
+        print("\n".join(f"  {each}" for each in facts(path)))
+        return
     glibc = libraries_in(path, recipe.kind)
     native = recipe.kind == "native"
     where = "every host" if native else "hosts with Python"

@@ -102,12 +102,14 @@ def model_description(
     interfaces: Sequence[str] = ("cs",),
     states: Sequence[tuple[Variable, Variable]] = (),
     indicators: Sequence[Variable] = (),
+    once: bool = False,
 ) -> bytes:
     """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     A native FMU may have directional derivatives, and of the interfaces "me" (Model Exchange) and "cs";
-    `states` are those that an importer may integrate, with their rates, beside its event indicators.
+    `states` are those that an importer may integrate, with their rates, beside its event indicators. An FMU of sources
+    has memory for one instance (`once`).
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -131,6 +133,7 @@ def model_description(
     for each in interfaces:
         element, table = ("ModelExchange", _EXCHANGE) if each == "me" else ("CoSimulation", _CAPABILITIES)
         capabilities = {name: value.format(**known) for name, value in table[fmi].items()}
+        capabilities |= {"canBeInstantiatedOnlyOncePerProcess": "true"} if once else {}
         interface_of = ET.SubElement(root, element, {"modelIdentifier": e.name, **capabilities})
         if fmi == 2 and sources:
             _files(ET.SubElement(interface_of, "SourceFiles"), "File", sources)

@@ -28,6 +28,7 @@ from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
 from ..model.mechanism import Mechanism
+from ..model.settings import Settings
 from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
@@ -46,6 +47,7 @@ from .description import (
 from .recipe import Recipe
 from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
+from .source import source
 from .terminals import document, terminals
 
 __all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
@@ -84,11 +86,19 @@ class Rest(Protocol):
 def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = None) -> Path:
     """Write the FMU of a recipe and return its path; `rest` is an equilibrium in which it starts;
     see `alfmu.export`."""
+    if recipe.kind == "source":
+        recipe = _fixed(recipe)
     declared = recipe.declared()
     every, equations = _scene(recipe, declared, rest)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
+    if recipe.kind == "source" and equations.jacobian:
+        raise ExportError(f"{equations.name}: sources have no interface Jacobian; leave it out, or use --kind native")
+    if recipe.kind == "source" and path.suffix == ".c":
+        if recipe.fmi != 2:
+            raise ExportError(f"{equations.name}: plain C is of no version of FMI; leave --fmi out, or write an .fmu")
+        return _plain(equations, path)
     if path.suffix != ".fmu":
         raise ExportError(f"{equations.name}: {path} does not end in .fmu")
 
@@ -97,7 +107,7 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = record_files(equations) if recipe.reference else {}
-    files_of = _native if recipe.kind == "native" else _python
+    files_of = _python if recipe.kind == "python" else _native
     archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})
     return path
 
@@ -197,21 +207,27 @@ def packed_scene(
 
 
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
-    """Return the files of a native FMU."""
-    e, fmi = equations, recipe.fmi
-    chosen, interfaces = native.platforms(e.name, recipe.platforms), _interfaces(recipe, e)
-    states = [] if obstacle(alone(e)) else exchanged(e)
-    left_out = native.left_out(e, recipe.derivatives, "me" in interfaces)
-    files, scene = native.sources(recipe.fmi, left_out), packed(e)
-    generator = f"alfmu {version}"
-    guid = _guid(generator, hashlib.sha256(scene).hexdigest())
-    compiled = [name for name in files if name.endswith(".c")]
-    needs = "This FMU needs nothing but the C library."
+    """Return the files of a native FMU, or of one of sources."""
+    e, fmi, bare = equations, recipe.fmi, recipe.kind == "source"
+    chosen = [] if bare else native.platforms(e.name, recipe.platforms)
+    interfaces, derivatives = _interfaces(recipe, e), recipe.derivatives is not False
+    states = [] if bare or obstacle(alone(e)) else exchanged(e)
+    scene, generator = packed(e), f"alfmu {version}"
+    guid = _guid(generator, hashlib.sha256(scene + b"source" * bare).hexdigest())
     variables, choices = interface(e).causalities, known_choices(e)
+    if bare:
+        files, scene_files = source(e, fmi, guid), {}
+        needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
+        choices["solver.formulation"] = {RESIDUAL: choices["solver.formulation"][RESIDUAL]}
+    else:
+        files = native.sources(fmi, native.left_out(e, derivatives, "me" in interfaces))
+        scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
+        needs = "This FMU needs nothing but the C library."
+    compiled = [name for name in files if name.endswith(".c")]
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, fmi, recipe.derivatives, interfaces, states, indicators(e) if states else []
+    facts = _credits(declared), choices, fmi, derivatives, interfaces, states, indicators(e) if states else [], bare
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
     form = {}
     if fmi == 3:
@@ -230,11 +246,35 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         _PICTURE[fmi]: picture,
         "documentation/index.html": page.encode(),
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
-        f"resources/{SCENE}": identified(scene, guid),
-        f"resources/{OPTIONS}": _options(recipe, e),
+        **scene_files,
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
+
+
+RESIDUAL = Settings.formulation
+"""The only formulation of sources."""
+
+
+def _fixed(recipe: Recipe) -> Recipe:
+    """Return the recipe of sources, whose steps are those of RK4; ExportError where it asks for others."""
+    for name, only in (("solver.method", "rk4"), ("solver.formulation", RESIDUAL)):
+        if (asked := recipe.parameters.get(name, only)) != only:
+            raise ExportError(
+                f"{recipe}: sources have {name} {only} alone, whose work in a step has a bound, not {asked}; leave "
+                f"{name} out, or use --kind native"
+            )
+    return recipe.changed(parameters={"solver.method": "rk4"}, interface="cs", derivatives=False)
+
+
+def _plain(equations: Traced, path: Path) -> Path:
+    """Write plain C in place of an FMU."""
+    if path.stem != equations.name:
+        raise ExportError(f"{equations.name}: C has the name of the model; write {equations.name}.c, not {path.name}")
+    for name, text in source(equations).items():
+        with atomic(path.with_name(name)) as file:
+            file.write(text.encode("ascii"))
+    return path
 
 
 def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:

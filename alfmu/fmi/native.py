@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE
@@ -95,27 +96,34 @@ def checked(equations: Equations) -> None:
     raise ExportError(f"{e.name}: an FMU has no {what}")
 
 
-def sources(fmi: int, without: Container[str] = ()) -> dict[str, str]:
+def sources(
+    fmi: int, without: Container[str] = (), instead: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str]:
     """The C files by name: one header, and one file per folder of the runtime, without these features.
 
-    They have no comments, and neither `binding` nor the functions of the other version of FMI.
+    They have no comments, and neither `binding` nor the functions of the other version of FMI. Texts `instead` stand in
+    place of those of files; the last one is `plain.c` among them where there is no version of FMI (0).
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
-    files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in paths}
+    files = {path.name: path.read_text(encoding="ascii") for path in paths} | dict(instead)
+    files = {name: _without_comments(text) for name, text in files.items()}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
     text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
-    found = {"alfmu.h": _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], text)}
+    found = {"alfmu.h": text}
     for folder in _FOLDERS:
         own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
         own = [name for name in own if name not in _APART]
         system = {line for name in own for line in _SYSTEM.findall(files[name])}
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
         found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
-    for name in ("files.c", f"fmi{fmi}.c"):
+    for name in ("files.c", f"fmi{fmi}.c" if fmi else "plain.c"):
         text = _with_headers(files[name], files, set(headers))
         found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
+    for name in ("alfmu.h", "plain.c"):
+        if name in found:
+            found[name] = _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], found[name])
     return found
 
 

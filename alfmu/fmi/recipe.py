@@ -28,6 +28,7 @@ GROUP = "alfmu.fmus"
 KINDS = {
     "native": "a C library and nothing else: for every host, on the platforms that it carries",
     "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
+    "source": "C sources alone, without files, stdio and malloc: for rigs and microcontrollers, which compile it",
 }
 """Kinds of FMUs, the default first."""
 
@@ -82,7 +83,8 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     **dict.fromkeys(("lock", "release", "measure", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
-    **dict.fromkeys(("compliances", "derivatives", "reference"), _one_of(True, False)),
+    **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
+    "derivatives": _one_of(True, False, None),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
     "start": _one_of("declared", "equilibrium"),
@@ -96,11 +98,11 @@ class Recipe(Brief):
     """The recipe of an exported FMU: a mechanism, the parts of it in the FMU, and its form. Checked when created.
 
     `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
-    `Mechanism`. `kind` is "native", a C library for every host, or "python", an FMU that runs in Python; `options` are
-    the mechanism's, `parameters`, `outputs` and `freeze` are those of `alfmu.simulate`, `lock` and `release` name
-    joints that get Boolean inputs, `stop_time` and `communication_step` [s] are of the default experiment. Raises
-    InputError if a field has the wrong form, ExportError if fields contradict each other; names of variables, joints
-    and options are checked at export.
+    `Mechanism`. `kind` is "native", a C library for every host, "python", an FMU that runs in Python, or "source", C to
+    be compiled for a rig or a microcontroller; `options` are the mechanism's, `parameters`, `outputs` and `freeze` are
+    those of `alfmu.simulate`, `lock` and `release` name joints that get Boolean inputs, `stop_time` and
+    `communication_step` [s] are of the default experiment. Raises InputError if a field has the wrong form, ExportError
+    if fields contradict each other; names of variables, joints and options are checked at export.
     """
 
     mechanism: str | Path | Mechanism
@@ -141,12 +143,13 @@ class Recipe(Brief):
     """Platforms of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those in
     this installation."""
     fmi: int = 2
-    """Version of FMI; 3 for native FMUs."""
+    """Version of FMI; 3 for FMUs of kinds native and source."""
     interface: str | None = None
     """Interfaces of a native FMU, of INTERFACES; None for both, or co-simulation alone where an importer cannot
     integrate the mechanism."""
-    derivatives: bool = True
-    """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them."""
+    derivatives: bool | None = None
+    """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them. None
+    for those that a kind has."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None
@@ -167,20 +170,27 @@ class Recipe(Brief):
         # Options of the command line have the names of fields of a recipe.
         if self.kind not in list(KINDS):
             raise ExportError(f"{self}: there is no kind {self.kind!r} of FMU; use one of {', '.join(KINDS)}")
-        if self.kernel == "oracle":
-            raise ExportError(
-                f"{self}: no FMU carries the oracle, which is for comparison in the library; leave --kernel out"
-            )
-        if self.kind == "native" and self.kernel is not None:
-            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out, or use --kind python")
-        if self.kind == "python" and self.platforms:
-            raise ExportError(f"{self}: an FMU that runs in Python is for no platform of its own; leave --platform out")
-        if self.kind == "python" and self.interface not in (None, "cs"):
-            raise ExportError(f"{self}: an FMU that runs in Python is for co-simulation alone; leave --interface out")
-        if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind != "native"):
-            raise ExportError(
-                f"{self}: there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3"
-            )
+        native, python = self.kind == "native", self.kind == "python"
+        what = "a native FMU" if native else "an FMU that runs in Python" if python else "an FMU of sources"
+        for refused, why in (
+            (self.kernel == "oracle", "no FMU carries the oracle, which is for comparison; leave --kernel out"),
+            (self.kernel and not python, f"{what} has a kernel of its own; leave --kernel out, or use --kind python"),
+            (self.platforms and not native, f"{what} is for no platform of its own; leave --platform out"),
+            (
+                self.interface in ("me", "both") and not native,
+                f"{what} is for co-simulation alone; leave --interface out, or use --kind native",
+            ),
+            (
+                self.fmi not in (2, 3) or (self.fmi == 3 and python),
+                f"there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3",
+            ),
+            (
+                self.derivatives and self.kind == "source",
+                "sources have no derivatives, which take memory; leave --derivatives out, or use --kind native",
+            ),
+        ):
+            if refused:
+                raise ExportError(f"{self}: {why}")
 
     def __str__(self) -> str:
         return self.name or getattr(self.mechanism, "name", str(self.mechanism))

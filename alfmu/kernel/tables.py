@@ -51,6 +51,7 @@ from .trace import CAREFUL
 __all__ = [
     "HEAD",
     "alone",
+    "fixed",
     "function_sizes",
     "identified",
     "interface",
@@ -320,10 +321,26 @@ def function_sizes(equations: Traced) -> dict[str, int]:
     return found
 
 
-def packed(equations: Traced) -> bytes:
-    """Return the scene file of traced equations."""
+def packed(equations: Traced, own: Traced | None = None) -> bytes:
+    """Return the scene file of traced equations; `own` are those with its programs and functions."""
     with getting_ready():
-        return _file(equations, alone(equations))
+        return _file(equations, own or alone(equations))
+
+
+def fixed(equations: Traced) -> Traced:
+    """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
+    programs whose loops stop on convergence.
+
+    What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
+    continues there.
+    """
+    with getting_ready():
+        own = standalone(whole(equations))
+        without = {"move", "close", "instant_patient", "limit_patient", *["impact"] * (not own.switches)}
+        if default_settings(equations).branch != "continue":
+            without |= {"branch", "limit"}
+        kernel = {name: program for name, program in own.kernel.items() if name not in without}
+        return _ordered(replace(own, kernel=kernel))
 
 
 def packed_start(equations: Configuration) -> bytes:

@@ -24,6 +24,7 @@ __all__ = [
     "FOLDERS",
     "HERE",
     "PLATFORMS",
+    "SOURCES",
     "WEB",
     "Platform",
     "build",
@@ -107,17 +108,18 @@ _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=mall
 """Flags for a library called from a page, which also allocates memory in it."""
 
 _FOLDER = Path(__file__).parent
-_SOURCES = _FOLDER / "c"
+SOURCES = _FOLDER / "c"
+"""Folder of the C files."""
 
 
 def sources(folders: Iterable[str] = FOLDERS) -> list[Path]:
     """Return the C files and headers of the runtime in these folders; their names are unique."""
-    return [path for folder in folders for path in sorted((_SOURCES / folder).glob("*.[ch]"))]
+    return [path for folder in folders for path in sorted((SOURCES / folder).glob("*.[ch]"))]
 
 
 def including() -> list[str]:
     """Return the compiler's include arguments."""
-    return [f"-I{_SOURCES / folder}" for folder in FOLDERS]
+    return [f"-I{SOURCES / folder}" for folder in FOLDERS]
 
 
 def file_name(name: str) -> str:

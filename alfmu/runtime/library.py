@@ -55,6 +55,7 @@ _SIGNATURES = {
     "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p),
     "scene_free": (None, c_void_p),
     "new": (c_void_p, c_void_p),
+    "length": (c_size_t, c_void_p, c_int),
     "free": (None, c_void_p),
     "reset": (None, c_void_p),
     "text": (c_char_p, c_void_p),

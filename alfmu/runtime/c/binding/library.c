@@ -56,6 +56,11 @@ API Instance *alfmu_new(const Scene *s)
     return instance_new(s);
 }
 
+API size_t alfmu_length(const Scene *s, int starts)
+{
+    return instance_length(s, starts);
+}
+
 API void alfmu_free(Instance *i)
 {
     instance_free(i);

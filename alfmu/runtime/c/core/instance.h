@@ -17,6 +17,9 @@
 
 #include "internal_begin.h"
 
+#ifndef MESSAGE
+#define MESSAGE 1024 /* of a message, at most */
+#endif
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 /* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
    million in 4 s, the flexible four-bar by a stiff method in 17 s. */
@@ -118,9 +121,9 @@ typedef struct Instance {
     long looks;                       /* how often it might have been asked */
     int ended;                        /* whether it ended the run */
     size_t used, room; /* of scratch */
-    char text[1024];   /* last message */
+    char text[MESSAGE]; /* last message */
     int warns;         /* whether there is a warning that nobody has read yet */
-    char warning[1024];
+    char warning[MESSAGE];
     struct Tape *tape; /* tape that records the calls, or NULL (record.h) */
     /* derivatives of outputs at an instant, once a host has asked for them (instant_derivatives.c) */
     struct Gradient *gradient;

@@ -18,6 +18,10 @@
 #include "record.h"
 #include "scene.h"
 
+#ifndef HAS_WIDE
+#define HAS_WIDE 1 /* functions whose places have 32 bits */
+#endif
+
 /* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places
    of 16 and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an
    operation in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n
@@ -232,7 +236,7 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
 /* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
-    if (f->narrow)
+    if (!HAS_WIDE || f->narrow)
         narrow_runs(f->narrow, f->narrow + f->words, r, values);
     else
         wide_runs(f->wide, f->wide + f->words, r, values);
@@ -263,7 +267,7 @@ void function_call(Instance *i, int which, const double *const *x, double *const
 }
 
 /* Call a function with arguments and results in the memory. */
-static void call_at(Instance *i, const Function *f, const int32_t *at)
+static void call_at(Instance *i, const Function *f, const Word *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
@@ -361,7 +365,7 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, cons
     }
 }
 
-static void call_lanes(Instance *i, const Function *f, int count, const int32_t *at)
+static void call_lanes(Instance *i, const Function *f, int count, const Word *at)
 {
     const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
     Lanes *r = (Lanes *)i->lanes, *d = r + constants;
@@ -385,13 +389,13 @@ static void call_lanes(Instance *i, const Function *f, int count, const int32_t 
 
 #endif
 
-static void one_by_one(Instance *i, const Function *f, int count, const int32_t *at)
+static void one_by_one(Instance *i, const Function *f, int count, const Word *at)
 {
     for (; count; count--, at += f->inputs + f->outputs)
         call_at(i, f, at);
 }
 
-static void run_code(Instance *i, const int32_t *at, const int32_t *end)
+static void run_code(Instance *i, const Word *at, const Word *end)
 {
     double *m = i->m;
     while (at < end)
@@ -403,7 +407,7 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             break;
         }
         case CHOICE_CODE: { /* a number, how long the way is where it is not zero, and the way where it is */
-            const int32_t *ways = at + 3;
+            const Word *ways = at + 3;
             if (m[at[0]] != 0.0)
                 run_code(i, ways, ways + at[1]);
             else
@@ -412,7 +416,7 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             break;
         }
         case LOOP_CODE: { /* a number, how often at most (or, below zero, where that stands), how long the body is */
-            const int32_t *body = at + 3;
+            const Word *body = at + 3;
             const double most = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
             int times = 0;
             for (; times + 1 <= most && m[at[0]] != 0.0; times++)

@@ -11,9 +11,9 @@
    entries of each near its diagonal, each row from its first entry on. */
 typedef struct {
     int size;
-    const int *place;       /* of each unknown in the order */
-    const int *first;       /* entry of each row, by place */
-    const ptrdiff_t *start; /* where entry (row, 0) of each row would stand */
+    const int *place;       /* [size] of each unknown in the order */
+    const int *first;       /* [size] entry of each row, by place */
+    const ptrdiff_t *start; /* [size] where entry (row, 0) of each row would stand */
     size_t entries;
 } Envelope;
 

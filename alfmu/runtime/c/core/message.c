@@ -1,6 +1,5 @@
 #include "message.h"
 
-#include <math.h>
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -36,12 +35,6 @@ void instance_warn(Instance *i, int of, const char *format, ...)
     va_start(arguments, format);
     write_list(i->warning + used, sizeof i->warning - used, format, arguments);
     va_end(arguments);
-}
-
-/* Return a value for a message: some C libraries print the sign of NaN, which is dropped. */
-double message_number(double value)
-{
-    return isnan(value) ? fabs(value) : value;
 }
 
 const char *instance_row_label(const Instance *i, int row, char *label, size_t size)

@@ -13,7 +13,6 @@
 Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...) PRINTF_LIKE(3, 4);
 
 void instance_warn(Instance *i, int of, const char *format, ...);
-double message_number(double value);
 const char *instance_row_label(const Instance *i, int row, char *label, size_t size);
 
 #include "internal_end.h"

@@ -121,7 +121,7 @@ int32_t tape_place_of(const Instance *i, const double *number)
     return (int32_t)place;
 }
 
-void tape_call_at(Instance *i, const Function *f, const int32_t *at)
+void tape_call_at(Instance *i, const Function *f, const Word *at)
 {
     const Scene *s = i->scene;
     const ptrdiff_t base = i->m - i->numbers;

@@ -80,7 +80,7 @@ void tape_begin_reading(Instance *i);
 int tape_pause(Instance *i, int paused);
 
 int32_t tape_place_of(const Instance *i, const double *number);
-void tape_call_at(Instance *i, const Function *f, const int32_t *at);
+void tape_call_at(Instance *i, const Function *f, const Word *at);
 void tape_call(Instance *i, int which, const double *const *x, double *const *y);
 void tape_copy(Instance *i, const double *to, const double *from, size_t count);
 void tape_clearing(Instance *i, const double *to, size_t count);
@@ -113,7 +113,7 @@ static inline void tape_cut(Instance *i, Mark mark) { (void)i, (void)mark; }
 static inline void tape_begin_reading(Instance *i) { (void)i; }
 static inline int tape_pause(Instance *i, int paused) { return (void)i, paused; }
 static inline int32_t tape_place_of(const Instance *i, const double *number) { return (void)i, (void)number, -1; }
-static inline void tape_call_at(Instance *i, const Function *f, const int32_t *at) { (void)i, (void)f, (void)at; }
+static inline void tape_call_at(Instance *i, const Function *f, const Word *at) { (void)i, (void)f, (void)at; }
 static inline void tape_call(Instance *i, int which, const double *const *x, double *const *y)
 {
     (void)i, (void)which, (void)x, (void)y;

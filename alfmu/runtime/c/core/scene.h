@@ -1,5 +1,5 @@
 /* A scene: the equations of a mechanism as functions and programs, its variables and its sizes, as a scene file holds
-   them. */
+   them. Brackets behind a pointer say how many values it points to; alfmu/fmi/constants.py reads them. */
 
 #ifndef ALFMU_SCENE_H
 #define ALFMU_SCENE_H
@@ -29,7 +29,7 @@ typedef struct {
 /* A text variable and its possible values. */
 typedef struct {
     int count, start;
-    const char *const *values;
+    const char *const *values; /* [count] */
 } Choice;
 
 typedef struct {
@@ -44,7 +44,7 @@ typedef struct {
 /* A Boolean input and the rows that it concerns. */
 typedef struct {
     int count;
-    const int *rows;
+    const int *rows; /* [count] */
     int holds, value, start;
 } Switch;
 
@@ -79,7 +79,8 @@ typedef struct {
 /* Nonzeros of a matrix, by columns. */
 typedef struct {
     int rows, columns, entries;
-    const int *offsets, *indices;
+    const int *offsets; /* [columns + 1] */
+    const int *indices; /* [entries] */
 } Pattern;
 
 /* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it,
@@ -92,17 +93,22 @@ typedef struct {
    places of its results. Places have 16 bits (narrow) or 32 (wide). */
 typedef struct {
     int inputs, outputs, results;
-    const int32_t *lengths; /* of arguments, then of results */
-    const uint16_t *narrow;
-    const int32_t *wide;
+    const int32_t *lengths; /* [inputs + outputs] of arguments, then of results */
+    const uint16_t *narrow; /* [words + results] */
+    const int32_t *wide;    /* [words + results] */
     size_t words;
     int registers; /* numbers that it works on, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
 } Function;
 
-/* Calls of functions on the memory of an instance, choices, loops. */
+/* Calls of functions on the memory of an instance, choices, loops: places and lengths. */
+#ifndef WORD
+#define WORD int32_t
+#endif
+typedef WORD Word;
+
 typedef struct {
-    const int32_t *code;
+    const Word *code; /* [words] */
     size_t words;
 } Program;
 
@@ -120,35 +126,36 @@ typedef struct {
 #undef NUMBER
     /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. The first parameters
        are those of the mechanism, then start values, start rates, compliances, states at the start, the solver's. */
-    const Variable *variables;
-    const Choice *choice;
-    const Switch *switched;
-    const Friction *friction;
-    const int *impulse_rows, *event_places;
-    const Coordinate *coordinates;
-    const Row *rows;
-    const double *nominals; /* of first-order states */
-    const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
-    const int *tied;         /* start values that are kept */
-    const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */
-    const int *break_levels; /* level of each function whose change of sign is a jump or a bend */
-    const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
-    const double *readiness; /* how readily an assembly moves each coordinate: more where none guesses it */
+    const Variable *variables; /* [parameters + choices + inputs + switches + outputs + entries] */
+    const Choice *choice;      /* [choices] */
+    const Switch *switched;    /* [switches] */
+    const Friction *friction;  /* [frictions] */
+    const int *impulse_rows;   /* [impulses] */
+    const int *event_places;   /* [event_count] */
+    const Coordinate *coordinates; /* [n] */
+    const Row *rows;         /* [l] */
+    const double *nominals;  /* of first-order states */
+    const int *angle_starts; /* [angles] start value that each computed angle begins near, -1 for none */
+    const int *tied;         /* [ties] start values that are kept */
+    const int *peak_parts;   /* [3 * peaks] readings that each peak is the magnitude of, -1 for none */
+    const int *break_levels; /* [break_count] level of each function whose change of sign is a jump or a bend */
+    const double *normal;    /* [TRIES * n] standard normal numbers; zero for time */
+    const double *readiness; /* [n] how readily an assembly moves each coordinate: more where none guesses it */
     int timed;               /* whether time is the last coordinate */
     int followed_count;
-    const Followed *followed;
+    const Followed *followed; /* [followed_count] */
     int leap_count;
     int limit_count;
-    const Limit *limited;
-    const Leap *leaps;
+    const Limit *limited; /* [limit_count] */
+    const Leap *leaps;    /* [leap_count] */
     int entries, directions; /* of the interface Jacobian: its entries are variables behind all others */
-    const Jacobian_entry *jacobian;
+    const Jacobian_entry *jacobian; /* [entries] */
     Pattern mass, constraint, gaps, tie_rows;
     Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
     Envelope holding; /* M + C' C */
-    const double *constants;
-    const Function *functions;
-    const Program *programs;
+    const double *constants;   /* [constant_count] */
+    const Function *functions; /* [function_count] */
+    const Program *programs;   /* [program_count] */
     int constant_count, function_count, program_count;
     int registers; /* numbers that the longest function works on, constants included */
     int lane_registers; /* of functions that are called in lanes */

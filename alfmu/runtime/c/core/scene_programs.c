@@ -14,14 +14,14 @@ static int is_within(const Reader *r, int64_t place, int64_t length)
     return place >= 0 && length >= 0 && place + length <= (int64_t)r->scene->size + r->scene->workspace;
 }
 
-static void check_program(Reader *r, const int32_t *code, size_t words, int depth)
+static void check_program(Reader *r, const Word *code, size_t words, int depth)
 {
     const Scene *s = r->scene;
     size_t at = 0;
     if (depth > DEEPEST)
         reader_spoil(r, "its choices and loops are too deep");
     while (at < words && !r->bad) {
-        const int32_t *c = code + at + 1;
+        const Word *c = code + at + 1;
         const size_t left = words - at - 1;
         switch (code[at]) {
         case CALL_CODE: {
@@ -146,6 +146,6 @@ void programs_read(Reader *r)
     if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
         || (s->stiff_step >= 0 && s->method != 1)
         || (s->short_step >= 0 && (s->method != 1 || s->short_cost < 1 || s->method_cost < 1))
-        || (s->l && (s->move < 0 || s->close < 0 || s->impact < 0)))
+        || (s->l && ((s->move < 0) != (s->close < 0) || (s->switches && s->impact < 0))))
         reader_spoil(r, "a program is missing");
 }

@@ -1,50 +1,105 @@
 #include "text.h"
 
+#include <float.h>
+#include <math.h>
 #include <stdarg.h>
 #include <stddef.h>
-#include <stdio.h>
-#include <string.h>
 
-/* Before and after each number, until the text is whole. */
-#define BEGINS '\1'
-#define ENDS '\2'
+typedef struct {
+    char *to;
+    size_t left;
+} Written;
 
-/* Longest format of a message: no longer than the message itself may be. */
-#define LONGEST 1024
-
-/* A format that marks the numbers with a point. */
-static void mark(const char *format, char *marked)
+static void put(Written *w, char c)
 {
-    char *const end = marked + LONGEST - 3;
-    while (*format && marked < end) {
-        const size_t length = *format == '%' ? 1 + strcspn(format + 1, "cdeEfgGlpsuxz%") : 0;
-        const int number = length && format[length] && strchr("eEfgG", format[length]);
-        if (number)
-            *marked++ = BEGINS;
-        for (size_t k = 0; k <= length && *format && marked < end; k++)
-            *marked++ = *format++;
-        if (number)
-            *marked++ = ENDS;
+    if (w->left > 1) {
+        *w->to++ = c;
+        w->left--;
     }
-    *marked = '\0';
+}
+
+static void put_text(Written *w, const char *text, int most)
+{
+    for (; *text && most; most--)
+        put(w, *text++);
+}
+
+/* A whole number with so many digits at least. */
+static void put_whole(Written *w, long value, int least)
+{
+    char digits[24];
+    int count = 0;
+    unsigned long size = value < 0 ? 0ul - (unsigned long)value : (unsigned long)value;
+    if (value < 0)
+        put(w, '-');
+    for (; size || count < least; size /= 10)
+        digits[count++] = (char)('0' + size % 10);
+    while (count)
+        put(w, digits[--count]);
+}
+
+/* A number with so many significant digits, at most 9: as %g writes it, or %e. */
+static void put_number(Written *w, double value, int count, int scientific)
+{
+    int tens = count - 1, point;
+    long digits, unit = 1;
+    if (value < 0.0)
+        put(w, '-');
+    value = fabs(value);
+    if (!(value <= DBL_MAX)) {
+        put_text(w, value > 0.0 ? "inf" : "nan", -1);
+        return;
+    }
+    for (int k = 1; k < count; k++)
+        unit *= 10;
+    for (; value >= 10.0 * (double)unit; tens++)
+        value /= 10.0;
+    for (; value > 0.0 && value < (double)unit; tens--)
+        value *= 10.0;
+    tens = value > 0.0 ? tens : 0;
+    digits = (long)(value + 0.5);
+    if (digits == 10 * unit) {
+        digits = unit;
+        tens++;
+    }
+    scientific |= 2 * (tens < -4 || tens >= count);
+    point = scientific ? 0 : tens;
+    for (int k = point; k < 0; k++)
+        put_text(w, k == point ? "0." : "0", -1);
+    for (int k = 0; k < count && (digits || k <= point || scientific & 1); k++, unit /= 10) {
+        if (k == point + 1 && k)
+            put(w, '.');
+        put(w, (char)('0' + digits / unit));
+        digits %= unit;
+    }
+    if (scientific) {
+        put_text(w, tens < 0 ? "e-" : "e+", -1);
+        put_whole(w, tens < 0 ? -tens : tens, 2);
+    }
 }
 
 void write_list(char *text, size_t size, const char *format, va_list arguments)
 {
-    char marked[LONGEST], *to = text, before = '\0';
-    int number = 0;
-    mark(format, marked);
-    vsnprintf(text, size, marked, arguments);
-    for (const char *from = text; *from; from++)
-        if (*from == BEGINS || *from == ENDS)
-            number = *from == BEGINS;
-        else if (number && !strchr("+-0123456789aefinx", *from)) { /* One point for a sign of any length. */
-            if (before != '.')
-                before = *to++ = '.';
-        } else
-            before = *to++ = *from;
+    Written w = {text, size};
+    for (; *format; format++) {
+        int digits = -1;
+        if (*format != '%') {
+            put(&w, *format);
+            continue;
+        }
+        if (*++format == '.')
+            for (digits = 0, format++; *format >= '0' && *format <= '9'; format++)
+                digits = 10 * digits + (*format - '0');
+        if (*format == 's')
+            put_text(&w, va_arg(arguments, const char *), digits);
+        else if (*format == 'd')
+            put_whole(&w, va_arg(arguments, int), 1);
+        else
+            put_number(&w, va_arg(arguments, double), *format == 'e' ? digits + 1 : digits < 0 ? 6 : digits,
+                *format == 'e');
+    }
     if (size)
-        *to = '\0';
+        *w.to = '\0';
 }
 
 void write_text(char *text, size_t size, const char *format, ...)

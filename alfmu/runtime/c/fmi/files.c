@@ -24,7 +24,7 @@
 
 #define LARGEST_FILE (1 << 30)
 
-static int digit(char c)
+static int digit_of(char c)
 {
     return c >= '0' && c <= '9' ? c - '0'
         : c >= 'a' && c <= 'f'  ? c - 'a' + 10
@@ -51,8 +51,8 @@ void files_path_of(const char *uri, char *path)
 #endif
     }
     for (; *uri && length + 1 < LONGEST_PATH; uri++) {
-        if (escaped && *uri == '%' && digit(uri[1]) >= 0 && digit(uri[2]) >= 0) {
-            path[length++] = (char)(digit(uri[1]) * 16 + digit(uri[2]));
+        if (escaped && *uri == '%' && digit_of(uri[1]) >= 0 && digit_of(uri[2]) >= 0) {
+            path[length++] = (char)(digit_of(uri[1]) * 16 + digit_of(uri[2]));
             uri += 2;
         } else
             path[length++] = *uri;

@@ -2,7 +2,6 @@
 
 #include <math.h>
 #include <stddef.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "component.h"
@@ -19,7 +18,7 @@ Component *exchange_instance(Component *c, char *why, size_t why_size)
         return c;
     }
     component_free(c);
-    snprintf(why, why_size, CO_SIMULATION);
+    write_text(why, why_size, CO_SIMULATION);
     return NULL;
 }
 

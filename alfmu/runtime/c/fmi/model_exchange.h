@@ -4,10 +4,10 @@
 #define ALFMU_MODEL_EXCHANGE_H
 
 #include <stddef.h>
-#include <stdio.h>
 
 #include "component.h"
 #include "scene_features.h"
+#include "text.h"
 
 #include "internal_begin.h"
 
@@ -40,7 +40,7 @@ Status exchange_updated(Component *c, Exchange_event *event, const char *call);
 static inline Component *exchange_instance(Component *c, char *why, size_t why_size)
 {
     if (c)
-        snprintf(why, why_size, CO_SIMULATION);
+        write_text(why, why_size, CO_SIMULATION);
     component_free(c);
     return NULL;
 }

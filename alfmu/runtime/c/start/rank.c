@@ -270,7 +270,7 @@ void rank_freeze(Instance *i)
     const size_t arena = arena_mark(i), l = (size_t)s->l;
     const int rank = (int)*i->rank;
     double *combinations, *sizes, *matrix = instance_field(i, s->k) + SETTINGS + 2 * s->l + s->n + s->compliances;
-    if (rank < 1 || rank > s->l || s->n > DENSE)
+    if (!s->brakes || rank < 1 || rank > s->l || s->n > DENSE)
         return;
     combinations = arena_alloc(i, l * l);
     sizes = arena_alloc(i, l);

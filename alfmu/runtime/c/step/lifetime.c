@@ -63,49 +63,73 @@ static size_t layout_parts(Instance *i, double *numbers)
     return count;
 }
 
-Instance *instance_new(const Scene *s)
+/* Return how many numbers an instance has as scratch memory: for its start, ranks among it, or for steps alone. */
+static size_t scratch_length(const Scene *s, int starts)
 {
-    const size_t side = (size_t)(s->n + s->l + s->ties + 1);
-    Instance *i = calloc(1, sizeof *i);
-    double *numbers;
-    if (!i)
-        return NULL;
-    i->scene = s;
-    i->count = layout_parts(i, NULL);
-    /* Matrices for singular values are dense; the others are sparse. */
-    i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
-        + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
-        + 4 * (size_t)(scene_driven(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
-    i->room += laws_room(s) + breaks_room(s) + peaks_room(s) + (size_t)s->limit_count * (2 + (size_t)s->n);
+    const size_t side = (size_t)(s->n + s->l + s->ties + 1), kept = (size_t)(s->past + s->past_size - s->pace);
+    size_t room = 8 * side + 2 * (size_t)(s->mass.entries + s->constraint.entries) + kept;
+    if (starts) /* Matrices for singular values are dense; the others are sparse. */
+        room += (s->n <= DENSE ? 12 * side * side : 0) + (size_t)56 * side + s->closing.entries + s->holding.entries
+            + 14 * (size_t)(s->mass.entries + s->constraint.entries)
+            + 16 * (size_t)(s->gaps.entries + s->tie_rows.entries);
+    room += 4 * (size_t)(scene_driven(s) + s->outputs) + laws_room(s) + breaks_room(s) + peaks_room(s)
+        + (size_t)s->limit_count * (2 + (size_t)s->n);
     if (s->frictions) /* memory of steps up to events */
-        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + scene_state_length(s)
-            + scene_peaks_length(s);
-    /* The workspace of programs follows the memory, which is the last part of the numbers. */
-    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
-            + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size
-            + (size_t)(s->held + s->followed_count * HEARD) + linear_least_norm_work(s->dense, s->dense)
-            + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0),
-        sizeof *numbers);
-    if (!numbers) {
-        free(i);
-        return NULL;
+        room += (size_t)(18 * s->frictions + 2 * s->held) + kept + scene_state_length(s) + scene_peaks_length(s);
+    return room;
+}
+
+/* Set the pointers of an instance to its numbers, and return how many it has; `numbers` may be NULL. */
+static size_t layout_numbers(Instance *i, double *numbers, int starts)
+{
+    const Scene *s = i->scene;
+    const size_t least_norm = linear_least_norm_work(s->dense, s->dense);
+    const size_t kept = (size_t)(s->held + s->followed_count * HEARD);
+    i->count = layout_parts(i, numbers);
+    i->room = scratch_length(s, starts);
+    if (numbers) {
+        i->numbers = numbers;
+        i->workspace = numbers + i->count; /* of programs: it follows the memory, which is the last part */
+        i->before = i->workspace + s->workspace;
+        i->scratch = i->before + i->count;
+        i->registers = i->scratch + i->room;
+        i->lanes = lanes_align(i->registers + s->registers);
+        i->spare = i->lanes + LANES * (size_t)s->lane_registers;
+        i->past_before = i->spare + s->spare;
+        i->kept_before = i->past_before + s->past_size;
+        i->dense = i->kept_before + kept;
+        i->read_at = i->dense + least_norm;
+        i->breaks = i->read_at + 2 * s->n + s->inputs;
     }
-    i->numbers = numbers;
-    layout_parts(i, numbers);
-    i->workspace = numbers + i->count;
-    i->before = i->workspace + s->workspace;
-    i->scratch = i->before + i->count;
-    i->registers = i->scratch + i->room;
-    i->lanes = lanes_align(i->registers + s->registers);
-    i->spare = i->lanes + LANES * (size_t)s->lane_registers;
-    i->past_before = i->spare + s->spare;
-    i->kept_before = i->past_before + s->past_size;
-    i->dense = i->kept_before + s->held + s->followed_count * HEARD;
-    i->read_at = i->dense + linear_least_norm_work(s->dense, s->dense);
-    i->breaks = i->read_at + 2 * s->n + s->inputs;
+    return 2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
+        + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + kept + least_norm
+        + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0);
+}
+
+size_t instance_length(const Scene *s, int starts)
+{
+    Instance i;
+    i.scene = s;
+    return layout_numbers(&i, NULL, starts);
+}
+
+void instance_lay(Instance *i, const Scene *s, double *numbers, int starts)
+{
+    i->scene = s;
+    layout_numbers(i, numbers, starts);
     registers_load(i);
     instance_reset(i);
-    return i;
+}
+
+Instance *instance_new(const Scene *s)
+{
+    Instance *i = calloc(1, sizeof *i);
+    double *numbers = i ? calloc(instance_length(s, 1), sizeof *numbers) : NULL;
+    if (numbers)
+        instance_lay(i, s, numbers, 1);
+    else
+        free(i);
+    return numbers ? i : NULL;
 }
 
 void instance_free(Instance *i)

@@ -3,10 +3,18 @@
 #ifndef ALFMU_LIFETIME_H
 #define ALFMU_LIFETIME_H
 
+#include <stddef.h>
+
 #include "instance.h"
 #include "scene.h"
 
 #include "internal_begin.h"
+
+/* How many numbers an instance of a scene has, which finds its start by itself or only makes steps. */
+size_t instance_length(const Scene *s, int starts);
+
+/* An instance with so many numbers; both are zero. */
+void instance_lay(Instance *i, const Scene *s, double *numbers, int starts);
 
 Instance *instance_new(const Scene *s);
 void instance_free(Instance *i);

@@ -134,6 +134,12 @@ static Outcome evaluate_patiently(Instance *i)
     }
     if (s->l && instant != s->instant && !limited)
         outcome = diagnose_convergence(i, i->workspace + s->watch0, *instance_time(i));
+    else if (s->l && instant == s->instant
+        && (instance_diagnostic(i, SEEN_TROUBLE) != 0.0 || (s->limit >= 0 && instance_diagnostic(i, SEEN_NEAR) != 0.0)))
+        outcome = instance_say(i, FAILED,
+            "%s, t = %.6g s: accelerations and reactions take more iterations here than this scene has; export it as "
+            "--kind native, or use another start, smaller inputs or a smaller solver.step_size",
+            s->name, *instance_time(i));
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
     return outcome;
@@ -184,7 +190,7 @@ Outcome instance_read(Instance *i)
     return instance_say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller "
         "inputs%s%s%s",
-        s->name, *instance_time(i), name, message_number(value),
+        s->name, *instance_time(i), name, value,
         settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start",
         settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
 }

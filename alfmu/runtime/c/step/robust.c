@@ -38,11 +38,12 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     i->left -= PATIENT_STEP;
     if (i->left < 0)
         return diagnose_too_much(i);
-    if (!s->l)
+    if (s->move < 0)
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
-            "solver.step_size",
-            s->name, t);
+            "%s, t = %.6g s: %s; reduce solver.step_size",
+            s->name, t,
+            s->l ? "a step takes more iterations than this scene has"
+                 : "the state is not finite, or turned by more than half a turn in one step");
     m[s->dt] = dt;
     instance_set_time(i, start);
     if (i->flags.brakes)

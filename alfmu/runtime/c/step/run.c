@@ -50,11 +50,16 @@ static Outcome integrate_stretch(Instance *i, double start, double end, long mad
         if (run_is_ended(i))
             outcome = diagnose_interrupted(i);
         else if (i->flags.fast && done != (double)made) {
-            const double whole = (double)made > done ? (double)made - done : steps - done;
+            const double left = (double)made > done ? (double)made - done : steps - done;
+            const long wanted = i->flags.whole ? (long)left : 1L;
+            long taken;
             instance_set_time(i, start + done * dt);
             if (i->flags.brakes)
                 rank_freeze(i);
-            done += (double)step_fixed(i, i->flags.whole ? (long)whole : 1L, dt);
+            taken = step_fixed(i, wanted, dt);
+            done += (double)taken;
+            if (taken == wanted)
+                continue;
         }
         if (done < steps && outcome == DONE && !i->ended) {
             outcome = step_robust(i, start + done * dt, dt);
@@ -374,6 +379,6 @@ Outcome instance_output_derivatives(
     for (size_t each = 0; outcome == DONE && each < count; each++)
         if (!isfinite(values[each]))
             outcome = instance_say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start,
-                orders[each], s->variables[references[each]].name, message_number(values[each]));
+                orders[each], s->variables[references[each]].name, values[each]);
     return outcome;
 }

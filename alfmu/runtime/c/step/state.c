@@ -38,7 +38,7 @@ typedef struct {
     Flags flags;
 } Head;
 
-static Head head(const Instance *i)
+static Head head_of(const Instance *i)
 {
     Head h;
     memset(&h, 0, sizeof h);
@@ -75,7 +75,7 @@ void state_save(const Instance *i, unsigned char *state)
         size_t count;
     } scratch[] = {{memory + s->after, scene_state_length(s)}, {memory + s->begin, scene_state_length(s)},
         {memory + s->seen, (size_t)s->seen_size}, {i->slopes, 1}};
-    Head h = head(i);
+    Head h = head_of(i);
     memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
     /* Exclude scratch data of steps and evaluations, on which nothing depends. */
     for (size_t k = 0; k < sizeof scratch / sizeof *scratch; k++)
@@ -89,7 +89,7 @@ void state_save(const Instance *i, unsigned char *state)
 /* Return whether a saved state belongs to this mechanism and is unchanged. */
 int state_whole(const Instance *i, const unsigned char *state, size_t size)
 {
-    const Head mine = head(i);
+    const Head mine = head_of(i);
     Head h;
     if (size != state_size(i))
         return 0;

@@ -1,0 +1,390 @@
+"""Self-contained C of a mechanism: one file with the runtime, the scene as constant tables, and its memory.
+
+The runtime is that of every FMU, without the functions that this scene never calls, files, stdio, malloc, and
+extensions of compilers. The files of `runtime/c/source` stand in place of those of the same name.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zipfile
+from collections import Counter, defaultdict
+from collections.abc import Container, Iterator, Mapping
+from pathlib import Path
+
+from ..equations.interface import default_settings
+from ..kernel.arrangement import KINDS, OPERANDS
+from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
+from ..kernel.tables import FUNCTIONS, PROGRAMS, fixed, identified, packed
+from ..model.errors import ExportError
+from ..model.settings import internal_steps
+from ..runtime import build
+from ..runtime.library import DONE, Scene, Unit
+from ..runtime.shipped import installed
+from . import native
+from .constants import Structure, literal, loaded, tables
+
+__all__ = ["facts", "source"]
+
+_INSTANCE = 96
+"""Numbers in whose place an Instance without messages fits on every machine."""
+
+_TEXT = 256
+"""Longest message of an FMU."""
+
+MOST_ITERATIONS = 1000
+"""Iterations of a loop without a fixed number: the largest solver.max_iterations."""
+
+STATES = 2
+"""States of an instance that an FMU has memory for."""
+
+_RESERVED = frozenset(
+    """auto break case char const continue default do double else enum extern float for goto if inline int long register
+    restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main abs acos
+    acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmax fmin fmod free frexp hypot
+    ldexp log log1p malloc memcpy memset pow remainder sin sinh sqrt tan tanh""".split()  # noqa: SIM905
+)
+"""Names in C that a model may not have."""
+
+_STEPS = 1000
+"""Most internal steps of a communication step, if that of the default experiment has fewer."""
+
+
+def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
+    """Return C files of traced equations: those of an FMU of a version of FMI with this GUID, or plain C for 0."""
+    if equations.name in _RESERVED:
+        raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
+    own, name = fixed(equations), equations.name
+    kept = Scene(identified(packed(equations, own), guid), installed())
+    scene = loaded(kept)
+    scene.exchange = -1  # its states are nobody else's
+    state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
+    starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
+    start, start_size = ("", 0) if starts else _start(state)
+    without = native.left_out(equations, derivatives=False, exchange=False)
+    without = [*without, "ERROR_CONTROL", *["START"] * (not starts)]
+    header, *texts = _texts(fmi, without)
+    used = {*re.findall(r"(?:->|\.)(\w+)", _reached("".join([header, *texts])))}
+    work, kinds, wide = _lean(scene, own, used, steps)
+    widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
+    word = 16 if widest < 2**15 else 32
+    constants, size = tables(scene, fmi > 0, word // 8, used)
+    length = kept.library.alfmu_length(kept.address, starts)
+    place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
+    defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
+    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide)}
+    memory = f"{8 * place} bytes of memory an instance"
+    if fmi:
+        instance, saved = place + 160, len(state) // 8 + 8
+        defined["ARENA"] = f"(INSTANCES * {instance} + {STATES} * {saved})"
+        memory = f"{8 * (instance + STATES * saved)} bytes of memory for one instance and {STATES} states"
+    head = [
+        f"/* {name}: the mechanism and the runtime of alfmu in C99; generated.",
+        f"   {size + start_size} bytes of constant tables, {memory}",
+        f"   {work} */",
+        f"#ifndef MOST_STEPS\n#define MOST_STEPS {max(_STEPS, 2 * steps)}\n#endif",
+        *["#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif"] * (fmi > 0),
+        "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
+        "#if !defined(assert)\n#define assert(true) ((void)0)\n#endif",
+        *(f"#include <{each}.h>" for each in _SYSTEM),
+        *[f'#include "{name}.h"'] * (not fmi),
+        *(f"#define {key} {number}" for key, number in defined.items()),
+    ]
+    text = _reached("".join([header, constants, start, *texts]))
+    text = _prefixed(text, fmi) if fmi else _named(text, name)
+    text = text if wide else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
+    files = {f"{name}.c": "\n".join([*head, text])}
+    if not fmi:
+        files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
+    return files
+
+
+_SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
+
+_OPERATION = re.compile(r"(\(X\) \\\n\t)?\bX\((\d+), .*\)(?=[ \\]*\n)")
+"""An operation of the interpreter, with its kind; the first of a list, which has one at least, after its head."""
+
+
+def facts(path: Path) -> list[str]:
+    """Return what the C of a file or of an FMU says of its size and its work."""
+    if path.suffix == ".c":
+        text = path.read_text(encoding="ascii")
+    else:
+        with zipfile.ZipFile(path) as archive:
+            text = archive.read(next(each for each in archive.namelist() if each.endswith(".c"))).decode()
+    return [line.strip().removesuffix(" */") for line in text.partition("*/")[0].splitlines()[1:]]
+
+
+# The scene ------------------------------------------------------------------------------------------------------------
+
+
+def _state(scene: Scene, e: Traced) -> bytes:
+    """Return the state after the start; ExportError where the default experiment cannot be made from there."""
+    unit = Unit(scene)
+    made = unit.initialize()
+    state = unit.save()
+    for k in range(round(e.stop_time / e.interval)):
+        made = made or unit.step(k * e.interval, e.interval)
+    if made != DONE:
+        raise ExportError(
+            f"{unit.text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
+            "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
+        )
+    return state
+
+
+def _start(state: bytes) -> tuple[str, int]:
+    """Return constants of the state after the start, and their bytes."""
+    flags = struct.unpack_from(f"<{_FLAGS}i", state, _HEAD)
+    numbers = struct.unpack(f"<{(len(state) - _NUMBERS) // 8}d", state[_NUMBERS:])
+    text = f"static const double start_numbers[] = {{{', '.join(map(literal, numbers))}}};\n"
+    own, choices = (", ".join(map(str, each)) for each in (flags[:-_CHOICES], flags[-_CHOICES:]))
+    text += f"static const Flags start_flags = {{{own}, {{{choices}}}}};\n"
+    return text, 8 * len(numbers) + 4 * _FLAGS
+
+
+_HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
+"""In a saved state (step/state.c): where flags begin and how many there are, and where numbers begin."""
+
+
+def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
+    """Leave functions and programs that the C does not use out of a scene; return what it says of its work, the kinds
+    of operations, and whether functions have wide places."""
+    run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
+    needed = {own for name, own in FUNCTIONS.items() if name in used}
+    needed.update(name for program in run.values() for name in called(program))
+    for name, program in zip(e.kernel, scene.programs[: scene.program_count], strict=True):
+        program.words *= name in run
+    costs: dict[str, int] = {}
+    kinds, wide = set[int](), False
+    scene.registers = scene.constant_count
+    for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
+        if name in needed:
+            made = _operations(f)
+            scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
+            costs[name], kinds = made.total(), kinds | {*made}
+        else:
+            f.inputs = f.outputs = f.words = f.results = 0
+    scene.choice[scene.formulation].count = 1
+    scene.lane_registers = 0
+    most = {key: _most(program.steps, costs) for key, program in run.items()}
+    return _work(e, most, steps, bool(scene.break_count)), kinds, wide
+
+
+def _operations(f: Structure) -> Counter[int]:
+    """Return how many operations of each kind a function makes."""
+    found, places, at = Counter[int](), f.narrow or f.wide, 0
+    while at < f.words:
+        found[places[at]] += places[at + 1]
+        at += 2 + places[at + 1] * OPERANDS[KINDS[places[at]]]
+    return found
+
+
+def _work(e: Traced, every: Mapping[str, int], steps: int, breaks: bool) -> str:
+    """Say how many operations a communication step of the default experiment takes: as a rule, and at most."""
+    tiers, ends = ("quick", "careful", "branch"), ("instant_quick", "instant", "limit")
+    usual = steps * every["quick"] + every.get("instant_quick", every["instant"])
+    step, reading = (sum(every.get(each, 0) for each in programs) for programs in (tiers, ends))
+    most = f"{steps * step + reading} at most"
+    if e.frictions or e.switches or e.leaps or breaks:
+        most = f"at events more: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
+    return f"a step of {e.interval:g} s (internal steps: {steps}): {usual} operations as a rule, {most}"
+
+
+def _most(steps: Steps, costs: Mapping[str, int]) -> int:
+    """Return the most operations of steps: of a choice those of both ways."""
+    found = 0
+    for step in steps:
+        if isinstance(step, Call):
+            found += costs[step.function]
+        elif isinstance(step, Choice):
+            found += _most((*step.nonzero, *step.zero), costs)
+        elif isinstance(step, Loop):
+            found += (step.most if isinstance(step.most, int) else MOST_ITERATIONS) * _most(step.body, costs)
+        elif isinstance(step, Lanes):
+            found += _most(step.calls, costs)
+        else:
+            side = step.side * step.count
+            found += 60 * side**3 if isinstance(step, LeastNorm) else 2 * side**2
+            found += side**3 // 3 if isinstance(step, Factor) else 0
+    return found
+
+
+# The text -------------------------------------------------------------------------------------------------------------
+
+
+def _texts(fmi: int, without: list[str]) -> list[str]:
+    """Return the runtime as C without these features: its headers, its files, the functions of FMI or of plain C."""
+    own = {path.name: path.read_text(encoding="ascii") for path in (build.SOURCES / "source").glob("*.[ch]")}
+    if fmi:
+        del own["message.h"]
+    else:
+        own |= dict.fromkeys(("message.c", "text.c", "text.h"), "")
+    texts = [*native.sources(fmi, without, own).values()]
+    for pattern, instead in _INSTEAD.items():
+        texts = [re.sub(pattern, instead, text, flags=re.MULTILINE) for text in texts]
+    return texts
+
+
+_INSTEAD = {
+    r"^#include .*\n": "",
+    r"\bdefined\((?:__GNUC__|__SSE2__|_M_X64|__GLIBC__)\)": "0",
+    r'__attribute__\(\(visibility\("default"\)\)\)': "",
+    r"\bcalloc\(": "memory_take(",
+    r"\bmalloc\(": "memory_take(1, ",
+    r"\bfree\(": "memory_give(",
+    r"\bsnprintf\(": "write_text(",
+    r"\bscene_of_fmu\(resources, why, why_size\)": "((void)resources, (Scene *)(void *)&the_scene)",
+    r"\bscene_free\(c->scene\);": "",
+    r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
+    r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
+}
+"""What stands in place of headers, extensions of compilers, memory, files and scenes that are loaded."""
+
+
+def _named(text: str, name: str) -> str:
+    """Return plain C with the name of the model, which nothing of the runtime has."""
+    own = "|".join([name, *(each.replace("NAME", name) for each in set(re.findall(r"\bNAME_\w+", text)))])
+    words = re.compile(rf'"(?:\\.|[^"\\])*"|\b(?:{own})\b')
+    text = words.sub(lambda found: found[0] if found[0].startswith('"') else f"runtime_{found[0]}", text)
+    return text.replace("NAME", name)
+
+
+def _prefixed(text: str, fmi: int) -> str:
+    """Return C with the prefix that FMI gives functions of models that are linked together."""
+    macro = f"FMI{fmi}_FUNCTION_PREFIX"
+    names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
+    for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):
+        names |= {f"fmi{fmi}Get{kind}", f"fmi{fmi}Set{kind}"}
+    lines = [f"#if defined({macro})", "#define JOINED(a, b) JOINED_(a, b)", "#define JOINED_(a, b) a##b"]
+    lines += [f"#define {each} JOINED({macro}, {each})" for each in sorted(names)]
+    return "\n".join([*lines, "#endif\n"]) + text
+
+
+def _chunks(text: str) -> Iterator[str]:
+    """Yield directives, and declarations and definitions at the top level."""
+    chunk, depth = "", 0
+    for line in text.splitlines(keepends=True):
+        chunk += line
+        if chunk.startswith("#"):
+            whole = not line.endswith("\\\n")
+        else:
+            bare = re.sub(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'', "", line)
+            depth += bare.count("{") - bare.count("}")
+            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
+        if whole and (chunk.startswith("#") or not depth):
+            yield chunk
+            chunk = ""
+
+
+_FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
+_DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
+_MACRO = re.compile(r"#define (\w+)")
+_OUTSIDE = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
+_WORD = re.compile(r"\b[A-Za-z_]\w*\b")
+
+
+def _reached(text: str) -> str:
+    """Return C without the functions, constants and macros that nothing outside can reach; what is left is static."""
+    chunks = list(_chunks(text))
+    owners: dict[str, list[int]] = defaultdict(list)
+    named: list[str] = []
+    kept: set[int] = set()
+    for k, chunk in enumerate(chunks):
+        found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
+        named.append(found[1] if found else "")
+        if found:
+            owners[found[1]].append(k)
+    waiting = [k for k, each in enumerate(named) if not each or _OUTSIDE.fullmatch(each)]
+    while waiting:
+        k = waiting.pop()
+        if k in kept:
+            continue
+        kept.add(k)
+        for word in _WORD.findall(chunks[k]):
+            waiting += [each for each in owners.get(word, ()) if each not in kept]
+    for k in kept:
+        if named[k] and not chunks[k].startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(named[k]):
+            chunks[k] = "static " + chunks[k].removeprefix("extern ")
+    return "".join(chunks[k] for k in sorted(kept))
+
+
+def _identifiers(scene: Scene, name: str) -> list[str]:
+    """Return a name in C for each variable, none of them twice."""
+    found: list[str] = []
+    for variable in scene.names:
+        base = made = re.sub(r"\W", "_", f"{name}_{variable}").upper()
+        while made in found:
+            made = f"{base}_{len(found)}"
+        found.append(made)
+    return found
+
+
+def _header(scene: Scene, name: str, place: int) -> str:
+    """Return the header of the functions in plain C."""
+    guard = f"{name.upper()}_H"
+    listed = "".join(
+        f"    {each}, /* {kind} {variable} */\n"
+        for each, kind, variable in zip(_identifiers(scene, name), scene.kinds, scene.names, strict=True)
+    )
+    return f"""/* {name}: the mechanism in C99; generated by alfmu. */
+
+#ifndef {guard}
+#define {guard}
+
+/* An instance and its memory, all of which it takes. There may be any number of them. */
+typedef struct {{
+    double memory[{place}];
+}} {name};
+
+/* Variables: parameters, start values and text variables (numbers from 1 on), then inputs, then outputs. */
+enum {{
+{listed}    {name.upper()}_VARIABLES
+}};
+
+/* What functions return. REFUSED: a value or a call that cannot be; nothing has changed. Other numbers above zero: the
+   step cannot be made; the state is that before it. */
+enum {{ {name.upper()}_DONE, {name.upper()}_REFUSED }};
+
+/* The instance at its default values, before all else. Values in SI units: of a parameter or start value before the
+   start, of an input at any time. The start at a time [s], which closes constraints; outputs are known from then on.
+   A step of a length [s] with the present inputs, in internal steps of solver.step_size. A value now, NAN where it is
+   not known. The time of the state [s]. */
+void {name}_init({name} *m);
+int {name}_set({name} *m, int variable, double value);
+int {name}_start({name} *m, double time);
+int {name}_step({name} *m, double length);
+double {name}_get({name} *m, int variable);
+double {name}_time({name} *m);
+
+#endif
+"""
+
+
+def _example(scene: Scene, name: str, e: Traced) -> str:
+    """Return a program that prints the outputs over the default experiment."""
+    names = _identifiers(scene, name)
+    outputs = [names[k] for k, kind in enumerate(scene.kinds) if kind == "output"][:4]
+    values = "".join(f", {name}_get(&m, {each})" for each in outputs)
+    form = " ".join(["%.17g"] * (1 + len(outputs)))
+    return f"""/* An example: the default experiment of {name}. cc -std=c99 -O2 {name}.c {name}_main.c -lm */
+
+#include <stdio.h>
+
+#include "{name}.h"
+
+int main(void)
+{{
+    static {name} m;
+    {name}_init(&m);
+    if ({name}_start(&m, 0.0) != {name.upper()}_DONE)
+        return 1;
+    for (long k = 0; k < {round(e.stop_time / e.interval)}; k++) {{
+        if ({name}_step(&m, {e.interval!r}) != {name.upper()}_DONE)
+            return 1;
+        printf("{form}\\n", {name}_time(&m){values});
+    }}
+    return 0;
+}}
+"""

@@ -1,0 +1,46 @@
+/* Memory of instances from a static arena: blocks one behind another, each behind its length, below zero while it is
+   taken. */
+
+#ifndef ALFMU_MEMORY_H
+#define ALFMU_MEMORY_H
+
+#include <stddef.h>
+#include <string.h>
+
+typedef union {
+    double number;
+    ptrdiff_t length;
+} Cell;
+
+static Cell cells[ARENA * sizeof(double) / sizeof(Cell) + 1];
+
+/* Memory that is zero, to be given back; NULL where there is none. */
+static void *memory_take(size_t count, size_t size)
+{
+    const ptrdiff_t all = (ptrdiff_t)(sizeof cells / sizeof *cells);
+    const ptrdiff_t wanted = 1 + (ptrdiff_t)((count * size + sizeof(Cell) - 1) / sizeof(Cell));
+    if (!cells[0].length)
+        cells[0].length = all;
+    for (ptrdiff_t at = 0, next; at < all; at = next) {
+        next = at + (cells[at].length < 0 ? -cells[at].length : cells[at].length);
+        if (cells[at].length < 0)
+            continue;
+        for (; next < all && cells[next].length > 0; next += cells[next].length)
+            cells[at].length += cells[next].length; /* Free blocks join. */
+        if (cells[at].length < wanted)
+            continue;
+        if (cells[at].length > wanted)
+            cells[at + wanted].length = cells[at].length - wanted;
+        cells[at].length = -wanted;
+        return memset(cells + at + 1, 0, (size_t)(wanted - 1) * sizeof(Cell));
+    }
+    return NULL;
+}
+
+static void memory_give(void *given)
+{
+    if (given)
+        ((Cell *)given)[-1].length *= -1;
+}
+
+#endif
