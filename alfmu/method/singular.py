@@ -101,7 +101,7 @@ LONG_SPACING = 0.1
 """distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-READ_LOSS = 40.0
+READ_LOSS = 30.0
 """error of reactions at a regular position over round-off of the loads [1]: it was 0.1 to 25 in runs of slider-cranks,
 four-bars and five-bars."""
 
