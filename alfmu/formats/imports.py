@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 import warnings
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import counted, shown
 from .declared import declared, plain_name
-from .linkage import Linkage
+from .linkage import LEAVES, Linkage
 from .markup import Node, parsed
 
 __all__ = ["Imported", "factory", "imported"]
@@ -23,6 +24,13 @@ _WIDTH = 116
 
 _NAMED = 4
 """Number of names in a line on ignored elements."""
+
+
+Contacts = Literal["refuse", "leave"]
+Limits = Literal["stop", "ignore"]
+
+_COMMON = {"limits": "stop", "leave": "", "folders": "", "drives": ""}
+"""Options of all formats, with their defaults."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +59,11 @@ def imported(path: str | Path, **options: Any) -> Imported:
     """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
     Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
-    and slider). MJCF: `key`, the keyframe at the start; `contacts="leave"` ignores contacts. SDF: `model`, one of
-    several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError with file, line and
-    element if something cannot be mapped.
+    and slider); `limits`, of joints, are end stops (`stop`, the default) or not taken (`ignore`); `contacts="leave"`
+    leaves contacts out; `leave`, words of other things to leave out although they affect the motion; `folders`, where
+    included files may stand, beside that of the file. MJCF: `key`, the keyframe at the start. SDF: `model`, one of
+    several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises InputError with file,
+    line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -73,14 +83,23 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
             warnings.warn(f"{path}: {found.moved}", AlfmuWarning, stacklevel=2)
         return found.mechanism
 
-    def mjcf(key: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
-        return made(key=key, contacts=contacts, drives=drives)
+    def mjcf(
+        key: str = "", contacts: Contacts = "refuse", limits: Limits = "stop", leave: str = "", folders: str = "",
+        drives: str = "",
+    ) -> Mechanism:  # fmt: skip
+        return made(key=key, contacts=contacts, limits=limits, leave=leave, folders=folders, drives=drives)
 
-    def sdf(model: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
-        return made(model=model, contacts=contacts, drives=drives)
+    def sdf(
+        model: str = "", contacts: Contacts = "refuse", limits: Limits = "stop", leave: str = "", folders: str = "",
+        drives: str = "",
+    ) -> Mechanism:  # fmt: skip
+        return made(model=model, contacts=contacts, limits=limits, leave=leave, folders=folders, drives=drives)
 
-    def urdf(base: Literal["fixed", "floating"] = "fixed", drives: str = "") -> Mechanism:
-        return made(base=base, drives=drives)
+    def urdf(
+        base: Literal["fixed", "floating"] = "fixed", loops: str = "", contacts: Contacts = "refuse",
+        limits: Limits = "stop", leave: str = "", drives: str = "",
+    ) -> Mechanism:  # fmt: skip
+        return made(base=base, loops=loops, contacts=contacts, limits=limits, leave=leave, drives=drives)
 
     factories: dict[str, Callable[..., Mechanism]] = {"mujoco": mjcf, "sdf": sdf, "robot": urdf}
     return factories[_format(root)]
@@ -99,23 +118,36 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     from . import mjcf, sdf, urdf
 
     formats: dict[str, tuple[str, Callable[..., Linkage], tuple[str, ...]]] = {
-        "mujoco": ("MJCF", mjcf.read, ("key", "contacts")),
-        "sdf": ("SDF", sdf.read, ("model", "contacts")),
-        "robot": ("URDF", urdf.read, ("base",)),
+        "mujoco": ("MJCF", mjcf.read, ("contacts", "key")),
+        "sdf": ("SDF", sdf.read, ("contacts", "model")),
+        "robot": ("URDF", urdf.read, ("contacts", "base", "loops")),
     }
     called, read, takes = formats[_format(root)]
-    drives = options.pop("drives", "")
-    for name, value in options.items():
-        if name not in takes:
-            raise InputError(f"{path} has no option {shown(name)}; {called} takes {', '.join((*takes, 'drives'))}")
+    common = {name: options.pop(name, default) for name, default in _COMMON.items()}
+    for name, value in (options | common).items():
+        if name not in (*takes, *_COMMON):
+            every = ", ".join((*takes, *_COMMON))
+            raise InputError(f"{path} has no option {shown(name)}; {called} takes {every}")
         if not isinstance(value, str):
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
-    linkage = read(root, **options)
-    root.finish({node for nodes in linkage.left_out.values() for node in nodes})
+    for name, known in (("limits", ("stop", "ignore")), ("contacts", ("refuse", "leave"))):
+        if (said := (options | common).get(name, known[0])) not in known:
+            raise InputError(f"{path}: option {name} is {shown(said)}; give {' or '.join(known)}")
+    folders = [(path.parent / each).resolve() for each in common["folders"].split(os.pathsep) if each]
+    leaves = [each.strip() for each in common["leave"].split(",") if each.strip()]
+    if unknown := [each for each in leaves if each not in LEAVES]:
+        raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
+    linkage = read(root, **options, leaves=leaves, folders=folders)
+    linkage.stops = common["limits"] == "stop"
+    if not linkage.stops and linkage.limited:
+        linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
-    linkage.drive(drives)
-    if not linkage.joints:
+    linkage.drive(common["drives"])
+    refused = {": ".join(cause.split(": ", 2)[:2]) for cause in linkage.causes}
+    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes}, refused)
+    if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
+    linkage.judge()
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
     script, renamed, remarks, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)

@@ -1,0 +1,254 @@
+"""What files of other programs have beside bodies and joints: tendons, actuators, limits, models in models."""
+
+import importlib.util
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.linkages import by_mujoco, moving
+
+import alfmu
+
+MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed (extra bench)")
+
+ARM = """<mujoco><compiler angle="radian"{compiler}/><option><flag contact="disable"/></option><worldbody>
+<body name="a"{a}><joint name="ja" axis="0 1 0" armature="0.02"/><geom type="box" size="0.1 0.02 0.03" pos="0.1 0 0"/>
+<body name="b" pos="0.2 0 0"><joint name="jb" axis="0 1 0" ref="0.4"{b}/><geom size="0.04" pos="0.1 0 0.02"/>
+<body name="c" pos="0.2 0 0.02"><joint name="jc" type="slide" axis="1 0 0.2"/><geom type="box" size="0.05 0.01 0.02"/>
+</body></body></body></worldbody>{after}</mujoco>"""
+"""A chain of two hinges and a slide."""
+
+TENDON = '<tendon><fixed name="t"{}><joint joint="jb" coef="2"/><joint joint="jc" coef="-3"/></fixed></tendon>'
+
+
+def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
+    return ARM.format(compiler=compiler, a=a, b=b, after=after)
+
+
+@MUJOCO
+@pytest.mark.parametrize(
+    ("text", "twin"),
+    [
+        (arm(a=' gravcomp="1.3"'), ""),
+        (arm(compiler=' boundmass="3" boundinertia="0.02" balanceinertia="true"'), ""),
+        (arm(compiler=' settotalmass="7"'), ""),
+        (arm(after=TENDON.format(' stiffness="40" damping="2"')), ""),
+        (arm(after=TENDON.format(' stiffness="40" springlength="-0.5 0.3" armature="0.1"')), ""),
+        (arm(after=TENDON.format("") + '<actuator><position tendon="t" kp="20" dampratio="0.7" gear="2" '
+             'forcerange="-3 2"/><general joint="ja" gainprm="5" biastype="affine" biasprm="0.1 -5 0.4"/></actuator>'),
+         ""),
+        (arm(b=' actuatorfrcrange="-0.5 0.5"',
+             after='<actuator><motor joint="jb" gear="3"/><velocity joint="jb" kv="2"/></actuator>'), ""),
+        (arm(b=' range="-0.3 1.1"', after='<actuator><position joint="jb" inheritrange="0.9"/></actuator>'), ""),
+        (arm(after=TENDON.format("") + '<equality><tendon tendon1="t" polycoef="0.1"/></equality>'), "coupled"),
+        (arm(after='<equality><weld body1="a" body2="c" torquescale="0" anchor="0.1 0 0"/></equality>'), "connect"),
+    ],
+)  # fmt: skip
+def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
+    path = other = tmp_path / "arm.xml"
+    path.write_text(text)
+    if twin:
+        other = tmp_path / "twin.xml"
+        coupled = '<joint joint1="jb" joint2="jc" polycoef="0.05 1.5"/>'
+        connect = '<connect body1="c" body2="a" anchor="0.1 0 0"/>'
+        other.write_text(arm(after=f"<equality>{coupled if twin == 'coupled' else connect}</equality>"))
+    for seed in range(3):
+        found, reference, opens = by_mujoco(other, *moving(path, seed))
+        assert opens < 1e-11
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+def test_limits_are_stops_of_a_stiffness_that_suits(tmp_path: Path):
+    """An arm falls on its limit and comes to rest there, some hundredths beyond at most whatever its mass."""
+    for density in (10, 1000, 100000):
+        text = arm(b=' range="-0.6 0.9"', after="<keyframe/>").replace("size=", f'density="{density}" size=')
+        path = tmp_path / "arm.xml"
+        path.write_text(text)
+        run = alfmu.simulate(alfmu.imported(path).mechanism, 1.0, 0.01)
+        outside = np.maximum(run["jb.angle"] - 0.9, -0.6 - run["jb.angle"]).max()
+        assert 1e-3 < outside < 0.1
+        free = alfmu.simulate(alfmu.imported(path, limits="ignore").mechanism, 1.0, 0.01)
+        assert np.maximum(free["jb.angle"] - 0.9, -0.6 - free["jb.angle"]).max() > 0.3
+
+
+def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(b=' range="0.6 0.9"'))
+    found = alfmu.imported(path)
+    assert found.warnings == ("limits beyond which the start is (line 3, jb)",)
+    assert not found.mechanism.end_stops
+
+
+def test_friction_and_lags_of_files(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(b=' frictionloss="50"', after='<actuator><position name="u" joint="ja" kp="9" timeconst="0.2"/>'
+                                                      "</actuator>"))  # fmt: skip
+    run = alfmu.simulate(alfmu.imported(path).mechanism, 0.4, 0.1, inputs={"u": 1.0})
+    np.testing.assert_array_equal(run["jb.angle"], 0.4)  # friction holds it
+    np.testing.assert_allclose(run["u_state"], 1 - np.exp(-run.time / 0.2), atol=1e-8)
+
+
+LINK = "<link name='{}'>{}<inertial><mass>2</mass></inertial></link>"
+HINGE = "<joint name='{0}' type='revolute'><parent>{1}</parent><child>{2}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+INNER = (
+    "<model name='inner'><pose>0.1 0 0.2 0 0.3 0</pose>" + LINK.format("l", "<pose>0 0 -0.1 0 0 0</pose>")
+    + LINK.format("k", "<pose relative_to='l'>0 0 -0.3 0 0 0</pose>") + HINGE.format("j", "l", "k") + "</model>"
+)  # fmt: skip
+
+
+def sdf(inside: str) -> str:
+    return f"<sdf version='1.9'><model name='m'>{inside}</model></sdf>"
+
+
+def test_models_in_models_and_included_ones_are_one(tmp_path: Path):
+    outer = LINK.format("base", "") + HINGE.format("h", "world", "base") + HINGE.format("i", "base", "inner::l")
+    path = tmp_path / "m.sdf"
+    path.write_text(sdf(outer + INNER))
+    nested = alfmu.imported(path)
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "model.sdf").write_text(f"<sdf version='1.9'>{INNER.replace('inner', 'part')}</sdf>")
+    path.write_text(sdf(outer + "<include><uri>model://part</uri><name>inner</name></include>"))
+    assert alfmu.imported(path).source() == nested.source()
+    flat = (
+        INNER.replace("<model name='inner'><pose>0.1 0 0.2 0 0.3 0</pose>", "")
+        .replace("</model>", "")
+        .replace("<pose>0 0 -0.1 0 0 0</pose>", "<pose relative_to='f'>0 0 -0.1 0 0 0</pose>")
+    )
+    path.write_text(
+        sdf(outer.replace("inner::l", "l") + "<frame name='f'><pose>0.1 0 0.2 0 0.3 0</pose></frame>" + flat)
+    )
+    runs = [
+        alfmu.simulate(found.mechanism, 0.3, 0.1, parameters={"start.h_angle": 0.5})
+        for found in (nested, alfmu.imported(path))
+    ]
+    assert np.ptp(runs[0]["h.angle"]) > 0.01
+    np.testing.assert_allclose(runs[0]["inner_j.angle"], runs[1]["j.angle"], atol=1e-9)
+
+
+def test_models_of_a_world_move_together(tmp_path: Path):
+    model = "<model name='{}'><pose>{} 0 0 0 0 0</pose>" + LINK.format("l", "") + "{}</model>"
+    world = "<sdf version='1.9'><world name='w'>{}</world></sdf>".format(
+        model.format("a", 1, HINGE.format("j", "world", "l")) + model.format("b", 2, "")
+        + model.format("floor", 0, "<static>1</static>")
+    )  # fmt: skip
+    path = tmp_path / "w.sdf"
+    path.write_text(world)
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates][:3] == ["a_j_angle", "b_l_x", "b_l_y"]
+    assert "other models (line 1, floor)" in found.left_out
+    assert len(alfmu.imported(path, model="a").mechanism.coordinates) == 1
+
+
+def test_shapes_give_inertia_in_sdf(tmp_path: Path):
+    shape = (
+        "<collision name='c'><density>800</density><geometry><box><size>0.2 0.4 0.6</size></box></geometry></collision>"
+    )
+    path = tmp_path / "m.sdf"
+    path.write_text(sdf(f"<link name='l'><inertial auto='true'/>{shape}</link>" + HINGE.format("h", "world", "l")))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    mass = 800 * 0.2 * 0.4 * 0.6
+    assert body.mass == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.52, 0.4, 0.2]), rtol=1e-13)
+
+
+BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"
+URDF = "<robot name='r'><link name='base'/>{}{}</robot>"
+
+
+def chain(ends: str) -> str:
+    """Three bars of 0.2 m in a row, the last of which comes back to the ground; `ends` are links at both ends."""
+    links = "".join(f"<link name='l{i}'>{BAR}</link>" for i in range(3))
+    joints = "".join(
+        f"<joint name='j{i}' type='revolute'><parent link='{'base' if i == 0 else f'l{i - 1}'}'/><child link='l{i}'/>"
+        f"<origin xyz='{0.0 if i == 0 else 0.2} 0 0' rpy='0 {turn} 0'/><axis xyz='0 1 0'/>"
+        "<limit effort='1' velocity='0'/><joint_properties friction='0.0' damping='0.1'/></joint>"
+        for i, turn in enumerate((-1.3, 1.2, 1.5))
+    )
+    return URDF.format(links + joints, ends)
+
+
+@pytest.mark.parametrize(("kind", "other"), [("3D", "spherical"), ("6d", "fixed")])
+def test_loops_stand_in_a_file_beside_a_urdf(kind: str, other: str, tmp_path: Path):
+    ends = "".join(
+        f"<link name='{name}'/><joint name='f{name}' type='fixed'><parent link='{on}'/><child link='{name}'/>"
+        f"<origin xyz='{at}'/></joint>"
+        for name, on, at in (("A", "l2", "0.2 0 0"), ("B", "base", "0.2 0 0.01"))
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(chain(ends))
+    assert len(alfmu.imported(path).mechanism.coordinates) == len(alfmu.imported(path).mechanism.starts) == 3
+    (tmp_path / "r.yaml").write_text(
+        f"# loops\nclosed_loop:\n  [\n    ['A', \"B\"],  # one\n  ]\ntype: ['{kind}']\nname_mot: [j0]\nother: {{}}\n"
+    )
+    found = alfmu.imported(path)
+    assert [x.name for x in found.mechanism.inputs] == ["j0_drive"]
+    assert found.notes[0].startswith("loops, motors and freedoms of joints are those of r.yaml")
+    (tmp_path / "s.urdf").write_text(chain(ends + f"<loop_joint name='A_closed' type='{other}'><link1 link='A'/>"
+                                                        "<link2 link='B'/></loop_joint>"))  # fmt: skip
+    own = alfmu.imported(tmp_path / "s.urdf", drives="j0")
+    texts = [x.source("f").partition("def f")[2].replace("r.urdf", "s.urdf") for x in (found, own)]
+    assert texts[0].replace("# robot", "# loop_joint") == texts[1]
+    again = alfmu.imported(tmp_path / "s.urdf", loops="r.yaml")
+    assert len(again.mechanism.closures) == 2 * len(own.mechanism.closures)
+
+
+def test_a_file_of_loops_changes_freedoms(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    path.write_text(chain(""))
+    (tmp_path / "r.yaml").write_text(
+        "closed_loop: []\ntype: []\njoint_name: [j0, j1, j2]\njoint_type:\n  - SPHERICAL\n  - UJOINT_ZY\n  - FIXED\n"
+    )
+    assert [c.name for c in alfmu.imported(path).mechanism.coordinates] == [
+        "j0_e0", "j0_e1", "j0_e2", "j0_e3", "j1_Z_angle", "j1_Y_angle"
+    ]  # fmt: skip
+    for text, said in (
+        ("closed_loop: [[a, b]]\ntype: [4d]", "give 3d or 6d"),
+        ("closed_loop: [[a]]\ntype: [3d]", "no pair of links"),
+        ("closed_loop: [[a, b]\ntype: [3d]", "for a name or a list"),
+        ("closed_loop: [[a, b]]]\ntype: [3d]", "brackets that do not match"),
+        ("closed_loop: [[a, b]]\ntype: [3d]", "there is no link 'a'"),
+    ):
+        (tmp_path / "r.yaml").write_text(text)
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    wrong = '<actuator><muscle name="{0}" joint="ja"/><muscle name="{0}2" joint="jb"/></actuator>'
+    path.write_text(arm(a=' pos="0 0"', b=' springdamper="1 1"', after=wrong.format("m")).replace('pos="0 0"', ""))
+    with pytest.raises(alfmu.InputError) as error:
+        alfmu.imported(path)
+    lines = str(error.value).split("\n")
+    assert lines[0].endswith("arm.xml is refused for 2 reasons:")
+    assert "actuator of kind <muscle>" in lines[1]
+    assert lines[1].endswith("--option leave=actuators leaves it out (and 1 more like it)")
+    assert "springdamper" in lines[2]
+    path.write_text(arm(after=wrong.format("m")))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert len(alfmu.load(str(path), leave="actuators").coordinates) == 3
+    assert "actuators, which the user leaves out" in str(told[0].message)
+    with pytest.raises(alfmu.InputError, match="option leave is 'tyres'; alfmu can leave out actuators"):
+        alfmu.imported(path, leave="tyres")
+
+
+def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
+    (tmp_path / "inner").mkdir()
+    path = tmp_path / "inner" / "m.sdf"
+    path.write_text(sdf(LINK.format("l", "") + "<include><uri>m.sdf</uri></include>"))
+    with pytest.raises(alfmu.InputError, match="include each other in a circle"):
+        alfmu.imported(path)
+    for uri, said in (
+        ("https://a.b/c", "on the net"),
+        ("../n.sdf", "is outside the folder"),
+        ("o.sdf", "no file 'o.sdf'"),
+    ):
+        path.write_text(sdf(LINK.format("l", "") + f"<include><uri>{uri}</uri></include>"))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+    (tmp_path / "n.sdf").write_text(f"<sdf version='1.9'>{INNER}</sdf>")
+    path.write_text(sdf(LINK.format("l", "") + "<include><uri>../n.sdf</uri></include>"))
+    assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
