@@ -32,6 +32,7 @@ def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
     [
         (arm(a=' gravcomp="1.3"'), ""),
         (arm(compiler=' boundmass="3" boundinertia="0.02" balanceinertia="true"'), ""),
+        (arm(b=' springdamper="0.3 0.7" springref="0.2"'), ""),
         (arm(compiler=' settotalmass="7"'), ""),
         (arm(after=TENDON.format(' stiffness="40" damping="2"')), ""),
         (arm(after=TENDON.format(' stiffness="40" springlength="-0.5 0.3" armature="0.1"')), ""),
@@ -208,7 +209,7 @@ def test_a_file_of_loops_changes_freedoms(tmp_path: Path):
         ("closed_loop: [[a]]\ntype: [3d]", "no pair of links"),
         ("closed_loop: [[a, b]\ntype: [3d]", "for a name or a list"),
         ("closed_loop: [[a, b]]]\ntype: [3d]", "brackets that do not match"),
-        ("closed_loop: [[a, b]]\ntype: [3d]", "there is no link 'a'"),
+        ("closed_loop: [[a, b]]\ntype: [3d]", "there is no link or joint 'a'"),
     ):
         (tmp_path / "r.yaml").write_text(text)
         with pytest.raises(alfmu.InputError, match=said):
@@ -218,7 +219,7 @@ def test_a_file_of_loops_changes_freedoms(tmp_path: Path):
 def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
     path = tmp_path / "arm.xml"
     wrong = '<actuator><muscle name="{0}" joint="ja"/><muscle name="{0}2" joint="jb"/></actuator>'
-    path.write_text(arm(a=' pos="0 0"', b=' springdamper="1 1"', after=wrong.format("m")).replace('pos="0 0"', ""))
+    path.write_text(arm(a=' pos="0 0"', b=' springdamper="1 0"', after=wrong.format("m")).replace('pos="0 0"', ""))
     with pytest.raises(alfmu.InputError) as error:
         alfmu.imported(path)
     lines = str(error.value).split("\n")

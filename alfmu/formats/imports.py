@@ -143,8 +143,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
     linkage.drive(common["drives"])
-    refused = {": ".join(cause.split(": ", 2)[:2]) for cause in linkage.causes}
-    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes}, refused)
+    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     linkage.judge()

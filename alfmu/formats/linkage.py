@@ -237,11 +237,13 @@ class Linkage:
         self.warned.setdefault(what, []).extend(nodes)
 
     @contextmanager
-    def trying(self) -> Iterator[None]:
-        """Keep the refusal of an element, so that all are told at once."""
+    def trying(self, node: Node | None = None) -> Iterator[None]:
+        """Keep the refusal of an element, so that all are told at once; what was not read of it is not judged."""
         try:
             yield
         except InputError as error:
+            if node is not None:
+                node.take()
             if not (isinstance(error, UnknownName) and self.causes):
                 self.causes.append(str(error))
 
@@ -249,9 +251,7 @@ class Linkage:
         """Refuse an element that affects the motion, or leave it out if the user says its word."""
         if word not in self.leaves:
             node.fail(f"{why}; --option leave={word} leaves it out")
-        for each in node.below():
-            each.taken = True
-            each.attributes.taken.update(each.attributes)
+        node.take()
         self.warn(f"{word}, which the user leaves out", node)
 
     def judge(self) -> None:

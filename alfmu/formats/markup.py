@@ -104,10 +104,15 @@ class Node:
             child.taken = True
             yield child
 
-    def unread(self, left: Container[Node], refused: Container[str]) -> Iterator[str]:
-        """Yield messages on attributes and elements that were not read, recursively, without those in `left` and those
-        at the places `refused`."""
-        if self in left or self.tag == "plugin" or self.where in refused:
+    def take(self) -> None:
+        """Mark it and all in it as read."""
+        for each in self.below():
+            each.taken = True
+            each.attributes.taken.update(each.attributes)
+
+    def unread(self, left: Container[Node]) -> Iterator[str]:
+        """Yield messages on attributes and elements that were not read, recursively; `left` is ignored."""
+        if self in left or self.tag == "plugin":
             return
         for name, value in self.attributes.items():
             if name not in self.attributes.taken and name != "name" and not name.startswith(_NAMESPACES):
@@ -116,7 +121,7 @@ class Node:
             if not child.taken:
                 yield f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
             else:
-                yield from child.unread(left, refused)
+                yield from child.unread(left)
 
     def one(self, tag: str) -> Node | None:
         """Return the only child with a tag, None if there is none; raise InputError if there are several."""

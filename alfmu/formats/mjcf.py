@@ -108,38 +108,43 @@ class _File:
         trying = self.linkage.trying
         self.settings = _Settings()
         for node in root.all("compiler"):
-            with trying():
+            with trying(node):
                 self._compiler(node)
         for node in root.all("option"):
-            with trying():
+            with trying(node):
                 self._option(node)
         self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         for node in root.all("default"):
-            with trying():
+            with trying(node):
                 self._default(node, None)
         self.tendons: dict[str, Sum | None] = {}
+        self.tuned: list[tuple[Joint, float, float]] = []
+        """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.free: set[Link] = set()
         for section in root.each():
-            with trying():
+            with trying(section):
                 self._section(section)
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
         self._balanced()
+        for joint, time, ratio in self.tuned:
+            inertia = self.linkage.mass_along(((joint, 1.0),))
+            joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
         self.zero: dict[Link, Pose] = {}
         for node in root.all("tendon"):
             for each in node.each():
-                with trying():
+                with trying(each):
                     self._tendon(each)
         for node in root.all("equality"):
             self._equalities(node)
         for node in root.all("actuator"):
             for each in node.each():
-                with trying():
+                with trying(each):
                     self._actuator(each)
         if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
             with trying():
@@ -255,7 +260,7 @@ class _File:
         """Read a body, or a frame in a body at a pose; return the masses of its geoms."""
         parts: list[Inertial] = []
         for child in node.each():
-            with self.linkage.trying():
+            with self.linkage.trying(child):
                 parts += self._branch(child, link, pose, childclass)
         return parts
 
@@ -433,12 +438,18 @@ class _File:
             given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
         given.refuse(
             {
-                "springdamper": "give stiffness and damping",
                 "actuatorgravcomp": "alfmu's gravity acts on all bodies",
                 "align": "it moves frames, not bodies; leave it out",
             }
         )
         joint.effort = self._range(given, "actuatorfrc")
+        time, ratio = given.numbers("springdamper", 2, (0.0, 0.0))
+        if time > 0 and ratio > 0 and kind in ("hinge", "slide"):
+            self.tuned.append((joint, time, ratio))
+        elif time or ratio:
+            given.fail(
+                "springdamper", "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
+            )
         limits = given.numbers("range", 2, (0.0, 0.0))
         limited = given.choice("limited", ("true", "false", "auto"), "auto")
         if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
@@ -523,7 +534,7 @@ class _File:
             self.linkage.leave("equality constraints, which the options disable", section)
             return
         for i, node in enumerate(section.each()):
-            with self.linkage.trying():
+            with self.linkage.trying(node):
                 self._closing(i, node)
 
     def _closing(self, i: int, node: Node) -> None:

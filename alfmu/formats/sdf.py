@@ -102,6 +102,11 @@ def flag(node: Node, tag: str, default: bool) -> bool:
     return said in ("true", "1")
 
 
+def _base(pose: Node) -> str:
+    """Return the frame that a pose is relative to, which had another name in old files."""
+    return pose.attributes.get("relative_to", "") or pose.attributes.get("frame", "")
+
+
 class _File:
     def __init__(self, root: Node, model: str, contacts: str, leaves: Sequence[str], folders: Sequence[Path]):
         version = Reading(root).text("version")
@@ -125,7 +130,8 @@ class _File:
         if contacts == "refuse":
             with trying():
                 self._contacts(models)
-        self._model()
+        with trying(self.model):
+            self._model()
 
     def _chosen(self, root: Node, world: Node | None, models: list[Node], wanted: str) -> Node:
         """Return the model of a name, the only one that moves, or one that holds all that move."""
@@ -136,19 +142,19 @@ class _File:
         self.linkage.leave("other models", *(each for each in models if each not in moving))
         if not moving:
             root.fail("it has no model that moves")
-        joints = [] if world is None or wanted else world.all("joint")
-        if len(moving) == 1 and not joints:
+        others = [] if world is None or wanted else world.all("joint", "frame")
+        if len(moving) == 1 and not any(each.tag == "joint" for each in others):
             return moving[0]
         if len(named) < len(models):
             root.fail("two of its models have the same name, or none; names are used once")
         name = (root if world is None else world).attributes.get("name", "") or root.file.stem
         whole = Node("model", {"name": name}, root.file, moving[0].line, root)
-        whole.children = [*moving, *joints]
+        whole.children = [*moving, *others]
         return whole
 
     def _world(self, world: Node) -> None:
         for child in world.each():
-            with self.linkage.trying():
+            with self.linkage.trying(child):
                 if child.tag not in _WORLD_HARMLESS | {"wind"}:
                     child.fail(f"<{child.tag}> of a world does not map; alfmu takes models, joints and gravity")
                 if child.tag == "plugin":
@@ -193,7 +199,7 @@ class _File:
             elif child.tag.startswith("drake:collision_filter"):
                 self.linkage.leave("settings of contacts", child)
             else:
-                with self.linkage.trying():
+                with self.linkage.trying(child):
                     child.fail(f"<{child.tag}> of a model does not map; alfmu takes links, joints and frames")
         given = Reading(node)
         given.text("name")
@@ -220,6 +226,7 @@ class _File:
         form = given.choice("rotation_format", ("euler_rpy", "quat_xyzw"), "euler_rpy")
         degrees = given.flag("degrees", False)
         given.text("relative_to", "")
+        given.text("frame", "")
         given.done()
         if not node.text.strip():
             return Pose()
@@ -234,14 +241,18 @@ class _File:
         """Return the pose of a link, a joint or a frame in the model."""
         if name in self.poses:
             return self.poses[name]
+        if f"{name}::__model__" in self.nodes:
+            name = f"{name}::__model__"
         known(asked, name, self.nodes, "link, joint or frame")
         node = self.nodes[name]
+        if name in self.poses:
+            return self.poses[name]
         if name in self.pending:
             node.fail(f"frames are relative to each other in a circle ({' -> '.join([*self.pending, name])[:200]})")
         self.pending.append(name)
         posed = node.one("pose")
         default = child_text(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
-        base = (posed.attributes.get("relative_to", "") if posed is not None else "") or default or "__model__"
+        base = (_base(posed) if posed is not None else "") or default or "__model__"
         found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ (self._given(posed) if posed is not None else Pose())
         self.pending.pop()
@@ -251,6 +262,8 @@ class _File:
         """Return the link of a joint's parent or child, through frames; empty for the world."""
         name, seen = child_text(node, tag), set()
         while name != "world":
+            if f"{name}::__model__" in self.nodes:
+                name = f"{name}::__model__"
             known(node, name, self.nodes, "link or frame")
             found = self.nodes[name]
             if found.tag == "link":
@@ -294,7 +307,7 @@ class _File:
             link = self._made(nodes[other], self.links.get(one), before.inverse @ here)
             placed.add(other)
             kind, details = "weld", dict[str, Any]()
-            with self.linkage.trying():
+            with self.linkage.trying(step):
                 kind, details = self._joint(step)
             if kind != "weld":
                 at = here.inverse @ details["frame"]
@@ -322,17 +335,17 @@ class _File:
         for name, node in self.nodes.items():
             self._pose(name, node)
         for closing in left:
-            with self.linkage.trying():
+            with self.linkage.trying(closing):
                 self.linkage.closures.append(self._closure(closing, *ends[closing]))
         for mimic, joint in mimics:
-            with self.linkage.trying():
+            with self.linkage.trying(mimic):
                 self._mimic(mimic, joint)
 
     def _made(self, node: Node, parent: Link | None, pose: Pose) -> Link:
         link = Link(node.attributes["name"], node, parent, pose, Inertial(1.0, np.zeros(3), np.eye(3)))
         self.links[link.name] = link
         self.linkage.links.append(link)
-        with self.linkage.trying():
+        with self.linkage.trying(node):
             self._details(node)
             link.inertial = self._inertial(node)
             if not flag(node, "gravity", True):
@@ -458,7 +471,7 @@ def include(linkage: Linkage, node: Node, folders: Sequence[Path], within: tuple
             children.append(child)
             continue
         child.taken = True
-        with linkage.trying():
+        with linkage.trying(child):
             children += _included(linkage, child, folders, within)
     node.children = children
 
@@ -560,7 +573,9 @@ def _renamed(node: Node, own: Callable[[str], str]) -> None:
             for x in each.all("mimic"):
                 x.attributes["joint"] = own(x.attributes.get("joint", ""))
             if flag(each, "use_parent_model_frame", False):
-                each.fail("use_parent_model_frame in a model inside another does not map; use expressed_in")
+                each.children = [x for x in each.children if x.tag != "use_parent_model_frame"]
+                for x in each.all("xyz"):
+                    x.attributes["expressed_in"] = own("__model__")
 
 
 _LIMITS = {"lower": -1e16, "upper": 1e16, "effort": -1.0, "velocity": -1.0}

@@ -76,21 +76,21 @@ class _File:
         if len(nodes) < len(root.all("link")) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
         for child in root.each():
-            with trying():
+            with trying(child):
                 self._section(child)
-        with trying():
+        with trying(root):
             self._tree(nodes, root.all("joint"), base)
         for child in root.all("loop_joint", "drake:loop_joint"):
-            with trying():
+            with trying(child):
                 self.linkage.closures.append(self._loop(child))
         for child in root.all("drake:ball_constraint"):
-            with trying():
+            with trying(child):
                 self.linkage.closures.append(ball_constraint(child, self.links, len(self.linkage.closures)))
         for child in root.all("gazebo"):
-            with trying():
+            with trying(child):
                 self._gazebo(child)
         for child in root.all("transmission"):
-            with trying():
+            with trying(child):
                 self._transmission(child)
         with trying():
             self._closed()
@@ -114,10 +114,11 @@ class _File:
     def _closed(self) -> None:
         """Close the loops of the file of loops, and add its motors."""
         node = self.linkage.node
+        frames = {joint.name: link for link in self.linkage.links for joint in link.joints} | self.links
         for (one, two), kind in zip(self.other.get("closed_loop", []), self.other.get("type", []), strict=True):
             for name in (one, two):
-                known(node, name, self.links, "link")
-            ends = [(self.links[name], Pose()) for name in (one, two)]
+                known(node, name, frames, "link or joint")
+            ends = [(frames[name], Pose()) for name in (one, two)]
             how = "spherical" if kind.lower() == "3d" else "weld"
             self.linkage.closures.append(Closure(f"{one}_closed", how, node, ends[0], ends[1]))
         able = {j.name for j in self.linkage.joints if len(j.zero) == 1 and not j.follows}
@@ -167,7 +168,7 @@ class _File:
             waiting.remove(name)
             parent, joint = ends[name]
             link = self._link(nodes[name], self.links[parent], self._origin(joint))
-            with self.linkage.trying():
+            with self.linkage.trying(joint):
                 mimics += self._joint(joint, link)
         for mimic, follower in mimics:
             given = Reading(mimic)
@@ -191,7 +192,7 @@ class _File:
         given = Reading(node)
         name = given.text("name")
         link = Link(name, node, parent, pose, Inertial(0.0, np.zeros(3), np.zeros((3, 3))))
-        with self.linkage.trying():
+        with self.linkage.trying(node):
             given.done(("type", "drake_ignore"))
             for child in node.each():
                 if child.tag in _LEFT:
