@@ -253,3 +253,22 @@ def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "n.sdf").write_text(f"<sdf version='1.9'>{INNER}</sdf>")
     path.write_text(sdf(LINK.format("l", "") + "<include><uri>../n.sdf</uri></include>"))
     assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
+
+
+def test_what_exporters_write_is_read_over(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    extras = (
+        "<contact><friction/></contact>",
+        " xmlns:xsi='http://www.w3.org/x' xsi:noNamespaceSchemaLocation='robot.xsd'",
+    )
+    path.write_text(
+        f"<!-- by an exporter --with-- options -->\n<robot name='r'{extras[1]}><link name='l0'>{BAR}{extras[0]}</link>"
+        "<joint name='j' type='revolute'><parent link='world'/><child link='l0'/><axis xyz='0 1 0' rpy='0 0 0'/>"
+        "<limit lower='-INF' upper='inf'/></joint></robot>"
+    )
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+    assert not found.mechanism.end_stops
+    path.write_text(path.read_text().replace("</robot>", "<axis/></robot>"))
+    with pytest.raises(alfmu.InputError, match=r"line 2: robot\[r\]/axis: <axis> does not map"):
+        alfmu.imported(path)

@@ -7,6 +7,7 @@ attributes were read, so that none is ignored silently.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
@@ -261,7 +262,14 @@ def parsed(path: str | Path) -> Node:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
     if len(content) > LARGEST:
         raise InputError(f"{path} has more than {LARGEST / 1e6:g} MB; alfmu reads descriptions up to that size")
-    return _Tree(path).of(content)
+    try:
+        return _Tree(path).of(content)
+    except InputError:
+        # Exporters write comments with two dashes in them, which XML does not allow.
+        plain = re.sub(rb"<!--.*?-->", lambda each: b"\n" * each[0].count(b"\n"), content, flags=re.DOTALL)
+        if plain == content:
+            raise
+    return _Tree(path).of(plain)
 
 
 def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Path:

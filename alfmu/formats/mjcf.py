@@ -38,7 +38,7 @@ _SHARED = {
 _HARMLESS_GEOM = (
     "name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass",
     "density", "shellinertia", "fitscale", "mesh", "hfield", "contype", "conaffinity", "group", "user", "material",
-    "rgba", "condim", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
+    "rgba", "condim", "priority", "adhesion", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
 )  # fmt: skip
 _DYNAMICS = ("actdim", "delay", "nsample", "armature", "damping")
 _LAGS = ("filter", "filterexact")
@@ -211,7 +211,7 @@ class _File:
             ("timestep", "integrator", "solver", "cone", "jacobian", "iterations", "tolerance", "ls_iterations",
              "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance",
              "sdf_iterations", "sdf_initpoints", "impratio", "magnetic", "o_margin", "o_solref", "o_solimp",
-             "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance")
+             "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance", "collision")
         )  # fmt: skip
         if given.has("actuatorgroupdisable"):
             given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
@@ -293,6 +293,10 @@ class _File:
             self.linkage.leave("sites", child)
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
+        elif child.tag in ("flexcomp", "composite"):
+            self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
+        elif child.tag == "plugin":
+            self.linkage.warn("plugins, which are programs", child)
         elif child.tag not in ("inertial",):
             child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
         return parts
@@ -485,8 +489,9 @@ class _File:
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
         self.geoms.append((link, node, masks[0], masks[1]))
-        given.refuse({"fluidshape": _MEDIUM})
-        given.done((*_HARMLESS_GEOM, "fluidcoef", "fluidshape"))
+        if given.text("fluidshape", "none") != "none":
+            self.linkage.without("medium", node, f"fluidshape does not map: {_MEDIUM}")
+        given.done((*_HARMLESS_GEOM, "fluidcoef"))
         self.linkage.leave("shapes of geoms", node)
         if link is None or kind in ("plane", "hfield"):
             return []
@@ -554,6 +559,8 @@ class _File:
                 for k in (1, 2)
             )
             given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
+            if not of or (not by and given.has(f"{node.tag}2")):
+                return
             coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
             self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
         else:
@@ -578,8 +585,10 @@ class _File:
         known(given.node, name, self.tendons, "tendon")
         found = self.tendons[name]
         if found is None:
-            given.fail(which, f"{which} {shown(name)} is a spatial tendon; alfmu takes fixed ones, sums of joints")
-        return found
+            word = "tendons" if given.node.tag == "tendon" else "actuators"
+            what = f"{which} {shown(name)} is a spatial tendon; alfmu takes fixed ones, sums of joints"
+            self.linkage.without(word, given.node, what)
+        return found or ()
 
     # Tendons ----------------------------------------------------------------------------------------------------
 
@@ -677,6 +686,8 @@ class _File:
                 return
         which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
         along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
+        if not along:
+            return
         name = given.text("name", f"{given.text(which)}_{kind}")
         rotary = along[0][0].kind == "revolute"
         gear = given.numbers("gear", range(1, 7), (1.0,))[0]
@@ -699,7 +710,11 @@ class _File:
             motor.unit = motor.unit if bias == "none" else "1"
             if bias == "affine" and prm[2] > 0 and prm[1] == -motor.gain:
                 motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
-            if given.choice("dyntype", ("none", *_LAGS), "none") != "none":
+            if (dynamics := given.text("dyntype", "none")) not in ("none", *_LAGS):
+                what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
+                self.linkage.without("actuators", node, what)
+                return
+            if dynamics != "none":
                 lag = given.numbers("dynprm", range(1, 11), (1.0,))[0]
         motor.lag = lag
         motor.control = self._range(given, "ctrl")

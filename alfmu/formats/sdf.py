@@ -49,6 +49,7 @@ _LEFT = {
     "particle_emitter": "particle emitters",
     "battery": "batteries",
     "gripper": "grippers",
+    "contact": "settings of contacts",
 }
 _SCENERY = ("sun", "ground_plane")
 _DEEPEST = 8

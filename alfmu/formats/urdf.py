@@ -75,6 +75,10 @@ class _File:
         nodes = {each.attributes.get("name", ""): each for each in root.all("link")}
         if len(nodes) < len(root.all("link")) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
+        if "world" not in nodes and any(
+            x.attributes.get("link") == "world" for j in root.all("joint") for x in j.children
+        ):
+            nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
         for child in root.each():
             with trying(child):
                 self._section(child)
@@ -244,7 +248,7 @@ class _File:
             return np.array((1.0, 0.0, 0.0))
         given = Reading(child)
         axis = vector(given.numbers("xyz", 3, (1, 0, 0)))
-        given.done()
+        given.done(("rpy",))
         if not np.linalg.norm(axis) > 0:
             child.fail("the axis has no direction")
         return axis
