@@ -9,6 +9,7 @@ import pytest
 from oracles.linkages import by_mujoco, moving
 
 import alfmu
+from alfmu.cli import main
 
 MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed (extra bench)")
 
@@ -272,3 +273,16 @@ def test_what_exporters_write_is_read_over(tmp_path: Path):
     path.write_text(path.read_text().replace("</robot>", "<axis/></robot>"))
     with pytest.raises(alfmu.InputError, match=r"line 2: robot\[r\]/axis: <axis> does not map"):
         alfmu.imported(path)
+
+
+def test_the_command_names_what_does_nothing_on_request(tmp_path: Path, capsys: pytest.CaptureFixture):
+    path, other = tmp_path / "r.urdf", tmp_path / "loops.yaml"
+    path.write_text(chain("<material name='blue'/>"))
+    other.write_text("closed_loop: [[l2, base]]\ntype: [3d]\n")
+    begin = ["import", str(path), "-o", str(tmp_path / "r.py")]
+    assert main([*begin, "--loops", str(other), "--limits", "ignore"]) == 0
+    said = capsys.readouterr().out
+    assert "freedoms of joints are those of loops.yaml" in said
+    assert "left out: " not in said
+    assert main([*begin, "--all"]) == 0
+    assert "left out: materials (line 1, blue)" in capsys.readouterr().out
