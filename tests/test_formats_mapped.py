@@ -40,6 +40,9 @@ def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
         (arm(after=TENDON.format("") + '<actuator><position tendon="t" kp="20" dampratio="0.7" gear="2" '
              'forcerange="-3 2"/><general joint="ja" gainprm="5" biastype="affine" biasprm="0.1 -5 0.4"/></actuator>'),
          ""),
+        (arm(after='<default><general gainprm="7" biastype="affine" biasprm="0.3 -2 -0.5"/></default><actuator>'
+             '<position joint="ja"/><position joint="jb" kp="3" kv="0.2"/><velocity joint="jc"/><motor joint="ja"/>'
+             '</actuator>'), ""),
         (arm(b=' actuatorfrcrange="-0.5 0.5"',
              after='<actuator><motor joint="jb" gear="3"/><velocity joint="jb" kv="2"/></actuator>'), ""),
         (arm(b=' range="-0.3 1.1"', after='<actuator><position joint="jb" inheritrange="0.9"/></actuator>'), ""),
@@ -90,6 +93,22 @@ def test_friction_and_lags_of_files(tmp_path: Path):
     run = alfmu.simulate(alfmu.imported(path).mechanism, 0.4, 0.1, inputs={"u": 1.0})
     np.testing.assert_array_equal(run["jb.angle"], 0.4)  # friction holds it
     np.testing.assert_allclose(run["u_state"], 1 - np.exp(-run.time / 0.2), atol=1e-8)
+
+
+def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    screw = "<joint name='l' type='screw'><parent>world</parent><child>l</child><axis><xyz>0 0 1</xyz></axis>{}</joint>"
+    texts = []
+    for pitch in (
+        "<screw_thread_pitch>0.002</screw_thread_pitch>",
+        f"<thread_pitch>{-2 * np.pi / 0.002}</thread_pitch>",
+    ):
+        path.write_text(sdf(LINK.format("l", "") + screw.format(pitch)))
+        found = alfmu.imported(path)
+        texts.append(found.source())
+    assert texts[0] == texts[1]
+    assert "lead=0.002" in texts[0]
+    assert "joints with the name of a link have _joint added (line 1, l_joint)" in found.notes
 
 
 LINK = "<link name='{}'>{}<inertial><mass>2</mass></inertial></link>"

@@ -42,6 +42,9 @@ _HARMLESS_GEOM = (
 )  # fmt: skip
 _DYNAMICS = ("actdim", "delay", "nsample", "armature", "damping")
 _LAGS = ("filter", "filterexact")
+_IMPLIED = ("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm")
+"""Attributes of `general` that the other kinds set, or take for defaults of their own."""
+
 _PASSIVE = ("stiffness", "damping", "armature", "frictionloss")
 """Attributes by which a tendon acts without an actuator."""
 
@@ -676,7 +679,8 @@ class _File:
             return
         given = self._reading(node, None, *(t for t in _ACTUATORS if t != kind), kind)
         for name, (_, origin) in given._given.items():
-            if name not in _SHARED and origin.tag != kind:
+            implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
+            if name not in _SHARED and origin.tag != kind and not implied:
                 origin.fail(f"{name} of <{origin.tag}> counts for the <{kind}> in line {node.line} too; give it there")
         for each in ("site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
@@ -692,30 +696,29 @@ class _File:
         rotary = along[0][0].kind == "revolute"
         gear = given.numbers("gear", range(1, 7), (1.0,))[0]
         motor = Motor(name, node, along, "N.m" if rotary else "N", gear)
-        lag = 0.0
+        gain = given.numbers("gainprm", range(1, 11), (1.0,))[0]
+        prm = [*given.numbers("biasprm", range(1, 11), (0.0,)), 0.0, 0.0]
+        dynamics = given.text("dyntype", "none") if kind in ("general", "position") else "none"
+        lag = given.numbers("dynprm", range(1, 11), (1.0,))[0] if dynamics in _LAGS else 0.0
         if kind == "position":
-            kp, kv = given.positive("kp", 1.0), given.positive("kv", 0.0)
+            kp, kv = given.positive("kp", gain), given.positive("kv", max(-prm[2], 0.0))
             motor.gain, motor.bias, motor.unit = kp, (0.0, -kp, -kv), "rad" if rotary else "m"
-            motor.ratio = given.positive("dampratio", 0.0)
-            lag = given.positive("timeconst", 0.0)
+            motor.ratio = given.positive("dampratio", 0.0 if given.has("kv") else max(prm[2], 0.0))
+            lag = given.positive("timeconst", lag)
         elif kind == "velocity":
-            kv = given.positive("kv", 1.0)
+            kv = given.positive("kv", gain)
             motor.gain, motor.bias, motor.unit = kv, (0.0, 0.0, -kv), "rad/s" if rotary else "m/s"
         elif kind == "general":
-            if given.choice("gaintype", ("fixed",), "fixed"):
-                motor.gain = given.numbers("gainprm", range(1, 11), (1.0,))[0]
+            given.choice("gaintype", ("fixed",), "fixed")
             bias = given.choice("biastype", ("none", "affine"), "none")
-            prm = [*given.numbers("biasprm", range(1, 11), (0.0,)), 0.0, 0.0]
-            motor.bias = (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
+            motor.gain, motor.bias = gain, (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
             motor.unit = motor.unit if bias == "none" else "1"
             if bias == "affine" and prm[2] > 0 and prm[1] == -motor.gain:
                 motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
-            if (dynamics := given.text("dyntype", "none")) not in ("none", *_LAGS):
-                what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
-                self.linkage.without("actuators", node, what)
-                return
-            if dynamics != "none":
-                lag = given.numbers("dynprm", range(1, 11), (1.0,))[0]
+        if dynamics not in ("none", *_LAGS) and not given.has("timeconst"):
+            what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
+            self.linkage.without("actuators", node, what)
+            return
         motor.lag = lag
         motor.control = self._range(given, "ctrl")
         inherit = given.positive("inheritrange", 0.0)
@@ -727,8 +730,9 @@ class _File:
         if lag and (limits := self._range(given, "act")) is not None:
             given.fail("actrange", f"actrange from {limits[0]:g} to {limits[1]:g} does not map; limit ctrlrange")
         given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators with a lag at most"))
+        unused = (*_IMPLIED, "kp", "kv", "timeconst") if kind == "motor" else _IMPLIED
         given.done(("class", "group", "user", "ctrllimited", "forcelimited", "lengthrange", "actlimited", "actrange",
-                    "dyntype", "dynprm", "actearly", "interp"))  # fmt: skip
+                    "actearly", "interp", *unused))  # fmt: skip
         self.linkage.motors.append(motor)
 
     def _range(self, given: Reading, what: str) -> tuple[float, float] | None:

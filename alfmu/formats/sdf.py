@@ -205,6 +205,11 @@ class _File:
         given = Reading(node)
         given.text("name")
         given.text("canonical_link", "")
+        links = {each.attributes.get("name", "") for each in node.all("link", "frame")}
+        for each in node.all("joint"):
+            if each.attributes.get("name") in links:  # as libsdformat does
+                each.attributes["name"] += "_joint"
+                self.linkage.note("joints with the name of a link have _joint added", each)
         self.nodes = {each.attributes.get("name", ""): each for each in node.all("link", "joint", "frame")}
         if len(self.nodes) < len(node.all("link", "joint", "frame")):
             node.fail("two of its links, joints and frames have the same name, or none; names are used once")
@@ -636,9 +641,12 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
         if abs(one @ two) > 1e-9 * np.linalg.norm(one) * np.linalg.norm(two):
             node.fail("its two axes are not square to each other, as those of a universal joint are")
     if kind == "screw":
-        if node.one("screw_thread_pitch") is None:
-            node.fail("a screw needs <screw_thread_pitch> [m per turn]; <thread_pitch> is read in several ways")
         found["lead"] = number(node, "screw_thread_pitch", 0.0)
+        if node.one("screw_thread_pitch") is None:
+            # The older element is in radians per metre, with the other sign, as libsdformat converts it.
+            if not (turns := number(node, "thread_pitch", 0.0)):
+                node.fail("a screw needs <screw_thread_pitch> [m per turn], or <thread_pitch> [rad per m]")
+            found["lead"] = -2 * math.pi / turns
     if not found["damping"]:
         found |= dict.fromkeys(("damping", "stiffness", "rest", "friction"), (0.0,))
     return kind, found
