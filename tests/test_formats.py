@@ -148,7 +148,8 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
     [
         (mjcf(after="<tendon><spatial name='t' damping='1'/></tendon>"),
          r"tendon/spatial\[t\]: damping of a <spatial> tendon does not map"),
-        (mjcf(geom=' type="mesh" mesh="m"'), r"body\[b\]/geom\[g\]: a geom of type 'mesh' gives no inertia"),
+        (mjcf(geom=' type="mesh" mesh="m"'), "there is no mesh 'm'"),
+        (mjcf(geom=' type="hull"'), r"body\[b\]/geom\[g\]: a geom of type 'hull' gives no inertia"),
         (mjcf(joint=' type="ball" frictionloss="1"'), r"joint\[j\]: frictionloss of a ball joint does not map"),
         (mjcf(joint=' springdamper="1 0"'), "gives a time and a damping ratio above zero"),
         (mjcf(joint=' wobble="1"'), 'does not know what wobble="1" of <joint>'),

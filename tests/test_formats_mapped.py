@@ -305,3 +305,91 @@ def test_the_command_names_what_does_nothing_on_request(tmp_path: Path, capsys: 
     assert "left out: " not in said
     assert main([*begin, "--all"]) == 0
     assert "left out: materials (line 1, blue)" in capsys.readouterr().out
+
+
+SIDES = [(0, 3, 2), (0, 1, 3), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 7, 6), (2, 3, 7), (0, 6, 4), (0, 2, 6),
+         (1, 7, 3), (1, 5, 7)]  # fmt: skip
+"""Triangles of a box, with their outer sides out."""
+
+CORNERS = np.array([(x, y, z) for x in (0.1, 0.3) for y in (-0.2, 0.2) for z in (0.0, 0.6)])
+
+
+def box_as(kind: str, folder: Path) -> str:
+    """Write a box of 0.2 x 0.4 x 0.6 m as a mesh; return the attributes that refer to it."""
+    if kind == "points":
+        return f'vertex="{" ".join(map(str, CORNERS.ravel()))}"'
+    if kind == "obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in CORNERS * 1000] + [
+            f"f {a + 1}/1/1 {b + 1} {c - 8}" for a, b, c in SIDES
+        ]
+        (folder / "box.obj").write_text("\n".join(lines))
+    elif kind == "text.stl":
+        facets = ("outer loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[list(side)] * 1000)
+                  for side in SIDES)  # fmt: skip
+        (folder / "box.stl").write_text("solid\n" + "".join(facets))
+    else:
+        records = b"".join(
+            bytes(12) + (CORNERS[list(side)] * 1000).astype("<f4").tobytes() + bytes(2) for side in SIDES
+        )
+        (folder / "box.stl").write_bytes(bytes(80) + len(SIDES).to_bytes(4, "little") + records)
+    return f'file="box.{kind[-3:]}" scale="0.001 0.001 0.001"'
+
+
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+@pytest.mark.parametrize("kind", ["points", "obj", "text.stl", "stl"])
+def test_meshes_give_inertia(kind: str, how: str, tmp_path: Path):
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f'<mujoco><asset><mesh name="box" inertia="{how}" {box_as(kind, tmp_path)}/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="box" density="800" pos="1 0 0" euler="0 0 90"/></body></worldbody></mujoco>'
+    )
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    mass = 800 * 0.2 * 0.4 * 0.6
+    assert body.mass == pytest.approx(mass, rel=1e-6)  # STL has seven digits
+    np.testing.assert_allclose(body.center, (1.0, 0.2, 0.3), atol=1e-7)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.52, 0.2]), rtol=1e-6)
+    for old, new, said in (
+        ("box.stl", "box.stp", "no file 'box.stp'"),
+        ("box.stl", "m.xml", "is no STL or OBJ file"),
+        ("box.stl", "../box.stl", "outside the folder"),
+    ):
+        if kind == "stl":
+            (tmp_path / "wrong.xml").write_text(path.read_text().replace(old, new))
+            with pytest.raises(alfmu.InputError, match=f"its mesh gives no inertia .*{said}"):
+                alfmu.imported(tmp_path / "wrong.xml")
+    if kind == "stl":
+        for content, said in (
+            (b"solid\nvertex 1 2", "no STL file that alfmu"),
+            (b"\xff" * 90, "no STL file"),
+            (b"", "no tri"),
+        ):
+            (tmp_path / "box.stl").write_bytes(content)
+            with pytest.raises(alfmu.InputError, match=said):
+                alfmu.imported(path)
+
+
+@MUJOCO
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_path: Path):
+    import mujoco
+
+    outline = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (0, 2)]) * 0.1
+    corners = np.array([(x, y, z) for z in (0.0, 0.1) for x, y in outline])
+    ends = [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4)]
+    sides = [face for i in range(6) for j in [(i + 1) % 6] for face in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
+    faces = [*ends, *((6 + a, 6 + c, 6 + b) for a, b, c in ends), *sides]
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f'<mujoco><asset><mesh name="l" inertia="{how}" refpos="0.1 0 0" scale="1 2 1" vertex="'
+        + " ".join(map(str, corners.ravel())) + '" face="' + " ".join(map(str, np.ravel(faces)))
+        + '"/></asset><worldbody><body name="b"><joint/><geom type="mesh" mesh="l" quat="1 0 0.3 0"/></body>'
+        "</worldbody></mujoco>"
+    )  # fmt: skip
+    model = mujoco.MjModel.from_xml_path(str(path))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[1])
+    turn = turn.reshape(3, 3)
+    assert body.mass == pytest.approx(model.body_mass[1], rel=1e-6)
+    np.testing.assert_allclose(body.center, model.body_ipos[1], atol=1e-7)
+    np.testing.assert_allclose(body.inertia, np.diag(turn @ np.diag(model.body_inertia[1]) @ turn.T), rtol=1e-6)

@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
 from .markup import Node, Reading, found_file, known, parsed
+from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
@@ -78,6 +80,10 @@ class _Settings:
     degrees: bool = True
     bounds: tuple[float, float] = (0.0, 0.0)
     """Least mass [kg] and least moment of inertia [kg.m2] of bodies."""
+    meshes: str = ""
+    """Folder of meshes."""
+    strips: bool = False
+    """Whether folders in names of meshes are left out."""
     balance: bool = False
     total: float = 0.0
     """Mass of all bodies together [kg], if above zero."""
@@ -122,6 +128,14 @@ class _File:
             with trying(node):
                 self._default(node, None)
         self.tendons: dict[str, Sum | None] = {}
+        self.folders = folders
+        self.meshes = {
+            x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
+            for section in root.all("asset")
+            for x in section.all("mesh")
+        }
+        self.inertias: dict[str, Inertial] = {}
+        """Inertias of meshes that were read, of unit density."""
         self.tuned: list[tuple[Joint, float, float]] = []
         """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
@@ -190,6 +204,8 @@ class _File:
         found.bounds = tuple(
             given.positive(f"bound{each}", x) for each, x in zip(("mass", "inertia"), found.bounds, strict=True)
         )  # type: ignore[assignment]
+        found.meshes = given.text("meshdir", given.text("assetdir", found.meshes))
+        found.strips = given.flag("strippath", found.strips)
         found.balance = given.flag("balanceinertia", found.balance)
         found.total = max(given.number("settotalmass", found.total), 0.0)
         self.linkage.leave("lengthrange", *node.all("lengthrange"))
@@ -507,17 +523,51 @@ class _File:
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
             return []
+        if given.flag("shellinertia", False):
+            node.fail("the inertia of shells does not map; give the body an <inertial>")
+        if kind == "mesh":
+            whole, pose = self._mesh(given), frame @ self._pose(given)
+            factor = density if mass is None else mass / whole.mass
+            inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
+            return [Inertial(factor * whole.mass, pose.at(whole.center), inertia)]
         if kind not in _SIZES:
             node.fail(
                 f"a geom of type {shown(kind[:40])} gives no inertia here; give its body an <inertial>, or the geom "
                 'mass="0"'
             )
-        if given.flag("shellinertia", False):
-            node.fail("the inertia of shells does not map; give the body an <inertial>")
         if given.has("mesh"):
             node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
         solid, at = self._solid(given, kind)
         return [solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)]
+
+    def _mesh(self, geom: Reading) -> Inertial:
+        """Return the inertia of the mesh of a geom, of unit density."""
+        name = geom.text("mesh")
+        if name in self.inertias:
+            return self.inertias[name]
+        known(geom.node, name, self.meshes, "mesh")
+        node = self.meshes[name]
+        given = self._reading(node, None)
+        kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
+        if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
+            node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
+        try:
+            if given.has("file"):
+                folder = self.root.file.resolve().parent
+                path = Path(given.text("file"))
+                path = Path(self.settings.meshes) / (path.name if self.settings.strips else path)
+                corners = triangles(found_file(node, str(path), [folder, *self.folders], [folder, *self.folders]))
+            else:
+                points = vector(given.numbers("vertex", range(12, 100_001))).reshape(-1, 3)
+                faces = np.array(given.numbers("face", range(3, 100_001), ()), dtype=int).reshape(-1, 3)
+                corners = points[faces] if len(faces) else hull(points)
+            corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
+            corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
+            found = solid(hull(corners.reshape(-1, 3)) if kind == "convex" else corners, kind != "legacy")
+        except (InputError, IndexError, ValueError) as error:
+            geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
+        self.inertias[name] = found
+        return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
         count = _SIZES[kind]
