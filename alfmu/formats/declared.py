@@ -54,8 +54,8 @@ _RESTITUTION = 0.3
 _CREEP = 0.01
 """Rate [rad/s, m/s] between approach and return at end stops of files."""
 
-_LIGHT = 1e-6
-"""Share of the whole inertia up to which a joint carries nothing: a loop holds what it moves."""
+_LIGHT = 1e-7
+"""Share of the inertia that its parent carries up to which a link counts as a frame without inertia."""
 
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
@@ -359,12 +359,16 @@ class _Declaring:
 
     def _stiffness(self, joint: Joint, which: int = 0) -> float:
         """Return the stiffness of an end stop, from inertia and weight of all that the joint carries."""
-        found, g = 0.0, float(np.linalg.norm(self.linkage.gravity))
-        for whole in (False, True):
-            inertia, lever = self.linkage.resists(joint, which, whole)
-            if found > _LIGHT * inertia * _RATE**2:
+        link = next(link for link in self.linkage.links if joint in link.joints)
+        inertia, lever = self.linkage.resists(joint, link, which)
+        while link.parent is not None:
+            link = link.parent
+            more = self.linkage.resists(joint, link, which)
+            if inertia > _LIGHT * more[0]:
                 break
-            found = max(inertia * _RATE**2, lever * g / (_SAG_M if joint.kind == "prismatic" else _SAG))
+            inertia, lever = more
+        sag = _SAG_M if joint.kind == "prismatic" else _SAG
+        found = max(inertia * _RATE**2, lever * float(np.linalg.norm(self.linkage.gravity)) / sag)
         return float(f"{found or 1.0:.3g}")
 
     def _stop(

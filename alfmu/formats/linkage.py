@@ -221,7 +221,7 @@ class Linkage:
     """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
     """Elements of further remarks, by remark."""
-    _carried: dict[Link | None, Inertial] = field(default_factory=dict)
+    _carried: dict[Link, Inertial] = field(default_factory=dict)
     _places: dict[Link, Pose] = field(default_factory=dict)
 
     def note(self, what: str, *nodes: Node) -> None:
@@ -278,22 +278,21 @@ class Linkage:
         """Return coordinates at which all links are at their poses."""
         return {j: (j.reference,) if len(j.zero) == 1 else j.zero for j in self.joints if j.kind != "free"}
 
-    def carried(self, link: Link | None) -> Inertial:
+    def carried(self, link: Link) -> Inertial:
         """Return the inertia of a link and all that it carries, in ground axes at the references."""
         if link not in self._carried:
             at = place(link, self.references, self._places)
-            own = [] if link is None else [link.inertial]
-            parts = [Inertial(x.mass, at.at(x.center), at.turn @ x.inertia @ at.turn.T) for x in own]
-            beyond = (self.carried(each) for each in self.links if each.parent is link)
-            self._carried[link] = together([*parts, *beyond])
+            x = link.inertial
+            own = Inertial(x.mass, at.at(x.center), at.turn @ x.inertia @ at.turn.T)
+            self._carried[link] = together([own, *(self.carried(each) for each in self.links if each.parent is link)])
         return self._carried[link]
 
-    def resists(self, joint: Joint, which: int = 0, whole: bool = False) -> tuple[float, float]:
+    def resists(self, joint: Joint, carrier: Link, which: int = 0) -> tuple[float, float]:
         """Return inertia about or along a joint's axis at the references, and the weight over gravity times its arm, of
-        what the joint carries or of all links."""
+        what a link carries."""
         link = next(link for link in self.links if joint in link.joints)
         pose = link.before(link.joints.index(joint), self.references, self._places)
-        axis, load = pose.turn @ joint.axes[which], self.carried(None if whole else link)
+        axis, load = pose.turn @ joint.axes[which], self.carried(carrier)
         axis, arm = axis / np.linalg.norm(axis), load.center - pose.at(joint.point)
         if joint.kind == "prismatic":
             return load.mass + joint.armature, load.mass
