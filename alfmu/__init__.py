@@ -26,6 +26,7 @@ _HOME = {
     "InputError": "model.errors",
     "Instance": "runtime",
     "Joint": "model.parts",
+    "LibraryError": "model.errors",
     "Linearization": "analysis.linearization",
     "Marker": "model.parts",
     "Mechanism": "model.mechanism",
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     from .model.errors import DeclarationError as DeclarationError
     from .model.errors import ExportError as ExportError
     from .model.errors import InputError as InputError
+    from .model.errors import LibraryError as LibraryError
     from .model.errors import StepError as StepError
     from .model.errors import WriteError as WriteError
     from .model.mechanism import Mechanism as Mechanism

@@ -18,7 +18,7 @@ from .model.errors import AlfmuError, InputError
 from .model.files import scratch
 from .model.mechanism import Mechanism
 from .runtime import Instance
-from .runtime.library import library
+from .runtime.shipped import installed
 from .simulation import Progress, by_name, checked, finer, run, settings_of
 from .simulation.result import Film, Result, Signal
 
@@ -29,7 +29,18 @@ if TYPE_CHECKING:
 
     from .view.picture import Drawing
 
-__all__ = ["animate", "described", "draw", "drawing_of", "export", "library", "load", "mechanisms", "plot", "simulate"]
+__all__ = [
+    "animate",
+    "described",
+    "draw",
+    "drawing_of",
+    "export",
+    "installed",
+    "load",
+    "mechanisms",
+    "plot",
+    "simulate",
+]
 
 
 def simulate(
@@ -145,10 +156,11 @@ def export(
     kind: str | None = None,
     platforms: Sequence[str] | None = None,
     fmi: int | None = None,
+    interface: str | None = None,
     derivatives: bool | None = None,
     reference: bool | None = None,
 ) -> Path:
-    """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
+    """Write the FMU of a mechanism or a recipe and return its path, `<name>.fmu` by default.
 
     A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
     other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
@@ -162,7 +174,7 @@ def export(
         "freeze": freeze,
         "kernel": kernel,
     }
-    own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi}
+    own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi, "interface": interface}
     recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference)
     return _written(recipe, path, rest_of(recipe))
 

@@ -33,7 +33,10 @@ SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "singular.md"
 BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
-MODULES = ("method.singular", "method.friction", "kernel.thresholds")
+MODULES = ("method.singular", "method.friction", "method.stepping", "kernel.thresholds")
+SOME = {"method.stepping": ("SHARE",)}
+"""The only constants that count of a module."""
+
 FACTORS = {"half": 0.5, "twice": 2.0}
 FAR = {"a hundredth": 0.01, "a hundredfold": 100.0}
 """Factors by which a constant is told that nothing depends on: those of `--far` alone."""
@@ -85,7 +88,8 @@ def thresholds(modules: Sequence[str] = MODULES) -> list[Threshold]:
         body = ast.parse((ROOT / "alfmu" / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")).body
         for line, after in pairwise(body):
             name = line.targets[0].id if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name) else ""
-            if not name.isupper() or not isinstance(values[name], int | float | tuple):
+            counts = name.isupper() and name in SOME.get(module, (name,))
+            if not counts or not isinstance(values[name], int | float | tuple):
                 continue
             text = ast.literal_eval(after.value) if isinstance(after, ast.Expr) else ""
             parts = FORM.fullmatch(" ".join(text.split()))
@@ -386,7 +390,7 @@ DECIDING = (
 )
 """Constants that decide of sticking and sliding."""
 
-OF_FRICTION = (*DECIDING, "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
+OF_FRICTION = (*DECIDING, "SLOW_STEP", "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
 """Constants that nothing without dry friction depends on."""
 
 SLOW = {

@@ -3,6 +3,7 @@
 import gc
 import hashlib
 import os
+import shlex
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +16,7 @@ import alfmu
 from alfmu.model.cache import VARIABLE
 from alfmu.model.content import content
 from alfmu.model.files import exclusive
+from alfmu.runtime.build import compiler
 
 gc.set_threshold(200_000, 20, 50)
 """Traced scenes are millions of objects, which the collector would go through again and again: a fifth of the time."""
@@ -41,6 +43,16 @@ def shared_cache(shared_folder: Path) -> Iterator[None]:
 def uncached(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scenes are traced, and kept for no other process."""
     monkeypatch.setenv(VARIABLE, "off")
+
+
+@pytest.fixture(scope="module")
+def quick_compiler() -> Iterator[None]:
+    """Scenes are compiled without optimisation, in a third of the time, for tests that do not judge compiled code."""
+    command = compiler()
+    with pytest.MonkeyPatch.context() as patch:
+        if command and "ziglang" not in command:
+            patch.setenv("CC", shlex.join([*command, "-O0"]))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,8 @@ import logging
 import os
 import subprocess
 import sys
+import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,11 @@ import pytest
 import alfmu
 from alfmu.cli import main
 from alfmu.equations import derivation
+from alfmu.kernel import controlled, thresholds
 from alfmu.kernel.controlled import whole
-from alfmu.model import cache
-from alfmu.runtime import pipeline, stored
+from alfmu.method import friction, stepping
+from alfmu.model import cache, settings
+from alfmu.runtime import pipeline, probe, stored
 from alfmu.simulation import prepared, with_defaults
 
 NAMES = [
@@ -158,6 +162,61 @@ def test_what_a_scene_depends_on_is_in_its_fingerprint(monkeypatch):
     assert len({*prints}) == len(prints)
     monkeypatch.undo()
     assert stored.fingerprint(fresh()) == prints[0]
+
+
+CONSTANTS = [
+    *((thresholds, "LITTLE"), (stepping, "NOISE"), (stepping, "EXPLICIT5"), (controlled, "EXPLICIT5_SHORT")),
+    *((probe, "_STRAIN"), (pipeline, "STIFF"), (friction, "JAM_PIVOT"), (settings, "UNBALANCED")),
+]
+"""Constants of every kind: numbers and tables of methods, of each room, and copies under the same name."""
+
+
+@pytest.mark.parametrize(("module", "name"), CONSTANTS, ids=lambda x: x if isinstance(x, str) else "")
+def test_a_constant_that_a_program_changes_is_in_the_fingerprint(monkeypatch, module, name):
+    e = fresh()
+    before, value = stored.fingerprint(e), getattr(module, name)
+    changed = 2 * value if isinstance(value, int | float) else replace(value, order=value.order + 1)
+    monkeypatch.setattr(module, name, changed)
+    assert stored.fingerprint(e) not in (None, before)
+    monkeypatch.undo()
+    assert stored.fingerprint(e) == before
+
+
+def test_constants_are_those_of_modules_that_every_process_has_loaded():
+    """Otherwise processes would not find what others have stored."""
+    code = """
+        from importlib import import_module
+        from pathlib import Path
+        import alfmu
+        from alfmu.runtime import pipeline, stored
+        first = stored.constants()
+        for path in sorted(Path(alfmu.__file__).parent.rglob("*.py")):
+            if path.parent.name in stored._ROOMS and path.stem != "__init__":
+                import_module(f"alfmu.{path.parent.name}.{path.stem}")
+        stored._constants.cache_clear()
+        assert stored.constants() == first
+        """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=120)
+
+
+def test_an_entry_of_a_table_that_a_program_changes_is_in_the_fingerprint(monkeypatch):
+    e = fresh()
+    before = stored.fingerprint(e)
+    monkeypatch.setitem(stepping.EXPLICIT_METHODS, "explicit", stepping.EXPLICIT8)
+    assert stored.fingerprint(e) not in (None, before)
+
+
+@pytest.mark.parametrize("held", [True, False], ids=["the same equations", "derived again"])
+def test_a_run_after_a_constant_was_changed_is_that_of_a_program_that_had_it_from_the_start(folder, monkeypatch, held):
+    m = alfmu.load("five_bar")
+    e = alfmu.derive(m)
+    before = run(e if held else m)
+    monkeypatch.setattr(stepping, "SHARE", 1e-9 * stepping.SHARE)
+    after = run(e if held else m)
+    assert after != before
+    assert after == run(fresh("five_bar"))
+    monkeypatch.undo()
+    assert run(e if held else m) == before
 
 
 def test_a_mechanism_with_an_option_that_has_no_text_is_not_kept(folder):

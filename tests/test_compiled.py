@@ -34,6 +34,7 @@ from alfmu.runtime import pipeline, shipped
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
+from alfmu.runtime.shipped import installed
 from alfmu.simulation import prepared, run
 
 LIBRARY = f"{COMPILED}{HERE}{SUFFIX}"
@@ -199,9 +200,9 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
 @pytest.mark.slow
 def test_a_scene_refuses_the_functions_of_another(own_cache):
     e = prepared(by_rk4("five_bar"), "compiled")
-    Scene(packed(e)).compiled_by(e.library)
+    Scene(packed(e), installed()).compiled_by(e.library)
     with pytest.raises(ValueError, match=r"particle_on_circle: kernel_.* has the functions of another scene"):
-        Scene(packed(prepared(derived("particle_on_circle")))).compiled_by(e.library)
+        Scene(packed(prepared(derived("particle_on_circle"))), installed()).compiled_by(e.library)
 
 
 @pytest.mark.slow
@@ -335,6 +336,16 @@ def test_compilers_are_looked_for_in_order(monkeypatch, tmp_path):
     (tmp_path / "gcc").write_text("#!/bin/sh\n")
     (tmp_path / "gcc").chmod(0o755)
     assert build.compiler() == [str(tmp_path / "gcc")]
+
+
+@pytest.mark.parametrize(("command", "level"), [(["cc"], "-O2"), (["cc", "-O0", "-g"], "-O0")])
+def test_a_level_of_optimisation_in_cc_counts(monkeypatch, command, level):
+    """The last one on a command line is in force."""
+    told = []
+    monkeypatch.setattr(build, "build", lambda scene, command, *given: told.append(command))
+    build._built("it", command, ["int x;"], "kernel")
+    assert told[0][: len(command)] == command
+    assert [x for x in told[0] if x.startswith("-O")][-1] == level
 
 
 def in_fmpy(path: Path, blocked: str = "") -> tuple[list[str], list[str]]:

@@ -89,13 +89,13 @@ def wiper_poses(th):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [0.1, 0.02, 0.005])
-def test_a_windscreen_wiper(step):
-    r = run(declared(wiper), 10.0, step)
+def test_a_windscreen_wiper():
     motion = eksergian(WIPER, wiper_poses, lambda th: 0.0, lambda w: STALL * (1 - w / FREE))
-    exact = ode.motion(motion, 0.3, 6.0, r.time)[:, 0]
+    exact = ode.motion(motion, 0.3, 6.0, np.arange(2001) * 0.005)[:, 0]
     assert exact[-1] > 40
-    assert np.abs(r["crank.angle"] - exact).max() <= BOUND
+    for every in (1, 4, 20):
+        r = run(declared(wiper), 10.0, every * 0.005)
+        assert np.abs(r["crank.angle"] - exact[::every]).max() <= BOUND, every
 
 
 LEG, STAGES, LOAD, SPRING, REST = 1.0, 3, 60.0, 20000.0, 0.5

@@ -49,16 +49,17 @@ def five_bar() -> alfmu.Mechanism:
 
 
 CASES = {
-    "plain": (five_bar, {}, {"ERROR_CONTROL"}),
-    "of RK4": (five_bar, {"parameters": {"solver.method": "rk4"}}, set()),
+    "plain": (five_bar, {}, {"ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "of RK4": (five_bar, {"parameters": {"solver.method": "rk4"}}, {"MODEL_EXCHANGE"}),
+    "for co-simulation alone": (five_bar, {"interface": "cs"}, {"ERROR_CONTROL"}),
     "with derivatives": (
         five_bar,
         {"outputs": ["link1.angle", "link1.angle/*"]},
         {"ERROR_CONTROL", "INTERFACE_JACOBIAN"},
     ),
-    "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"ERROR_CONTROL", "PEAKS"}),
-    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
-    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL"}),
+    "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"ERROR_CONTROL", "PEAKS", "MODEL_EXCHANGE"}),
+    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
     "led and locked": (led, {}, {"MOVING_INPUTS", "SWITCHES", "ERROR_CONTROL"}),
 }
 each_case = pytest.mark.parametrize("case", CASES)

@@ -45,6 +45,16 @@ def test_random_linkages_close(planar: bool) -> None:
         assert apart(m, np.array([closed.values[c.name] for c in m.coordinates])) < 1e-9
 
 
+def test_a_matrix_that_vanishes_on_one_side_of_its_diagonal_alone() -> None:
+    """Constants of this linkage's joints cancel in one of two equal entries of the matrix that shares its reactions."""
+    m = opened(311, True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        i = alfmu.Instance(m)
+        i.initialize()
+    assert apart(m, i.q) < 1e-10
+
+
 def test_random_linkages_close_within_their_limits() -> None:
     """Joints stop 1.1 rad and 0.35 sizes beside an assembly; guesses are up to 1 rad and 0.3 sizes from it."""
     told = 0
@@ -67,6 +77,55 @@ def test_random_linkages_close_within_their_limits() -> None:
             if c.name in names:
                 assert abs(x - true[c.name]) < room[c.name] + 0.1 * (1.0 if c.unit == "rad" else size)
     assert told
+
+
+def test_an_open_linkage_of_any_size_closes_alike() -> None:
+    """Torn-off bars of a five-bar, guessed off by up to 0.6 rad and 0.3 of their size: nothing else tells its place."""
+    m = alfmu.Mechanism("loose")
+    L = m.parameter("L", 1.0, "m")
+    ends = [m.ground.at()]
+    for k, (length, x, y, angle) in enumerate([(0.6, 0.4, 0.1, 0.7), (0.9, 0.8, 0.9, 0.8), (1.1, 1.0, 0.4, -0.8)]):
+        pose = (m.coordinate(f"x{k}", "m", start=x * L), m.coordinate(f"y{k}", "m", start=y * L))
+        bar = m.bar(f"b{k}", mass=1.0, length=length * L, pose=(*pose, m.coordinate(f"a{k}", "rad", start=angle)))
+        m.revolute(f"J{k}", ends[-1], bar.start)
+        ends.append(bar.end)
+    m.revolute("J3", m.ground.at(1.5 * L, 0.0), ends[-1])
+    e, found, rad = alfmu.derive(m), [], [c.unit == "rad" for c in m.coordinates]
+    for size in 2.0 ** np.array([0, 1, 14, -3, -20]):
+        i = alfmu.Instance(e)
+        i.set("L", size)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            i.initialize()
+        found.append(i.q / np.where(rad, 1.0, size))
+        assert np.abs(np.array(e.Phi(i.q, i.memory["p"]))).max() < 1e-12 * size
+    assert np.ptp(found, axis=0).max() < 1e-12
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_one_guess_tells_the_assembly(side: float) -> None:
+    """A rod guessed within 0.3 rad of one of two assemblies of a four-bar; its rocker has no guess, nothing is said."""
+    m = alfmu.Mechanism("rocker")
+    guess = m.parameter("guess", 0.0, "rad")
+    crank = m.bar("crank", mass=1.0, length=0.3)
+    rod, rocker = m.bar("rod", mass=1.0, length=0.8), m.bar("rocker", mass=1.0, length=0.7)
+    turn = m.coordinate("turn", "rad", start=0.6, independent=True)
+    m.revolute("A", m.ground.at(), crank.start, coordinate=turn)
+    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=guess))
+    m.revolute("D", m.ground.at(0.9, 0.0), rocker.start, coordinate=m.coordinate("swing", "rad"))
+    m.revolute("C", rod.end, rocker.end)
+    e = alfmu.derive(m)
+    for angle in np.linspace(-3.0, 3.0, 13):
+        B = 0.3 * np.exp(1j * angle)  # a triangle of rod, rocker and the way from B to D
+        way = 0.9 - B
+        aside = np.arccos((0.8**2 + abs(way) ** 2 - 0.7**2) / (2 * 0.8 * abs(way)))
+        bend = np.angle(way * np.exp(1j * (side * aside - angle)))
+        for off in (-0.3, 0.0, 0.3):
+            i = alfmu.Instance(e)
+            i.set("start.turn", angle)
+            i.set("guess", bend + off)
+            i.initialize()
+            assert np.exp(1j * i.q[1]) == pytest.approx(np.exp(1j * bend), abs=1e-9), (angle, off)
 
 
 def test_a_hinge_does_not_close_half_a_turn_away() -> None:

@@ -6,6 +6,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 import alfmu
@@ -121,3 +122,45 @@ def test_they_are_asked_for_by_name_alone():
         alfmu.simulate(pendulum(), 0.1, 0.1, outputs=["A.moment.peak"])
     with pytest.raises(alfmu.InputError, match="the oracle has no peaks within a step"):
         alfmu.simulate(pendulum(), 0.1, 0.1, outputs=ASKED, kernel="oracle")
+
+
+def watt() -> Mechanism:
+    """Watt's linkage with a load at the middle of its coupler, which falls from 0.2 rad and passes a dead centre."""
+    m = Mechanism("watt")
+    a = m.coordinate("a", "rad", start=0.2, independent=True)
+    b, c = (m.coordinate(name, "rad", start=x) for name, x in (("b", np.pi / 2), ("c", np.pi)))
+    left, coupler, right = (m.bar(k, mass=x, length=l) for k, x, l in (("l", 1, 0.4), ("k", 0.5, 0.2), ("r", 1, 0.4)))
+    A = m.revolute("A", m.ground.at(0, 0), left.start, coordinate=a)
+    m.revolute("B", left.end, coupler.start, coordinate=b)
+    m.revolute("D", m.ground.at(0.8, 0.2), right.start, coordinate=c)
+    m.revolute("C", coupler.end, right.end)
+    m.weld("hook", coupler.at(0.1, 0), m.body("weight", mass=5.0, inertia=0.0).at(0, 0))
+    m.drive(A, m.input("motor", "N.m"))
+    m.friction(A, 0.3)
+    m.gravity(0, -9.81)
+    return m
+
+
+def test_a_peak_of_a_hundredth_of_a_second_is_exact_to_one_percent():
+    """The linkage by (4) and (3) in one system and DOP853; inputs let the polynomial begin anew at each point.
+
+    By fixed steps of 0.02 s, two in the peak, RK4 itself is 0.2 rad/s off after it: its peak is 3 % low.
+    """
+    e = alfmu.derive(watt())
+    i = alfmu.Instance(e)
+    i.initialize()
+    p, n = i.memory["p"], e.n
+
+    def solved(y: np.ndarray) -> np.ndarray:
+        M, C, F, xi = map(np.array, e.functions["dynamics"](y[:n], y[n:], [0.0], p, 0.0))
+        return np.linalg.solve(np.block([[M, C.T], [C, np.zeros((e.l, e.l))]]), np.vstack([F, xi])).ravel()
+
+    rate = lambda _, y: np.concatenate([y[n:], solved(y)[:n]])  # noqa: E731
+    run = solve_ivp(rate, (0, 0.3), [*i.q, *i.v], "DOP853", np.linspace(0, 0.3, 3001), rtol=1e-11, atol=1e-12)
+    at = [[v.name for v in e.outputs].index(f"A.force.{axis}") for axis in "xy"]
+    forces = [e.functions["readings"](y[:n], y[n:], *np.split(solved(y), [n]), [0.0], p, 0.0) for y in run.y.T]
+    most = max(np.hypot(*np.array(x).ravel()[at]) for x in forces)
+    for method, step in (("auto", 0.02), ("explicit", 0.02), ("stiff", 0.02), ("rk4", 0.01), ("rk4", 0.005)):
+        given = {"solver.method": method, "solver.step_size": step}
+        r = alfmu.simulate(e, 0.3, step, inputs={"motor": 0.0}, parameters=given, outputs=ASKED)
+        assert r["A.force.peak"].max() == pytest.approx(most, rel=1e-2), (method, step)

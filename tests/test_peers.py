@@ -21,7 +21,7 @@ OTHERS = {"pin": "Pinocchio", "exudyn": "Exudyn", "mujoco": "MuJoCo"}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, quick_compiler):
     """The profile over 1 s, where nothing but alfmu and SciPy is installed."""
     made = tmp_path_factory.mktemp("peers")
     effort = PROFILES["peers"][1]
@@ -43,8 +43,18 @@ def judged(request):
     known = exact.reference(instance, 1.0, exact.Effort(parts=100))
     times = np.arange(51) * 0.02
     judge = Judge(equations, known)
-    assert all(row[POSITION] < 1e-11 for row in judge.errors_of_reference(times))
     return equations, judge, times
+
+
+def test_the_reference_is_tighter_than_what_it_judges(judged):
+    """Other ways to compute it, its energy, and its rate: 2 rad/s at the start, a little less one sample later."""
+    equations, judge, times = judged
+    assert all(row[POSITION] < 1e-11 for row in judge.errors_of_reference(times))
+    assert np.ptp(judge.reference.energies(times)) < 1e-11
+    angle = judge.reference.outputs(times)[:, judge.names.index(peers.ANGLE[equations.name])]
+    start = PROFILES["peers"][0].given
+    assert angle[0] == start["start.angle"] == 0.0
+    assert 0.8 < angle[1] / (start["start.angular_velocity"] * times[1]) < 1.0
 
 
 @pytest.mark.parametrize("package", [*OTHERS, "scipy"])
@@ -53,7 +63,10 @@ def test_an_installed_code_simulates_the_same_mechanism(judged, package):
     equations, judge, times = judged
     name = OTHERS.get(package, "SciPy stabilised")
     rival = next(x for x in TUNED if x.name == name)
-    errors = judge.errors(rival.run(equations, 1e-6 if package == "scipy" else 1e-3, Case({}, times, 60.0)))
+    made = rival.run(equations, 1e-6 if package == "scipy" else 1e-3, Case({}, times, 60.0))
+    assert np.array_equal(made.times, times)
+    errors, cost = judge.errors(made), made.cost()
+    assert 0 < cost["least [s]"] <= cost["median [s]"] <= max(made.seconds)
     assert errors[POSITION] < 1e-3
     assert errors[REACTION] < 1.0  # N, of some 60; second order and soft constraints
 
@@ -64,7 +77,8 @@ def test_rows_of_a_study_without_other_codes(folder):
         (mechanism, code) for mechanism in peers.MECHANISMS for code in ("alfmu", "SciPy stabilised")
     }
     for row in (r for r in made if not r["note"]):
-        assert float(row["least [s]"]) > 0
+        assert 0 < float(row["least [s]"]) <= float(row["median [s]"])
+        assert 2 <= int(row["repeats"]) <= PROFILES["peers"][1].repeats
         assert float(row[POSITION]) < 1e-3
         assert float(row[REACTION]) < 0.1
     skipped = {(r["mechanism"], r["code"]) for r in rows(folder, "skipped")}

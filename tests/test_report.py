@@ -20,7 +20,7 @@ import alfmu
 from alfmu.catalogue.registry import mechanisms
 from alfmu.cli import main
 from alfmu.model.settings import FORMULATIONS, METHODS
-from alfmu.simulation import oracle, prepared
+from alfmu.simulation import oracle, prepared, with_defaults
 from alfmu.studies import cases, paper, stability
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
@@ -40,7 +40,7 @@ from alfmu.studies.report import (
 )
 from alfmu.studies.rivals import RIVALS
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compiler")]
 
 MAPS = stability.Effort(
     total=0.0,
@@ -689,7 +689,9 @@ def test_the_largest_error_is_within_ten_times_the_tolerance(name, horizon, tole
 
 def test_the_profile_of_tolerances_has_whole_runs_beside_scipy(tmp_path, monkeypatch):
     monkeypatch.setattr("alfmu.studies.report.compiler", lambda: None)
-    effort = replace(PROFILES["tolerances"][1], horizon=0.5, tolerances=(1e-5, 1e-7), methods=("explicit", "auto"))
+    effort = replace(
+        PROFILES["tolerances"][1], horizon=0.5, tolerances=(1e-5, 1e-7), methods=("explicit", "stiff", "auto")
+    )
     page = report(["particle_on_circle"], tmp_path, effort=effort, profile="tolerances", quick=True)
     written = page.with_name("report.md")
     for _, name, names, lines in tables(written):
@@ -697,11 +699,35 @@ def test_the_profile_of_tolerances_has_whole_runs_beside_scipy(tmp_path, monkeyp
     machine = {r["what"]: r["value"] for r in rows(tmp_path, "environment")}
     assert machine["command"] == "`alfmu report particle_on_circle --profile tolerances --quick`"
     held = [(r["method"], float(r["tolerance"]), r["within ten times"]) for r in rows(tmp_path, "tolerances")]
-    assert sorted(held) == [(method, x, "held") for method in ("auto", "explicit") for x in (1e-7, 1e-5)]
+    assert sorted(held) == [(method, x, "held") for method in ("auto", "explicit", "stiff") for x in (1e-7, 1e-5)]
     assert {r["method"] for r in rows(tmp_path, "errors") if r["code"] != "alfmu"} == {"DOP853", "Radau", "BDF"}
+    for row in rows(tmp_path, "tolerances"):
+        over = float(row[POSITION]) / float(row[cases.TOLERANCE])
+        assert float(row["error over tolerance"]) == pytest.approx(over, rel=1e-12)
+        assert over <= 10
+    # `auto` chooses the better method here, and costs at most twice as much as that: in evaluations, which no load of
+    # the machine changes.
+    automatic = with_defaults(alfmu.derive(alfmu.load("particle_on_circle")), {"solver.method": "auto"})
+    decision = prepared(automatic, "oracle").decision
+    assert (decision.method, decision.reason.startswith("explicit: the fastest small motion")) == ("explicit", True)
+    own = [r for r in rows(tmp_path, "errors") if r["code"] == "alfmu"]
+    made = {(r["method"], float(r["value"])): int(r["evaluations"]) for r in own}
+    assert all(made["auto", x] <= 2 * min(made["explicit", x], made["stiff", x]) for x in effort.tolerances)
     for row in rows(tmp_path, "comparisons"):
-        assert float(row["ratio"] or 1.0) > 0
+        ratio, mine, other = (float(row[x] or "nan") for x in ("ratio", "its value", "other's value"))
+        assert ratio == pytest.approx(other / mine, rel=1e-12, nan_ok=True)
     assert not (tmp_path / "cells.csv").exists()
+
+
+def test_a_tolerance_is_held_up_to_ten_times():
+    own = {"code": "alfmu", "formulation": "residual", "method": "auto", "way": "vm", "control": cases.TOLERANCE}
+    study = Study("particle_on_circle", SMALL)
+    told = {1e-6: "held", 0.999e-5: "held", 1.001e-5: "not held", None: "not judged"}
+    study.files["errors"] = [{**own, "value": 1e-6, POSITION: x, TIME: 0.1, "steps": 9} for x in told]
+    study.files["errors"] += [{**own, "value": 1e-6, POSITION: 1e-7, TIME: None, "steps": 9}]
+    study.files["errors"] += [{**own, **other} for other in ({"code": "SciPy"}, {"control": cases.STEP})]
+    study._tolerances()
+    assert [row["within ten times"] for row in study.files["tolerances"]] == [*told.values(), "not judged"]
 
 
 def test_the_profile_of_the_paper_has_its_chapters_alone(tmp_path):

@@ -124,6 +124,36 @@ def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
 
 
+def beside_a_crank() -> Mechanism:
+    """The same linkage with a coupler alone torn off."""
+    m = Mechanism("mixed")
+    L = m.parameter("L", 1.0, "m")
+    th = m.start("angle", 0.8, "rad", rate=4.0)
+    a, c = m.coordinate("a", "rad", start=th), m.coordinate("c", "rad", start=1.8)
+    m.tie(th, a)
+    x, y = m.coordinate("x", "m", start=0.65 * L), m.coordinate("y", "m", start=0.6 * L)
+    crank, rocker = m.bar("crank", mass=1.0, length=L / 2), m.bar("rocker", mass=1.0, length=L)
+    b = m.bar("b", mass=1.0, length=0.9 * L, pose=(x, y, m.coordinate("turn", "rad", start=0.6)))
+    m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=a)
+    m.revolute("D", m.ground.at(1.2 * L, 0), rocker.start, coordinate=c)
+    m.revolute("B", crank.end, b.start)
+    m.revolute("C", b.end, rocker.end)
+    m.gravity(0.0, -9.81)
+    return m
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: four_bar(True), lambda: four_bar(False), beside_a_crank], ids=["bodies", "points", "mixed"]
+)
+def test_a_four_bar_torn_apart_of_any_size_moves_alike(make):
+    i, times = unit(make()), np.arange(STEPS + 1) / 10
+    usual = angles(i, times, {"solver.relative_tolerance": 1e-9})
+    for length in (1e4, 1e-2, 1e-4, 2e-6):
+        second = length**0.5
+        values = {"L": length, "start.angle_rate": 4 / second, "solver.relative_tolerance": 1e-9}
+        assert np.abs(angles(i, second * times, values) - usual).max() <= 1e-9, length
+
+
 # Constraints that hardly agree ------------------------------------------------------------------------------------
 
 

@@ -14,7 +14,7 @@ from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, Run
 from alfmu.studies.stability import CLASSES, OTHER, REFUSED, Cell, Effort, Study, classified, stability
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compiler")]
 
 SMALL = Effort(
     total=30.0,

@@ -27,7 +27,7 @@ from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, Exp
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
-from alfmu import Derivatives, Fit, Gradient, derivatives, fit, gradient
+from alfmu import Derivatives, Fit, Gradient, LibraryError, derivatives, fit, gradient
 from alfmu import System, couple, validate
 
 warnings.simplefilter("error", AlfmuWarning)

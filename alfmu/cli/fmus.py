@@ -36,7 +36,7 @@ NOT_JUDGED = 3
 
 
 def add(command: Command) -> None:
-    sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
+    sub = command("export", _export, "write the FMU of a recipe or a mechanism")
     sub.epilog = _EXPORT
     add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
@@ -53,6 +53,12 @@ def add(command: Command) -> None:
         action="extend",
         help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
         "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
+    )
+    sub.add_argument(
+        "--interface",
+        choices=("both", "cs", "me"),
+        help="interface of a native FMU: co-simulation (cs), Model Exchange (me), where the importer integrates, or "
+        "both (default: both, or cs if the mechanism has something that --interface me refuses by name)",
     )
     add_kernel(sub)
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
@@ -124,6 +130,7 @@ def _export(chosen: argparse.Namespace) -> None:
         kind=chosen.kind,
         fmi=chosen.fmi,
         platforms=chosen.platform,
+        interface=chosen.interface,
         kernel=chosen.kernel,
         stop_time=chosen.stop_time,
         communication_step=chosen.step,
@@ -147,7 +154,7 @@ def _export(chosen: argparse.Namespace) -> None:
 def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
-    own = ["kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
+    own = ["kind", "fmi", "platform", "interface", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
     own += ["option", "set", "compliances", "derivatives", "reference"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")

@@ -55,10 +55,13 @@ from .friction import Rubs, rubbing
 from .interface import variables_of
 from .loads import efforts_of, inertia_of, is_guided, limited_by, potential_of
 from .measures import measures
-from .reactions import carried_by, driving, lengths_of, locking, reactions_of, spatial_efforts
+from .reactions import carried_by, driving, lengths_of, locking, reach_of, reactions_of, spatial_efforts
 from .types import Equations, Followed, Leap, Row, Variable
 
 __all__ = ["derive"]
+
+_UNGUESSED = 10.0
+"""Weight of the change of a coordinate without a guess in the assembly, relative to one with a guess [1]."""
 
 STEADY = 1e-9
 """Diagonal entry of M for time over the mean of masses and inertias [1]: too small to affect any norm of M."""
@@ -411,11 +414,18 @@ def _equations(
 ) -> Equations:
     """Return the equations: functions with names and units of their arguments and results."""
     locks, frictions, closures, plain, counted = at.locks, at.frictions, closed.closures, closed.plain, said.counted
+    guessed = any(c.guessed and not m._is_start(symbolic(c.guess)) for c in at.coordinates)
     instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
     return Equations(
         name=m.name,
         description=m.description,
-        coordinates=[*(Variable(c.name, c.unit) for c in at.coordinates), *[Variable("time", "s")] * m.moves],
+        coordinates=[
+            *(
+                Variable(c.name, c.unit, readiness=1.0 if c.guessed or not guessed else _UNGUESSED)
+                for c in at.coordinates
+            ),
+            *[Variable("time", "s")] * m.moves,
+        ],
         parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
         starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
         start_rates=[
@@ -445,6 +455,7 @@ def _equations(
         leaps=_leaps(m, closures),
         limited=[Variable(stop.name, stop.unit) for _, stop in read.limits],
         wrapped=read.wrapped,
+        reach=reach_of(m),
         works=m.moves or bool(frictions) or not terms.f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,

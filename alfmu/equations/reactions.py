@@ -23,7 +23,7 @@ from .closures import closures_of, slid
 from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
 from .types import Row, Variable
 
-__all__ = ["carried_by", "driving", "lengths_of", "locking", "reactions_of", "spatial_efforts"]
+__all__ = ["carried_by", "driving", "lengths_of", "locking", "reach_of", "reactions_of", "spatial_efforts"]
 
 
 _REACTIONS = {
@@ -159,6 +159,17 @@ def _square_of_size(m: Mechanism) -> ca.SX:
     _, first = np.unique(np.round(found / found.max(initial=_SMALLEST), 9), axis=0, return_index=True)
     largest = ca.mmax(stack([squares[i] for i in first])) if squares else ca.SX(0)
     return ca.if_else(largest > 0, largest, 1)
+
+
+def reach_of(m: Mechanism) -> float:
+    """Return the largest coordinate [m] of a point of a joint on the ground, by default parameters."""
+    joints, ground = (*m.joints, *m.spatial_joints), (m.ground, m.spatial_ground)
+    points = [at for joint in joints for at in (joint.first, joint.second) if at.body in ground]
+    places = stack([x for at in points for x in (at.point if isinstance(at, SpatialMarker) else (at.x, at.y))])
+    p = stack([x.symbol for x in m.parameters])
+    own = [x for x in ca.vertsplit(places) if not ca.depends_on(x, m.time)] if places.numel() else []
+    value = ca.Function("reach", [p], [ca.norm_inf(stack(own))])
+    return float(value([x.default for x in m.parameters]))
 
 
 def spatial_efforts(

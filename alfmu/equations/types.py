@@ -57,6 +57,8 @@ class Variable(Brief):
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
     nominal: float | None = None
     """Order of magnitude, if one is declared."""
+    readiness: float = 1.0
+    """Weight of the change of a coordinate in the assembly: larger for one without a guess."""
     of_step: bool = False
     """Whether an output belongs to the last communication step, and changes only with steps."""
 
@@ -190,8 +192,18 @@ _TUPLES = (
 """Fields of equations that are converted to tuples, as users read them."""
 
 
+class _Functions:
+    """The functions of equations as attributes."""
+
+    if TYPE_CHECKING:
+        M = d = f = Phi = C = xi = Phi_dot = displacements = gaps = gaps_matrix = ca.Function()
+        kinetic_energy = potential_energy = input_power = other_power = motion_power = state_rates = ca.Function()
+        readings = shares = rubbing = sliding = instants = stops = laws = ca.Function()
+        guess = guess_rate = ties = ties_matrix = ca.Function()
+
+
 @dataclass(frozen=True, repr=False)
-class Equations:
+class Equations(_Functions):
     """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
 
     `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs, and behind them the states x),
@@ -298,6 +310,8 @@ class Equations:
     """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
     peaks: dict[str, list[str]] = field(default_factory=dict)
     """Peaks requested, and the outputs that each consists of."""
+    reach: float = 0.0
+    """Largest coordinate [m] of a joint's point on the ground, by default parameters; round-off grows with it."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
@@ -351,11 +365,13 @@ class Equations:
         """Whether there are Euler parameters, whose pivots are small in turn along a motion."""
         return any(c.unit == "1" for c in self.coordinates)
 
-    def __getattr__(self, name: str) -> ca.Function:
-        functions = self.__dict__.get("functions", {})
-        if name in functions:
-            return functions[name]
-        raise AttributeError(name)
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> ca.Function:
+            functions = self.__dict__.get("functions", {})
+            if name in functions:
+                return functions[name]
+            raise AttributeError(name)
 
 
 @dataclass(frozen=True, repr=False)

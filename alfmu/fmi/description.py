@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import markdown
 
 from ..equations import Equations, Variable
-from ..equations.interface import default_settings
+from ..equations.interface import BALANCE, default_settings
 from ..equations.interface import variables_of as interface
 from ..model.units import composed
 
@@ -64,6 +64,26 @@ _CAPABILITIES = {
 }
 """Attributes of co-simulation by version of FMI; those in braces depend on the kind of FMU and its inputs."""
 
+_EXCHANGE = {
+    2: {
+        "needsExecutionTool": "false",
+        "completedIntegratorStepNotNeeded": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "{directional}",
+    },
+    3: {
+        "needsCompletedIntegratorStep": "true",
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "{directional}",
+        "providesAdjointDerivatives": "{directional}",
+    },
+}
+"""Attributes of Model Exchange by version of FMI."""
+
 _TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 """Types of FMI 2 and of FMI 3."""
 
@@ -79,27 +99,47 @@ def model_description(
     choices: Choices = MappingProxyType({}),
     fmi: int = 2,
     directional: bool = True,
+    interfaces: Sequence[str] = ("cs",),
+    states: Sequence[tuple[Variable, Variable]] = (),
+    indicators: Sequence[Variable] = (),
 ) -> bytes:
-    """Return modelDescription.xml (co-simulation) as UTF-8, the same bytes for the same arguments.
+    """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
-    A native FMU may have directional derivatives.
+    A native FMU may have directional derivatives, and of the interfaces "me" (Model Exchange) and "cs";
+    `states` are those that an importer may integrate, with their rates, beside its event indicators.
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
     head = {"fmiVersion": f"{fmi}.0", "modelName": e.name, "guid" if fmi == 2 else "instantiationToken": guid}
     head |= {"description": e.description, "version": version, "license": LICENSE, "generationTool": generator}
+    own = states if "me" in interfaces else ()
+    if own:
+        of_run = {v.name for _, v in variables if v.of_step} | BALANCE - {"monitor.energy"}
+        variables = [
+            (c, replace(v, description=f"{v.description}; 0 in Model Exchange") if v.name in of_run else v)
+            for c, v in variables
+        ]
+    if own and fmi == 2:
+        head["numberOfEventIndicators"] = str(len(indicators))
     root = ET.Element("fmiModelDescription", head, variableNamingConvention=_convention(e), **credits)
     known = {
         "directional": str(native and directional).lower(),
         "inputs": str(native and bool(e.inputs)).lower(),
         "order": 2 * native,
     }
-    capabilities = {name: value.format(**known) for name, value in _CAPABILITIES[fmi].items()}
-    simulation = ET.SubElement(root, "CoSimulation", {"modelIdentifier": e.name, **capabilities})
-    if fmi == 2 and sources:
-        _files(ET.SubElement(simulation, "SourceFiles"), "File", sources)
-    _units(root, sorted({*["s"] * (fmi == 3), *(v.unit for _, v in variables if v.type == "Real")}))
+    for each in interfaces:
+        element, table = ("ModelExchange", _EXCHANGE) if each == "me" else ("CoSimulation", _CAPABILITIES)
+        capabilities = {name: value.format(**known) for name, value in table[fmi].items()}
+        interface_of = ET.SubElement(root, element, {"modelIdentifier": e.name, **capabilities})
+        if fmi == 2 and sources:
+            _files(ET.SubElement(interface_of, "SourceFiles"), "File", sources)
+    units = {
+        v.unit
+        for v in (*(v for _, v in variables), *(v for pair in own for v in pair), *(indicators if own else ()))
+        if v.type == "Real"
+    }
+    _units(root, sorted({*["s"] * (fmi == 3), *units}))
     types = ET.SubElement(root, "TypeDefinitions") if choices else root
     for name, items in choices.items():
         if fmi == 2:
@@ -117,35 +157,61 @@ def model_description(
             if causality == "input":
                 head.pop("initial", None)
             ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
+    first = len(variables)
+    for k, v in enumerate((*(v for v, _ in own), *(v for _, v in own), *(indicators if own else ()))):
+        head, kind = _facts(first + k, "local", v)
+        if len(own) <= k < 2 * len(own):
+            kind["derivative"] = str(first + k - len(own) + (fmi == 2))
+        if fmi == 2:
+            ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), "Real", kind)
+        else:
+            ET.SubElement(model_variables, "Float64", head | kind)
     if fmi == 3:
         time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
-        ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
-    _structure(root, e, variables, fmi)
+        ET.SubElement(
+            model_variables,
+            "Float64",
+            {"name": "time", "valueReference": str(first + 2 * len(states) + len(indicators)), **time},
+        )
+    _structure(root, e, variables, fmi, range(first, first + len(own)), len(indicators))
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
-def _structure(root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int) -> None:
+def _structure(
+    root: ET.Element, e: Equations, variables: Sequence[tuple[str, Variable]], fmi: int, states: range, indicators: int
+) -> None:
     """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
 
-    A Boolean input takes effect in the next step. FMI 2 counts variables from 1, FMI 3 names their references.
+    A Boolean input takes effect in the next step. In Model Exchange outputs and rates depend on all states, whose
+    references are `states`, followed by those of the rates; outputs of a communication step do not. FMI 2 counts
+    variables from 1, FMI 3 names their references.
     """
     structure, first = ET.SubElement(root, "ModelStructure"), 1 if fmi == 2 else 0
     inputs = [str(i + first) for i, (c, v) in enumerate(variables) if c == "input" and v.type == "Real"]
-    if fmi == 2:
-        outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
-        names, key = ("Unknown", "Unknown"), "index"
-    else:
-        outputs = unknowns = structure
-        names, key = ("Output", "InitialUnknown"), "valueReference"
+    own, rates = ([str(k + first + shift) for k in states] for shift in (0, len(states)))
+    key = "index" if fmi == 2 else "valueReference"
+
+    def part(name: str, unknown: str) -> tuple[ET.Element, str]:
+        return (ET.SubElement(structure, name), "Unknown") if fmi == 2 else (structure, unknown)
+
     told = [(str(i + first), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
+    element = part("Outputs", "Output")
     for number, v in told:
-        on = inputs if v.instant else []
-        kinds = " ".join("dependent" for _ in on)
-        ET.SubElement(outputs, names[0], {key: number}, dependencies=" ".join(on), dependenciesKind=kinds)
+        on = [*(inputs if v.instant else []), *([] if v.of_step else own)]
+        ET.SubElement(*element, {key: number}, dependencies=" ".join(on))
+    if states:
+        element = part("Derivatives", "ContinuousStateDerivative")
+        for number in rates:
+            ET.SubElement(*element, {key: number})
+    element = part("InitialUnknowns", "InitialUnknown")
     for number, v in told:
         needed = " ".join(str(i + first) for i in _at_the_start(e, variables, v))
-        ET.SubElement(unknowns, names[1], {key: number}, dependencies=needed)
+        ET.SubElement(*element, {key: number}, dependencies=needed)
+    for number in (*own, *rates):
+        ET.SubElement(*element, {key: number})
+    for k in range(indicators if states and fmi == 3 else 0):
+        ET.SubElement(structure, "EventIndicator", {key: str(states[-1] + len(states) + 1 + k)})
 
 
 def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:
@@ -213,10 +279,11 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
     head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
     if v.description:
         head["description"] = v.description
+    calculated = causality in ("output", "local")
     if causality != "input":
-        head["initial"] = "calculated" if causality == "output" else "exact"
+        head["initial"] = "calculated" if calculated else "exact"
     kind: dict[str, str] = {}
-    if causality != "output":
+    if not calculated:
         kind["start"] = v.start if isinstance(v.start, str) else _number(v.start, v.type)
     if v.type == "Enumeration":
         kind["declaredType"] = v.name

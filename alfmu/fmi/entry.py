@@ -8,7 +8,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from ..model.hooks import handed_in
-from ..runtime.library import Scene
+from ..runtime.library import Scene, library
 from .recipe import Recipe
 from .slave import SCENE, Slave
 
@@ -32,9 +32,9 @@ class Entry(Slave):
 
     def _scene(self, folder: Path) -> Scene:
         if (folder / SCENE).is_file():
-            return Scene((folder / SCENE).read_bytes())
+            return Scene((folder / SCENE).read_bytes(), library())
         self._description, self._resources = handed_in("described")(self.recipe)
-        return Scene(self._resources[SCENE])
+        return Scene(self._resources[SCENE], library())
 
     def to_xml(self, model_options: Any = None) -> Element:
         """Return the description of the FMU, and write the files of the scene into the resources."""

@@ -21,8 +21,9 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
+from ..kernel.exchange import exchanged, indicators, obstacle
 from ..kernel.form import Traced
-from ..kernel.tables import identified, interface, known_choices
+from ..kernel.tables import alone, identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -198,8 +199,10 @@ def packed_scene(
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
     """Return the files of a native FMU."""
     e, fmi = equations, recipe.fmi
-    chosen = native.platforms(e.name, recipe.platforms)
-    files, scene = native.sources(recipe.fmi, native.left_out(e, recipe.derivatives)), packed(e)
+    chosen, interfaces = native.platforms(e.name, recipe.platforms), _interfaces(recipe, e)
+    states = [] if obstacle(alone(e)) else exchanged(e)
+    left_out = native.left_out(e, recipe.derivatives, "me" in interfaces)
+    files, scene = native.sources(recipe.fmi, left_out), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
@@ -208,7 +211,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     listed = enumerated(variables, choices)
     page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
-    facts = _credits(declared), choices, fmi, recipe.derivatives
+    facts = _credits(declared), choices, fmi, recipe.derivatives, interfaces, states, indicators(e) if states else []
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
     form = {}
     if fmi == 3:
@@ -232,6 +235,17 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
+
+
+def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:
+    """Return the interfaces of a native FMU, of "me" and "cs"; ExportError if it cannot have what the recipe asks."""
+    why = obstacle(alone(equations)) if recipe.interface != "cs" else ""
+    if why and recipe.interface:
+        raise ExportError(
+            f"{equations.name}: it cannot be exported for Model Exchange, as {why}; use --interface cs, co-simulation"
+        )
+    asked = "cs" if why else recipe.interface or "both"
+    return ("me", "cs") if asked == "both" else (asked,)
 
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}

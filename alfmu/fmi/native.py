@@ -12,8 +12,9 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
+from ..kernel.exchange import obstacle
 from ..kernel.form import Traced
-from ..kernel.tables import number_of, packed
+from ..kernel.tables import alone, number_of, packed
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
@@ -60,6 +61,7 @@ FEATURES = {
     "LAWS": Feature("laws of motion that may jump", ("jumps.c",), lambda e: e.leaps),
     "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),
     "ERROR_CONTROL": Feature("integrators with error control", ("adaptive.c",), lambda e: "method" in e.kernel),
+    "MODEL_EXCHANGE": Feature("Model Exchange", ("exchange.c", "model_exchange.c"), lambda e: not obstacle(alone(e))),
     "INTERFACE_JACOBIAN": Feature("the interface Jacobian", ("interface_jacobian.c",), lambda e: e.jacobian),
     "DERIVATIVES": Feature(
         "directional derivatives",
@@ -70,10 +72,14 @@ FEATURES = {
 """Parts of the runtime that a native FMU leaves out where its scene does not need them, by their names in C."""
 
 
-def left_out(equations: Traced, derivatives: bool = True) -> list[str]:
+def left_out(equations: Traced, derivatives: bool = True, exchange: bool = True) -> list[str]:
     """Names of the features that traced equations do not need, or that nobody asks for."""
-    asked = {"DERIVATIVES"} if derivatives else ()
-    return [name for name, feature in FEATURES.items() if name not in asked and not feature.needed(equations)]
+    asked, unasked = {"DERIVATIVES"} if derivatives else (), () if exchange else {"MODEL_EXCHANGE"}
+    return [
+        name
+        for name, feature in FEATURES.items()
+        if name not in asked and (name in unasked or not feature.needed(equations))
+    ]
 
 
 def checked(equations: Equations) -> None:

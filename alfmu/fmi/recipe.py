@@ -20,7 +20,7 @@ from ..model.words import LONGEST, Brief
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
 
-__all__ = ["GROUP", "KINDS", "Recipe", "load", "of", "recipes"]
+__all__ = ["GROUP", "INTERFACES", "KINDS", "Recipe", "load", "of", "recipes"]
 
 GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
@@ -31,10 +31,17 @@ KINDS = {
 }
 """Kinds of FMUs, the default first."""
 
+INTERFACES = {
+    "both": "co-simulation and Model Exchange",
+    "cs": "co-simulation alone",
+    "me": "Model Exchange alone",
+}
+"""Interfaces of native FMUs."""
+
 _MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
 """Matches text in every file that declares a recipe."""
 
-_OF_A_KIND = ("kernel", "platforms", "fmi")
+_OF_A_KIND = ("kernel", "platforms", "fmi", "interface")
 """Fields that apply to one kind of FMU only."""
 
 
@@ -79,6 +86,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
     "start": _one_of("declared", "equilibrium"),
+    "interface": _one_of(*INTERFACES, None),
 }
 """Fields of a recipe: a check of the value, and the expected form in words."""
 
@@ -134,6 +142,9 @@ class Recipe(Brief):
     this installation."""
     fmi: int = 2
     """Version of FMI; 3 for native FMUs."""
+    interface: str | None = None
+    """Interfaces of a native FMU, of INTERFACES; None for both, or co-simulation alone where an importer cannot
+    integrate the mechanism."""
     derivatives: bool = True
     """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them."""
     reference: bool = True
@@ -164,6 +175,8 @@ class Recipe(Brief):
             raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out, or use --kind python")
         if self.kind == "python" and self.platforms:
             raise ExportError(f"{self}: an FMU that runs in Python is for no platform of its own; leave --platform out")
+        if self.kind == "python" and self.interface not in (None, "cs"):
+            raise ExportError(f"{self}: an FMU that runs in Python is for co-simulation alone; leave --interface out")
         if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind != "native"):
             raise ExportError(
                 f"{self}: there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3"

@@ -21,7 +21,7 @@ from typing import Any
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
-from ..runtime.library import DONE, Scene, Unit
+from ..runtime.library import DONE, Scene, Unit, library
 
 __all__ = ["COMPILED", "OPTIONS", "SCENE", "Slave"]
 
@@ -115,7 +115,7 @@ class Slave(Fmi2Slave):
         """Return the scene from the resources, run by the library there."""
         if not (folder / SCENE).is_file():
             raise ValueError(f"there is no {SCENE} in its resources; unpack the whole FMU")
-        return Scene((folder / SCENE).read_bytes(), folder)
+        return Scene((folder / SCENE).read_bytes(), library(folder))
 
     # Life cycle --------------------------------------------------------------------------------------------------
 

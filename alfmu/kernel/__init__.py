@@ -1,10 +1,10 @@
 """The kernel: the method traced over a mechanism's equations into flat functions and programs.
 
-Other rooms import `alternatives`, `controlled`, `form`, `joined`, `kinks`, `memory`, `stream`, `symbolic`, `tables`,
-`thresholds`, `trace`.
+Other rooms import `alternatives`, `controlled`, `exchange`, `form`, `joined`, `kinks`, `memory`, `stream`,
+`symbolic`, `tables`, `thresholds`, `trace`.
 """
 
-__all__ = ["DEFAULT", "KERNELS"]
+__all__ = ["DEFAULT", "KERNELS", "VERSION"]
 
 KERNELS = {
     "vm": "the method traced into functions for the scene, run by the interpreter of alfmu's runtime",
@@ -15,3 +15,6 @@ KERNELS = {
 """Ways to run a mechanism."""
 
 DEFAULT = "vm"
+
+VERSION = 22
+"""Version of scene files, increased whenever their content changes meaning."""

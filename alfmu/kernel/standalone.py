@@ -166,7 +166,7 @@ class _Patient(Alternatives):
         known = spaced("z u p k C xi a0 lam0 watch0 singular", self.losses)
         if self.redundant:
             Tracer._share(self, calls, "t0 q0 v0 u", "a0 lam0")
-        self._lost(calls, "C F lam0 watch0")
+        self._lost(calls, "q0 v0 a0 lam0 watch0")
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 

@@ -90,7 +90,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
-        "singular lost error read_power renew before passes size most patient again projects within floor": 1,
+        "singular lost noise error read_power renew before passes size most patient again projects within floor": 1,
         "of_least_norm on_branch onward by_classic by_penalty by_stiffness by_baumgarte by_dae": 1,
         "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
@@ -453,8 +453,9 @@ class Scene:
 
     def _inverse(self, K: SX) -> method.Solve:
         """Return a solver with a matrix (l, l)."""
-        order = K.sparsity().amd()
-        K = ca.sparsify(K)[order, order]
+        order = (K.sparsity() + K.sparsity().T).amd()
+        K = ca.sparsify(K)  # an entry may vanish, by constants of a joint, on one side of the diagonal alone
+        K = ca.project(K, K.sparsity() + K.sparsity().T)[order, order]
         D, L = self._factors_of(K)
         inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
         return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
@@ -579,7 +580,7 @@ class Scene:
         here may follow these values; the last result is then that of the reactions returned.
         """
         count = len(branch.READ_MEAN)
-        found, (here, lam_here, watch, *lost_here) = found[: 3 * count], found[3 * count :]
+        found, (here, lam_here, watch, *told) = found[: 3 * count], found[3 * count :]
         a, lam, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
@@ -593,14 +594,25 @@ class Scene:
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
         largest = ca.mmax(ca.fabs(ca.vertcat(*lam.values())))
         before = ca.mmax(ca.fabs(rough - coarse))
-        error = branch.limit_error(change, before, largest, magnified, EPSILON) / self.scale
         a, lam = (ca.if_else(direct, x, y) for x, y in zip((here, lam_here), (branch.mean(a), limit), strict=True))
-        return a, lam, said, 1 + pole, *(ca.if_else(direct, x, error) for x in lost_here)
+        if told:
+            error = branch.limit_error(change, before, largest, magnified, told[1]) / self.scale
+            told = [ca.if_else(direct, told[0], error)]
+        return a, lam, said, 1 + pole, *told
 
-    def lost(self, C: SX, F: SX, lam: SX, watch: SX) -> SX:
-        """Return the error of reactions evaluated at a position itself."""
-        loads = ca.mmax(ca.fabs(ca.vertcat(F, C.T @ lam))) / self.scale
-        return branch.reading_error(Watch.of(watch).margin, EPSILON) * loads
+    def lost(self, M: SX, C: SX, F: SX, xi: SX, q: SX, v: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX]:
+        """Return the error of reactions evaluated at a position itself, and the relative error of the position."""
+        e, own = self.e, self.settings.inverse_length
+        arms, far = ca.vertcat(*(own if c.unit == "rad" else 1 for c in e.coordinates)), [SX(e.reach)]
+        far += [x for x, c in zip(ca.vertsplit(q), e.coordinates, strict=True) if c.unit == "m"]
+        off = [ca.sqrt(self._residue(x)) for x in (e.Phi(q, self.p), self.speed(q, v, C), C @ a - xi)]
+        off[0] += EPSILON * own * ca.norm_inf(ca.vertcat(*far))
+        off[1:] = [x / (ca.sqrt(self._squares(y)) + _TINY) for x, y in zip(off[1:], (v, a), strict=True)]
+        forces = [ca.norm_inf(ca.densify(arms * x)) / self.scale for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
+        forces.append(own * (v.T @ M @ v) / self.scale)
+        masses = self.settings.nothing / branch.NOISE_FLOOR
+        margin = ca.fmax(Watch.of(watch).margin - masses, masses / branch.NOISE_FLOOR)
+        return branch.reading_error(margin, EPSILON, off, forces), EPSILON + off[0]
 
     def _with_pole(self, values: dict[int, SX], use_pole: SX | float = 1.0) -> tuple[SX, SX, SX]:
         """Compute `singular.with_pole`."""

@@ -33,11 +33,12 @@ from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from ..model.units import rate_of
-from . import memory, thresholds
+from . import VERSION, memory, thresholds
 from .alternatives import CHOSEN
 from .alternatives import formulations as carried
 from .controlled import whole
 from .emit import compiled_code
+from .exchange import ACCELERATIONS, FADING, obstacle
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
 from .joined import joined
 from .lanes import laned
@@ -60,9 +61,6 @@ __all__ = [
     "packed",
     "packed_start",
 ]
-
-VERSION = 20
-"""Version of scene files, increased whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
 
@@ -90,7 +88,9 @@ HANDED = {
 """Values passed between the runtime and programs, by their names in C."""
 
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
+    **_same(
+        "dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks state_rates"
+    ),
     **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions called by the runtime, by their names in C."""
@@ -168,6 +168,7 @@ NUMBERS: dict[str, Number] = {
         for name in ("time", "work", "trouble", "change", "near")
     },
     "size": lambda t: t.layout.size,
+    "exchange": lambda t: t.places[ACCELERATIONS][0] if ACCELERATIONS in t.places and not obstacle(t.e) else -1,
     # Values that a scene does not pass on share the start, which has room for them.
     "workspace": lambda t: max(
         t.workspace, t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1
@@ -180,6 +181,7 @@ NUMBERS: dict[str, Number] = {
 
 REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
+    "fading": lambda t: FADING / t.e.interval,
     "share": lambda t: t.share[0],
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT5_SHORT)[0],
@@ -281,13 +283,14 @@ def alone(equations: Traced) -> Traced:
 
 def _alone(equations: Traced) -> Traced:
     e = standalone(equations)
+    handed = (*READ, *[ACCELERATIONS] * (not obstacle(e)))
     if e.n > DENSE:
-        return _ordered(joined(e, HOT, READ))
+        return _ordered(joined(e, HOT, handed))
     # RK4 takes limits near singular positions in every step; other integrators have other programs there.
     steps = [] if "method" in e.kernel else ["branch"]
     fields, kernel = Layout(e).fields, e.kernel
     kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
-    return _ordered(joined(replace(e, kernel=kernel), HOT, READ))
+    return _ordered(joined(replace(e, kernel=kernel), HOT, handed))
 
 
 def _ordered(e: Traced) -> Traced:
@@ -484,9 +487,11 @@ class _Table:
             w.text(r.direction)
             w.text(r.unit)
         w.reals(r.size for r in e.rows)
+        w.reals(v.nominal or 1.0 for v in e.states)
         normal = np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n))
         normal[:, e.dependent :] = 0.0
         w.reals(normal.ravel())
+        w.reals(c.readiness for c in e.coordinates)
         closure, constraints = (e.signatures[name]["outputs"] for name in ("closure", "constraints"))
         for shape in (*constraints[:2], *closure[:2]):
             self._pattern(w, shape)

@@ -134,8 +134,8 @@ SHORTEST = 2.0**-14
 SAID = 6
 """most coordinates in an error [1]: they fit into one line."""
 
-FIRST_STEP = 1e-3
-"""step [s]: the first one under error control, which then corrects it."""
+FIRST_STEP = 0.05
+"""step over solver.step_size [1]: the first one under error control, which then corrects it."""
 
 SHORTENED = 0.2
 """ratio of steps [1]: a step under error control that cannot be judged is repeated at this share of its length."""
@@ -174,6 +174,10 @@ proposed at the first of them is covered."""
 
 REST = 1e-9
 """rate [rad/s or m/s]: a joint with dry friction is at rest below it; projections leave 1e-15 of velocities near 1."""
+
+SLOW_STEP = 0.02
+"""step [s]: if solver.step_size is longer, the motion is slower, and REST and the least IDLE are less by as much; if it
+is shorter, the motion may be as fast and only more exact."""
 
 MOVING = 2.0
 """ratio of rates [1]: a joint that others, or a motion, held at rest counts as moving above this multiple of REST, so
@@ -222,14 +226,14 @@ step."""
 SEEN_BETWEEN = 16
 """number of instants [1]: a rate within a step is evaluated at this many, by the cubic through both ends."""
 
-LOOKED_INTO = 1e-7
-"""step [s]: shorter ones are not searched, as no joint reverses twice in them."""
+LOOKED_INTO = 5e-6
+"""step over solver.step_size [1]: shorter ones are not searched, as no joint reverses twice in them."""
 
 AT_ONCE = 8
 """number of events [1]: after this many at one instant no continuation exists."""
 
-JAM_AHEAD = 1e-6
-"""time [s]: where a step fails, a jam is searched ahead, from an internal step down to this."""
+JAM_AHEAD = 5e-5
+"""time over solver.step_size [1]: where a step fails, a jam is searched ahead, from an internal step down to this."""
 
 JAM_SHORTER = 4.0
 """ratio of times [1]: each of them is shorter than the one before by this."""
@@ -237,8 +241,8 @@ JAM_SHORTER = 4.0
 ONE_STEP = 1e-9
 """excess of a step [1]: the rest of a step up to an event is made as one step if it is longer by no more."""
 
-EARLIEST = 1e-3
-"""time [s]: earlier instants are distinguished by the last digits of this time."""
+EARLIEST = 0.05
+"""time over solver.step_size [1]: earlier instants are distinguished by the last digits of this time."""
 
 LEFT_TO_RK4 = 16.0
 """ratio of steps [1]: RK4 makes the rest of a step up to an event or a communication point if it is shorter than this

@@ -236,7 +236,7 @@ class Tracer:
         self.evaluation(calls, "0", {"u": u})
         if redundant:
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
-        self._lost(calls, "C F lam0 watch0")
+        self._lost(calls, "q0 v0 a0 lam0 watch0")
         self._seen(calls, "a0 lam0 watch0")
         return Program(calls.steps, plan)
 
@@ -253,13 +253,13 @@ class Tracer:
                 self._share(calls, f"tz q0 v0 {u}", f"a{j} lam{j}")
         self._here(calls, u, redundant)
         found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
-        self._lost(calls, "C F laml watchl")
+        self._lost(calls, "qz vz al laml watchl")
         known, results = (
-            spaced("k", found, "al laml watchl", self.losses),
-            spaced("al laml watchl singular", self.losses),
+            spaced("k", found, "al laml watchl", self.losses, ["noise"] * len(self.losses)),
+            spaced("a0 laml watchl singular", self.losses),
         )
         calls("limits", known, results, calls.scene.limits)
-        self._seen(calls, "al laml watchl")
+        self._seen(calls, "a0 laml watchl")
         return Program(calls.steps, plan)
 
     def _here(self, calls: Calls, u: str, redundant: bool) -> None:
@@ -382,7 +382,7 @@ class Tracer:
     def _lost(self, calls: Calls, found: str) -> None:
         """Compute the error of reactions at the position itself."""
         if self.losses:
-            calls("lost", f"k {found}", "lost", calls.scene.lost)
+            calls("lost", f"p k M C F xi {found}", "lost noise", calls.scene.lost)
 
     def _seen(self, calls: Calls, found: str) -> None:
         known = spaced(f"z u p k C xi {found} singular", self.losses)

@@ -9,7 +9,7 @@ except `with_pole`, which takes arrays.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,13 +101,21 @@ LONG_SPACING = 0.1
 """distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-READ_LOSS = 40.0
-"""error of reactions at a regular position over round-off of the loads [1]: it is due to the tolerances of constraints
-and of (8)."""
+READ_LOSS = 20.0
+"""error of reactions at a regular position over round-off of the loads [1]: it was 0.1 to 20 in runs of slider-cranks
+and four-bars."""
 
-NEAR_LOSS = 0.1
-"""error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]:
-in runs of four-bars and five-bars it was 0.00025 to 0.05."""
+OFF_LOSS = 4.0
+"""error of reactions at a regular position over the relative error of positions and velocities [1]: it was 0.1 to 5 in
+runs of four-bars, as links turn by more than their ends move."""
+
+BENT_LOSS = 10.0
+"""error of reactions at a regular position over the relative error of accelerations [1]: it was 1 to 12 in runs with
+penalties of 100 masses, as directions of constraints may nearly be parallel there."""
+
+NEAR_LOSS = 0.05
+"""error of reactions near a singular position over the error of loads and the fourth power of the distance [1]: in runs
+of four-bars and five-bars it was 0.00025 to 0.05."""
 
 LIMIT_LOSS = 3.0
 """error of a limit over round-off of its nearest positions [1]: in runs of four-bars and five-bars it was 0.05 to 5."""
@@ -168,17 +176,26 @@ def fewer(values: dict[int, Array]) -> dict[int, Array]:
     return {k: x for k, x in values.items() if abs(k) < len(values) // 2}
 
 
-def direct_error(margin: Array, eps: float) -> Array:
+def direct_error(margin: Array, eps: Array) -> Array:
     """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance."""
     return eps / (margin * margin + TINY)
 
 
-def reading_error(margin: Array, eps: float) -> Array:
-    """Return the error of reactions evaluated at this margin, relative to the loads there."""
-    return READ_LOSS * eps + NEAR_LOSS * direct_error(margin, eps)
+def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Sequence[Array]) -> Array:
+    """Return the error of reactions evaluated at this margin, of which masses are no part.
+
+    `off` are relative errors of positions, velocities and accelerations by residuals of constraints; `forces` are the
+    largest F, C' lam, residual of (4), M a, and twice the kinetic energy over the length.
+    """
+    F, carried, imbalance, inertia, of_speed = forces
+    loads = (F * F + carried * carried) ** 0.5
+    moved = off[0] * loads + off[1] * of_speed
+    regular = READ_LOSS * eps * loads + OFF_LOSS * moved
+    held = imbalance / margin**0.5 + off[2] * inertia * (BENT_LOSS + 1 / margin)
+    return regular + held + NEAR_LOSS * direct_error(margin, eps * loads + moved)
 
 
-def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: float) -> Array:
+def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: Array) -> Array:
     """Return the error of a limit of values that reach `largest`.
 
     The effect of each farther pair of positions is extrapolated from the last two, `change` and `before`. Round-off of

@@ -503,8 +503,8 @@ def rule_beside(rule: Explicit) -> Explicit:
 
 
 SHARE = 0.0016
-"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion. At the default tolerance
-a slider-crank of equal links that turns twice is at most 7e-8 rad off in 12,000 phases; at 0.002 it is 1.2e-7."""
+"""tolerance of a step over that of a run [1]: errors of steps add up and grow with the motion; at the default tolerance
+a slider-crank of equal links that turns twice is at most 7e-8 rad off in 12,000 phases, and at 0.002 it is 1.2e-7."""
 
 
 STEADY = 1e-6
@@ -547,6 +547,10 @@ PROPORTIONAL = 0.4
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Bounds of a step over the one before."""
 
+CUT_FACTOR = 1.1
+"""Upper bound of a step over the one before, after a step that was cut, as the error of longer ones is uncertain: with
+1.2, twice as many steps of order 8 are rejected beside singular positions of four-bars."""
+
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Lower bounds of the current and of the previous error over the tolerance."""
 
@@ -570,8 +574,9 @@ def judged(
 ) -> tuple[Any, Any, Any, Any]:
     """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
-    The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
-    given time does not shorten the next. A NaN error is rejected.
+    The controller is proportional-integral in the logarithm of the error. A step that was cut to end at a given time
+    has a smaller error than those before it, so it counts by its own error alone; one that was cut to less than half
+    says little about longer steps, and does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -584,13 +589,15 @@ def judged(
     accepted = error <= 1.0
     over = where(error < math.inf, larger(error, 1.0), math.inf)
     again = step * larger(LEAST_FACTOR, SAFETY * over ** (-1 / order))
-    small = larger(error, LEAST_ERROR)
-    factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    small, cut = larger(error, LEAST_ERROR), step < dt * (1 - 1e-9)
+    usual = small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    factor = SAFETY * where(cut, small ** (-1 / order), usual)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
-    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
+    following = where(cut, smaller(following, CUT_FACTOR * dt), following)
+    following = where(2 * step < dt * (1 - 1e-9), larger(dt, following), following)
     return (
         where(accepted, following, again),
-        where(accepted, larger(error, LEAST_BEFORE), before),
+        where(accepted, where(cut, before, larger(error, LEAST_BEFORE)), before),
         where(accepted, 0.0, 1.0),
         accepted,
     )

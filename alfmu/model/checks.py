@@ -8,6 +8,7 @@ import os
 import re
 import sys
 import warnings
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,14 @@ _BREAKS = {
 """Operations at which a law or its rate may jump or become infinite: choices, whole numbers, kinks, angles within one
 turn, poles, functions with a limited domain."""
 
-_OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
-"""Folders whose code is not the user's."""
+
+@cache
+def _ours() -> tuple[str, ...]:
+    """Return the folders whose code is not the user's."""
+    return tuple(
+        f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]])
+    )
+
 
 _OTHERWISE = {
     "absolute": "fabs",
@@ -212,7 +219,7 @@ def _finite(value: float) -> str:
 def users_line() -> tuple[str, int]:
     """Return the file and line of the user's code that is running."""
     frame = sys._getframe(1)
-    while frame.f_back and frame.f_code.co_filename.startswith(_OURS):
+    while frame.f_back and frame.f_code.co_filename.startswith(_ours()):
         frame = frame.f_back
     return frame.f_code.co_filename, frame.f_lineno
 

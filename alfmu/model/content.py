@@ -69,7 +69,7 @@ class _Said:
             return "mapping", [(self.of(key), self.of(each)) for key, each in value.items()]
         if isinstance(value, tuple | list):
             return type(value).__name__, [self.of(each) for each in value]
-        if is_dataclass(value):
+        if is_dataclass(value) and not isinstance(value, type):
             return self.parts(value)
         raise TypeError(type(value).__name__)
 

@@ -17,6 +17,7 @@ __all__ = [
     "DeclarationError",
     "ExportError",
     "InputError",
+    "LibraryError",
     "OpenError",
     "StepError",
     "WriteError",
@@ -63,6 +64,10 @@ class AssemblyError(AlfmuError):
 
 class InputError(AlfmuError):
     """A user's input cannot be used: an unknown name, a value out of its bounds, a file in the wrong format."""
+
+
+class LibraryError(AlfmuError, OSError):
+    """The C library of this installation is missing, or was built from other sources than those of the package."""
 
 
 class WriteError(AlfmuError, OSError):

@@ -8,7 +8,7 @@ from functools import wraps
 from threading import Lock
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["MOST", "Kept", "latest", "once"]
+__all__ = ["MOST", "Kept", "latest", "once", "outdate"]
 
 _Made = TypeVar("_Made")
 
@@ -16,6 +16,8 @@ MOST = 8
 """Largest number of cached results of a function: equations of mechanisms, and scenes of equations."""
 
 _LOCK = Lock()
+
+_AGE = [0]
 
 
 def latest(known: OrderedDict[Any, _Made], key: Hashable, make: Callable[[], _Made], most: int = MOST) -> _Made:
@@ -31,18 +33,26 @@ def latest(known: OrderedDict[Any, _Made], key: Hashable, make: Callable[[], _Ma
     return made
 
 
+def outdate() -> None:
+    """Let every object forget its results: constants that they depend on have changed."""
+    _AGE[0] += 1
+
+
 class Kept:
     """Results that follow from one object, by the function that makes them and a key of its further arguments."""
 
-    __slots__ = ("_known", "scene")
+    __slots__ = ("_age", "_known", "scene")
 
     def __init__(self) -> None:
+        self._age = _AGE[0]
         self._known: dict[Callable[..., Any], OrderedDict[Any, Any]] = {}
         self.scene: Kept = self
         """Results that do not depend on numbers; objects that differ in numbers alone may share them."""
 
     def of(self, function: Callable[..., Any]) -> OrderedDict[Any, Any]:
         """The results of a function, by key."""
+        if self._age != _AGE[0]:
+            self._known, self._age = {}, _AGE[0]
         return self._known.setdefault(function, OrderedDict())
 
     def latest(

@@ -133,6 +133,8 @@ class Coordinate(Brief):
     a: ca.SX
     unit: str
     guess: Scalar
+    guessed: bool = True
+    """Whether the user gives the guess, so that the assembly rather moves other coordinates."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -49,8 +49,10 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
 
 def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
     """Return the library of a scene's C from the cache, or build it."""
-    # On long straight-line code the higher level takes twice the time and gains nothing.
-    flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
+    # A level in CC counts. On long straight-line code the higher one takes twice the time and gains nothing.
+    usual = "-O2" if len(files) == 1 else "-O1"
+    level = [x for x in command if x.startswith("-O")] or [usual]
+    flags = [*level, *FLAGS, "-include", _BASELINE.name]
     named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
     named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
     return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")

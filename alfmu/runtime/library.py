@@ -103,7 +103,8 @@ _SIGNATURES = {
 
 @cache
 def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
-    """Load the library for this machine from a folder; raise OSError if there is none."""
+    """Load the library for this machine from a folder; raise OSError if there is none, AttributeError if it lacks a
+    function."""
     suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
     there = sorted(folder.glob(f"alfmu-*{suffix}"))
     loaded, why = None, f"there is no alfmu-*{suffix} in {folder}"
@@ -128,10 +129,10 @@ def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
 
 
 class Scene:
-    """A loaded and checked scene; ValueError if its bytes are not a scene of this version."""
+    """A scene that a library has loaded and checked; ValueError if it is no scene of the library's version."""
 
-    def __init__(self, data: bytes, folder: Path | None = None):
-        self.library: ctypes.CDLL = library(folder) if folder else library()
+    def __init__(self, data: bytes, by: ctypes.CDLL):
+        self.library: ctypes.CDLL = by
         why = ctypes.create_string_buffer(_WHY)
         self.address: int | None = self.library.alfmu_scene_load(data, len(data), why, _WHY)
         if not self.address:

@@ -37,7 +37,8 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
-from .stored import Start, stored_decision, stored_scene, stored_start
+from .shipped import installed
+from .stored import Start, constants, stored_decision, stored_scene, stored_start
 
 __all__ = [
     *("chosen", "decision_of", "derive", "loaded", "packed", "prepared", "ready", "retraced"),
@@ -65,7 +66,7 @@ _DECISIONS = 1000
 _TRACED = ("method", "input_order")
 """Settings that a scene is traced with."""
 
-_KEPT: OrderedDict[str, Equations] = OrderedDict()
+_KEPT: OrderedDict[tuple[str, str], Equations] = OrderedDict()
 
 _SCENES: OrderedDict[tuple[object, ...], tuple[object, Traced]] = OrderedDict()
 
@@ -83,7 +84,7 @@ def derive(mechanism: Mechanism) -> Equations:
         key = content(mechanism)
         if key is None:
             return derivation.derive(mechanism)
-        return latest(_KEPT, key, lambda: derivation.derive(mechanism))
+        return latest(_KEPT, (key, constants()), lambda: derivation.derive(mechanism))
 
 
 # Configure ------------------------------------------------------------------------------------------------------------
@@ -254,6 +255,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Traced:
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
+    constants()  # so that results from others are forgotten
     e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
@@ -302,6 +304,7 @@ def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced
         settings.branch,
         rule and rule.name,
         e.survey,
+        constants(),
     )
 
     def trace() -> tuple[object, Traced]:
@@ -329,6 +332,7 @@ def ready(
     What a scene is traced with is in it: outputs, frozen parameters, the method of integration. All else is a number
     of the instance, so that other numbers take the same scene.
     """
+    constants()
     own = dict(values)
     method = own.pop("solver.method", equations.solver.get("method", Settings.method))
     frozen = {p.name for p in equations.parameters if freeze and (list(freeze) == [ALL] or p.name in freeze)}
@@ -384,7 +388,7 @@ def packed(equations: Traced) -> bytes:
 @once
 def loaded(equations: Traced) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
-    scene = Scene(packed(equations))
+    scene = Scene(packed(equations), installed())
     if equations.library:
         scene.compiled_by(equations.library)
     return scene

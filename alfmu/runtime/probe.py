@@ -18,6 +18,7 @@ from ..kernel.tables import packed_start
 from ..method import formulations as method
 from ..method import implicit
 from .library import DONE, Scene, Unit
+from .shipped import installed
 
 __all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared", "survey"]
 
@@ -127,7 +128,7 @@ class Probe:
         # The scene reserves space for constraints that would brake, which are searched for among few coordinates only.
         room = Configuration.of(e)
         room = replace(room, survey=replace(room.survey, brakes=e.n <= DENSE))
-        unit = Unit(Scene(packed_start(room)))
+        unit = Unit(Scene(packed_start(room), installed()))
         unit.time = time
         if unit.initialize() != DONE:
             return None

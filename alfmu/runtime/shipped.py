@@ -1,17 +1,44 @@
-"""Libraries of the runtime for other machines: those in this installation, others built by zig."""
+"""Libraries of the runtime: those in this installation, others built by zig."""
 
 from __future__ import annotations
 
 import hashlib
+from ctypes import CDLL
+from functools import cache
 from pathlib import Path
 
+from ..kernel import VERSION
 from ..model.cache import keep, kept
-from ..model.errors import ExportError
+from ..model.errors import ExportError, LibraryError
 from ..model.files import scratch
 from . import build
+from . import library as binding
 from .build import HERE, WEB, file_name
 
-__all__ = ["library", "there"]
+__all__ = ["installed", "library", "there"]
+
+
+@cache
+def installed() -> CDLL:
+    """Return the library that runs scenes on this machine.
+
+    Raises LibraryError if there is none, or if it was built from other sources than those of the package.
+    """
+    try:
+        found = binding.library()
+        version = found.alfmu_scene_version()
+        why = f"its scenes have version {version}, and those of the package {VERSION}" if version != VERSION else ""
+    except AttributeError as error:
+        why = str(error)
+    except OSError as error:
+        raise LibraryError(str(error)) from None
+    if why:
+        built = Path(build.__file__)
+        raise LibraryError(
+            f"the library {built.with_name(file_name(HERE))} was built from other sources than those of the package "
+            f"({why}); build it again: python {built}"
+        )
+    return found
 
 
 def there(name: str) -> Path:

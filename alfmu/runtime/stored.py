@@ -1,7 +1,8 @@
 """Scenes in the cache folder, from which a mechanism starts and runs without tracing its equations again.
 
 Three files belong to equations: the integrator, other results of tracing (`Start`), and the bytes of the scene. Their
-names are fingerprints of everything that they depend on, so they are never out of date.
+names are fingerprints of everything that they depend on, so they are never out of date. A program may change constants
+of alfmu while it runs: they count by their values.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ import hashlib
 import json
 import logging
 import platform
+import sys
 import time
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache
 from importlib.metadata import version
+from itertools import chain
+from operator import is_
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -26,9 +30,9 @@ from ..equations.types import Decision, Survey
 from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
 from ..model.content import value_text
-from ..model.kept import latest
+from ..model.kept import latest, outdate
 
-__all__ = ["Start", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
+__all__ = ["Start", "constants", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
 
 _Made = TypeVar("_Made")
 
@@ -40,6 +44,12 @@ _MOST = 2**30
 
 _ROOMS = ("equations", "kernel", "method", "model", "runtime")
 """Rooms whose code scenes depend on."""
+
+_DECIDING = ("runtime.pipeline", "runtime.probe")
+"""Modules of `runtime` whose constants scenes depend on, beside those of the other rooms."""
+
+_APART = ("equations.changes", "model.gallery", "model.sources")
+"""Modules whose constants are in no scene, and which are loaded where they are needed."""
 
 _LATER = ("functions", "signatures", "kept")
 """Fields of equations without influence on a fingerprint: functions are added one by one, the others follow
@@ -158,7 +168,7 @@ def fingerprint(equations: Equations) -> str | None:
         said += [f"{name} {_digest(e.functions[name])}" for name in known]
     except (TypeError, RuntimeError):
         return None
-    return hashlib.sha256("\0".join([software(), *said]).encode()).hexdigest()[:32]
+    return hashlib.sha256("\0".join([software(), constants(), *said]).encode()).hexdigest()[:32]
 
 
 def _digest(value: Any) -> str:
@@ -170,6 +180,55 @@ def _digest(value: Any) -> str:
 
     shared = isinstance(value, tuple) or hasattr(value, "serialize")
     return (latest(_DIGESTS, id(value), made, _SHARED) if shared else made())[1]
+
+
+def constants() -> str:
+    """Return a digest of the constants that scenes depend on; if they have changed, objects forget their results."""
+    known = _constants()
+    values = [space[name] for space, name in known.places]
+    inside = chain.from_iterable(value.values() for value in values if type(value) is dict)
+    every = [*values, *inside]
+    if len(every) != len(known.values) or not all(map(is_, every, known.values)):
+        if known.values:
+            outdate()
+        known.values[:] = every
+        texts = {id(value): _text(value) for value in {id(value): value for value in values}.values()}
+        known.digest = hashlib.sha256("\0".join(texts[id(value)] for value in values).encode()).hexdigest()
+    return known.digest
+
+
+@dataclass
+class _Constants:
+    """Where the constants are found, with their values and the digest of these when they were last read."""
+
+    places: list[tuple[dict[str, Any], str]]
+    values: list[Any]
+    digest: str = ""
+
+
+@cache
+def _constants() -> _Constants:
+    package = __package__.partition(".")[0]
+    prefixes = tuple(f"{package}.{room}." for room in _ROOMS if room != "runtime")
+    apart = {f"{package}.{name}" for name in _APART}
+    names = {name for name in sys.modules if name.startswith(prefixes)} - apart
+    names |= {f"{package}.{name}" for name in _DECIDING}
+    spaces = [vars(sys.modules[name]) for name in sorted(names)]
+    return _Constants([(space, name) for space in spaces for name in sorted(space) if _is_constant(space, name)], [])
+
+
+def _is_constant(space: dict[str, Any], name: str) -> bool:
+    """Return whether a name of a module stands for numbers or texts."""
+    value = space[name]
+    plain = isinstance(value, int | float | str | tuple) or type(value) is dict
+    return name.isupper() and (plain or (is_dataclass(value) and not isinstance(value, type)))
+
+
+def _text(value: Any) -> str:
+    try:
+        return value_text(value)
+    except TypeError:  # a table of functions, which are code
+        return type(value).__name__
 
 
 @cache

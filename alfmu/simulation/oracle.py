@@ -323,10 +323,7 @@ class Instance(Stepped):
         near = self.continues and margin**0.5 < branch.READ_ZONE * branch.READ_DISTANCE
         a, lam, used, left = self.accelerations(q, v, u, t)
         lam = self.carried(q, v, a, lam) if self.settings.projects else lam
-        _, C, F, _ = self.dynamics(q, v, u, t)
-        lost = (
-            branch.reading_error(margin, EPS) * max(np.abs(x).max(initial=0.0) for x in (F, C.T @ lam)) * bool(len(lam))
-        )
+        lost, noise = self._lost(q, v, a, lam, margin) if len(lam) else (0.0, EPS)
         if near:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.
@@ -341,6 +338,22 @@ class Instance(Stepped):
                     a, lam = branch.mean({k: x[0] for k, x in found.items()}), limit
                     _, C, _, xi = self.dynamics(q, v, u, t)
                     left, largest = C @ a - xi, max(np.abs(x).max() for x in loads.values())
-                    lost = branch.limit_error(change, before, largest, magnified, EPS)
+                    lost = branch.limit_error(change, before, largest, magnified, noise)
                 return a, lam, max(x[2] for x in found.values()), left, 1 + pole, lost
         return a, lam, used, left, 0, lost
+
+    def _lost(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, margin: float) -> tuple[float, float]:
+        """Return the error of reactions evaluated at this place, and the relative error of the place."""
+        e, own = self.equations, self.inverse_length
+        arms = np.array([own if c.unit == "rad" else 1.0 for c in e.coordinates])
+        sizes = np.array([own if c.unit == "m" else 1.0 for c in e.coordinates])
+        (M, C, F, xi), (_, _, Phi, Cv) = self.dynamics(q, v, self.driven, self.time), self.constraints(q, v)
+        off = [float(np.linalg.norm((x / self.units)[self.active])) for x in (Phi, Cv, C @ a - xi)]
+        off[0] += (
+            EPS * own * max(e.reach, 0.0, *(abs(x) for x, c in zip(q, e.coordinates, strict=True) if c.unit == "m"))
+        )
+        off[1:] = [x / (float(np.linalg.norm(sizes * y)) + TINY) for x, y in zip(off[1:], (v, a), strict=True)]
+        forces = [float(np.abs(arms * x).max()) for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
+        masses = self.nothing / branch.NOISE_FLOOR
+        margin = max(margin - masses, masses / branch.NOISE_FLOOR)
+        return branch.reading_error(margin, EPS, off, [*forces, own * v @ M @ v]), EPS + off[0]

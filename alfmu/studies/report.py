@@ -399,10 +399,12 @@ class Study(cases.Study):
 
     def _joint(self, kernel: str, lean: bool, method: str) -> Instance:
         """The mechanism in the coordinates of its joints with constant parameters, as other codes have it."""
-        equations = with_defaults(derive(load(self.name, coordinates="joint")), self.effort.given)
-        return instance(
-            scene(specialised(equations, list(self.compared) if lean else None, ["all"]), method, kernel), kernel
-        )
+        form = f"{method}, joint{', lean' * lean}"
+        if form not in self._traced:
+            equations = with_defaults(derive(load(self.name, coordinates="joint")), self.effort.given)
+            chosen = specialised(equations, list(self.compared) if lean else None, ["all"])
+            self._traced[form] = scene(chosen, method, "vm")
+        return instance(self._traced[form], kernel)
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..model.errors import AlfmuError
 from ..runtime.library import BRAKES, DONE, Scene, Unit
+from ..runtime.shipped import installed
 from .measures import Measure, measured
 
 __all__ = ["Code", "FmuJob", "Job", "NeedsBrakes", "Part", "Ran", "SceneJob", "run_part", "runner_of"]
@@ -216,7 +217,7 @@ class _Seat:
     """An instance of a scene, reused for successive runs."""
 
     def __init__(self, job: SceneJob, scene: bytes, code: Code | None):
-        self.scene = Scene(scene)
+        self.scene = Scene(scene, installed())
         if code and code.machine == machine():
             _compiled(self.scene, code)
         self.unit = Unit(self.scene)

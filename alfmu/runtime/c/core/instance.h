@@ -55,6 +55,9 @@ typedef enum {
     NO_STEP_ON   /* no step leads on from here: a law of time breaks */
 } Outcome;
 
+/* What an importer does with an instance of Model Exchange; 0 where it makes communication steps. */
+typedef enum { AT_EVENT = 1, CONTINUOUS } Mode;
+
 /* Constraints of which degrees of freedom are told (`COUNTED_ROWS` in probe.py). */
 typedef enum { ROWS_IN_FORCE, ALL_ROWS, NO_FRICTION } Counted_rows;
 
@@ -72,7 +75,7 @@ typedef enum {
 } Phase;
 
 typedef struct {
-    int phase, initialized, known, scaled, fast, whole, pending, brakes, given;
+    int phase, initialized, known, scaled, fast, whole, pending, brakes, given, mode;
     int warned; /* bits of the warnings given so far */
     int choice[CHOICES];
 } Flags;
@@ -89,6 +92,7 @@ typedef struct Instance {
     /* largest magnitudes within the last communication step, and the samples that they are found from */
     double *peaks;
     double *jacobian;      /* of the last communication step */
+    double *exchange;      /* states as an importer integrates them, and their rates (exchange.c) */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
     double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */

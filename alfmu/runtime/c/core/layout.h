@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 20
+#define SCENE_VERSION 22
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -139,7 +139,7 @@
 #define TORN 0.3
 #define SHORTEST 6.103515625e-05
 #define SAID 6
-#define FIRST_STEP 0.001
+#define FIRST_STEP 0.05
 #define SHORTENED 0.2
 #define REGAINED 1.1
 #define EXACTER 1.1
@@ -151,6 +151,7 @@
 #define SEEN_FLOOR 0.1
 #define STUCK 20
 #define REST 1e-09
+#define SLOW_STEP 0.02
 #define MOVING 2.0
 #define STOPPED 1e-13
 #define NEARLY_STOPPED 0.01
@@ -164,12 +165,12 @@
 #define SEARCHED 60
 #define RIGHT_THERE 0.0009765625
 #define SEEN_BETWEEN 16
-#define LOOKED_INTO 1e-07
+#define LOOKED_INTO 5e-06
 #define AT_ONCE 8
-#define JAM_AHEAD 1e-06
+#define JAM_AHEAD 5e-05
 #define JAM_SHORTER 4.0
 #define ONE_STEP 1e-09
-#define EARLIEST 0.001
+#define EARLIEST 0.05
 #define LEFT_TO_RK4 16.0
 #define LAST_DIGITS 4.0
 
@@ -274,6 +275,7 @@
     X(change) \
     X(near) \
     X(size) \
+    X(exchange) \
     X(workspace) \
     X(most) \
     X(patient) \
@@ -321,6 +323,7 @@
     X(sliding) \
     X(laws) \
     X(breaks) \
+    X(state_rates) \
     X(stops) \
     X(place) \
     X(bring) \
@@ -348,6 +351,7 @@
 
 #define SCENE_REALS(X) \
     X(no_slope) \
+    X(fading) \
     X(share) \
     X(exponent) \
     X(short_share) \

@@ -290,7 +290,7 @@ static double *tape_saved_arguments(const Function *f, const double *const *x, d
     return to;
 }
 
-static void tape_correction(Instance *i, Taped kind, const unsigned char *held, const double *q, const double *v,
+void tape_correction(Instance *i, const double *rows, const double *columns, const double *q, const double *v,
     const double *x, const double *lam, double part)
 {
     const Scene *s = i->scene;
@@ -299,8 +299,8 @@ static void tape_correction(Instance *i, Taped kind, const unsigned char *held, 
     const double *p = instance_field(i, s->p), *starts = i->values + s->own, *rates = starts + s->starts;
     const double *of_closure[] = {q, p, starts}, *of_constraints[] = {q, v, p};
     const double *places[] = {q, p, starts, v, rates};
-    const size_t numbers = arguments_of(closure) + (v ? arguments_of(constraints) : 0) + (size_t)s->l + n + count + 1;
-    Entry *e = count ? tape_entry(i, kind, 0, PLACE_COUNT, numbers) : NULL;
+    const size_t numbers = arguments_of(closure) + (v ? arguments_of(constraints) : 0) + 2 * (n + count) + 1;
+    Entry *e = count ? tape_entry(i, v ? RATED : CLOSED, 0, PLACE_COUNT, numbers) : NULL;
     double *to;
     if (!e)
         return;
@@ -309,26 +309,15 @@ static void tape_correction(Instance *i, Taped kind, const unsigned char *held, 
     to = tape_saved_arguments(closure, of_closure, i->tape->numbers + e->numbers);
     if (v)
         to = tape_saved_arguments(constraints, of_constraints, to);
-    for (int r = 0; r < s->l; r++)
-        *to++ = held[r];
+    memcpy(to, rows, count * sizeof *to);
+    memcpy(to + count, columns, n * sizeof *to);
+    to += count + n;
     memset(to, 0, (n + count) * sizeof *to);
     if (x) {
         memcpy(to, x, n * sizeof *to);
         memcpy(to + n, lam, count * sizeof *to);
     }
     to[n + count] = part;
-}
-
-void tape_closing(
-    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part)
-{
-    tape_correction(i, CLOSED, held, q, NULL, dq, lam, part);
-}
-
-void tape_rating(
-    Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam)
-{
-    tape_correction(i, RATED, held, q, v, dv, lam, 1.0);
 }
 
 /* S5: a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the combinations

@@ -92,12 +92,10 @@ void tape_solve(Instance *i, int n, int blocks, const double *factors, const dou
 void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x);
 size_t arguments_of(const Function *f);
 
-/* Record a step of the assembly, and a correction of its velocities. */
-void tape_closing(
-    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
-
-void tape_rating(
-    Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
+/* Record a step of the assembly (without v), or a correction of its velocities: x of least norm, whose rows and
+   columns have these weights. */
+void tape_correction(Instance *i, const double *rows, const double *columns, const double *q, const double *v,
+    const double *x, const double *lam, double part);
 
 /* Record the constraints of a frozen rank at q. */
 void tape_holding(Instance *i, const double *q, const double *matrix);
@@ -143,15 +141,10 @@ static inline void tape_least_norm(Instance *i, int side, const double *matrix, 
 {
     (void)i, (void)side, (void)matrix, (void)right, (void)x;
 }
-static inline void tape_closing(
-    Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part)
+static inline void tape_correction(Instance *i, const double *rows, const double *columns, const double *q,
+    const double *v, const double *x, const double *lam, double part)
 {
-    (void)i, (void)held, (void)q, (void)dq, (void)lam, (void)part;
-}
-static inline void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v,
-    const double *dv, const double *lam)
-{
-    (void)i, (void)held, (void)q, (void)v, (void)dv, (void)lam;
+    (void)i, (void)rows, (void)columns, (void)q, (void)v, (void)x, (void)lam, (void)part;
 }
 static inline void tape_holding(Instance *i, const double *q, const double *matrix) { (void)i, (void)q, (void)matrix; }
 #endif

@@ -55,7 +55,8 @@ static void check_memory(Reader *r)
           SCENE_OTHERS(CHOSEN)
 #undef CHOSEN
               {s->struck, s->n},
-          {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
+          {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2},
+          {s->exchange < 0 ? 0 : s->exchange, s->n}};
     if (!reader_check_between(s->size, 1, MOST_NUMBERS) || !reader_check_between(s->workspace, 0, MOST_NUMBERS))
         reader_spoil(r, "its memory has %d numbers", s->size);
     if (s->counted > s->angles || s->counted > s->held)
@@ -144,6 +145,9 @@ static void read_body(Reader *r)
     s->normal = reader_reals(r, &count);
     if (count < (size_t)(TRIES > RANKED ? TRIES : RANKED) * (size_t)s->n)
         reader_spoil(r, "it has %zu standard normal numbers", count);
+    s->readiness = reader_reals(r, &count);
+    if (count != (size_t)s->n)
+        reader_spoil(r, "it has %zu weights of %d coordinates", count, s->n);
     if (r->bad)
         return;
     tables_read_pattern(r, &s->mass, s->n, s->n);

@@ -127,11 +127,13 @@ typedef struct {
     const int *impulse_rows, *event_places;
     const Coordinate *coordinates;
     const Row *rows;
+    const double *nominals; /* of first-order states */
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
     const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */
     const int *break_levels; /* level of each function whose change of sign is a jump or a bend */
     const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
+    const double *readiness; /* how readily an assembly moves each coordinate: more where none guesses it */
     int timed;               /* whether time is the last coordinate */
     int followed_count;
     const Followed *followed;

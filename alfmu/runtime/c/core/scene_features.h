@@ -25,6 +25,9 @@
 #ifndef HAS_ERROR_CONTROL
 #define HAS_ERROR_CONTROL 1
 #endif
+#ifndef HAS_MODEL_EXCHANGE
+#define HAS_MODEL_EXCHANGE 1
+#endif
 #ifndef HAS_INTERFACE_JACOBIAN
 #define HAS_INTERFACE_JACOBIAN 1
 #endif

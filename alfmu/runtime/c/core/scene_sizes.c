@@ -37,6 +37,16 @@ int scene_driven(const Scene *s)
     return s->inputs + scene_states(s);
 }
 
+int scene_exchanged(const Scene *s)
+{
+    return s->exchange < 0 ? 0 : 2 * (s->n - s->timed) + scene_states(s);
+}
+
+int scene_exchange_variables(const Scene *s)
+{
+    return s->exchange < 0 ? 0 : 2 * scene_exchanged(s) + s->frictions;
+}
+
 size_t scene_peaks_length(const Scene *s)
 {
     return s->peaks ? (size_t)s->peaks + STATE_BEFORE + 2 * (size_t)s->n : 0;

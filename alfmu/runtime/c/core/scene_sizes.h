@@ -21,6 +21,13 @@ size_t scene_state_length(const Scene *s);
 int scene_states(const Scene *s);
 
 int scene_driven(const Scene *s);
+
+/* Number of states that an importer integrates in Model Exchange, 0 where the scene is for co-simulation alone. */
+int scene_exchanged(const Scene *s);
+
+/* Number of variables of Model Exchange: states, their rates, and event indicators. */
+int scene_exchange_variables(const Scene *s);
+
 size_t scene_peaks_length(const Scene *s);
 
 #include "internal_end.h"

@@ -46,6 +46,8 @@ void tables_read_numbers(Reader *r)
         reader_spoil(r, "its choices contradict each other");
     if (s->brakes && s->l > 10000)
         reader_spoil(r, "it has %d constraints that would brake", s->l);
+    if (!(s->fading >= 0.0 && isfinite(s->fading)))
+        reader_spoil(r, "its states return to the constraints by %g/s", s->fading);
     if (!reader_check_between(s->method, 0, 3) || s->freedom > s->n)
         reader_spoil(r, "its method contradicts itself");
 }
@@ -156,6 +158,9 @@ void tables_read_names(Reader *r)
         if (!(sizes[k] >= 0.0 && isfinite(sizes[k])))
             reader_spoil(r, "the size of row %d is %g", k, sizes[k]);
     }
+    s->nominals = reader_reals(r, &count);
+    if (count != (size_t)scene_states(s))
+        reader_spoil(r, "%zu states have a nominal value, not %d", count, scene_states(s));
     s->coordinates = coordinates;
     s->timed = !r->bad && s->n > 0 && !strcmp(coordinates[s->n - 1].unit, "s");
     s->rows = rows;

@@ -26,7 +26,7 @@
 /* An entry read again. */
 typedef struct {
     const int32_t *places;
-    const double *closure, *constraints, *held, *x, *lam;
+    const double *closure, *constraints, *rows, *columns, *x, *lam;
     double part;
 } Correction;
 
@@ -34,14 +34,15 @@ static Correction read_correction(const Gradient *g, const Entry *e)
 {
     const Scene *s = g->instance->scene;
     const double *at = g->tape->numbers + e->numbers;
-    Correction c = {g->tape->words + e->words, at, NULL, NULL, NULL, NULL, 0.0};
+    Correction c = {g->tape->words + e->words, at, NULL, NULL, NULL, NULL, NULL, 0.0};
     at += arguments_of(s->functions + s->closure);
     if (e->kind == RATED) {
         c.constraints = at;
         at += arguments_of(s->functions + s->constraints);
     }
-    c.held = at;
-    c.x = c.held + s->l;
+    c.rows = at;
+    c.columns = c.rows + s->l + s->ties;
+    c.x = c.columns + s->n;
     c.lam = c.x + s->n;
     c.part = c.lam[s->l + s->ties];
     return c;
@@ -60,16 +61,14 @@ static size_t result_offset(const Function *f, int which)
 enum { GAPS, TIES, GAP_LEFT, TIES_LEFT };
 enum { OF_MASS, OF_C, OF_PHI, OF_CV };
 
-/* The rows of J in the present registers, of a function and from one of its results on. */
+/* The rows of J in the present registers, of a function and from one of its results on, weighed. */
 static void fill_rows(
-    const Function *f, int which, const double *r, const Pattern *pattern, const double *held, double *values)
+    const Function *f, int which, const double *r, const double *rows, const double *columns, Matrix a)
 {
     const size_t from = result_offset(f, which);
-    for (int e = 0; e < pattern->entries; e++) {
-        values[e] = r[function_result_place(f, from + (size_t)e)];
-        if (held)
-            values[e] *= held[pattern->indices[e]];
-    }
+    for (int e = 0; e < a.pattern->entries; e++)
+        a.values[e] = r[function_result_place(f, from + (size_t)e)];
+    matrix_weigh(a, rows, columns);
 }
 
 /* Load the tangents of the arguments of a function from `places`, and propagate them through its registers. */
@@ -124,13 +123,13 @@ static void differentiate_least_norm(Instance *i, const Rows *J, double *right, 
 
 /* Add the effect of a change of a matrix, given by its nonzeros in one lane: right -= dA x, row += dA' lam. */
 static void add_row_changes(const Function *f, int which, const Lanes *dr, int lane, const Pattern *p,
-    const double *held, const double *x, const double *lam, double *right, double *row)
+    const double *rows, const double *columns, const double *x, const double *lam, double *right, double *row)
 {
     const size_t from = result_offset(f, which);
     for (int c = 0; c < p->columns; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
-            const double d = dr[function_result_place(f, from + (size_t)e)].lane[lane] * (held ? held[r] : 1.0);
+            const double d = dr[function_result_place(f, from + (size_t)e)].lane[lane] * rows[r] * columns[c];
             right[r] -= d * x[c];
             row[c] += d * lam[r];
         }
@@ -141,8 +140,8 @@ static Rows make_position_rows(Instance *i, const Correction *k, const double *r
 {
     const Scene *s = i->scene;
     const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
-    fill_rows(s->functions + s->closure, GAPS, r, &s->gaps, k->held, J.constraints.values);
-    fill_rows(s->functions + s->closure, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    fill_rows(s->functions + s->closure, GAPS, r, k->rows, k->columns, J.constraints);
+    fill_rows(s->functions + s->closure, TIES, r, k->rows + s->l, k->columns, J.ties);
     return J;
 }
 
@@ -163,29 +162,30 @@ void closed_tangents(Gradient *g, const Entry *e)
         for (int lane = 0; lane < LANES; lane++) {
             memset(row, 0, n * sizeof *row);
             for (int j = 0; j < s->l; j++)
-                right[j] = k.held[j] * g->lane_registers[function_result_place(f, left + (size_t)j)].lane[lane];
+                right[j] = k.rows[j] * g->lane_registers[function_result_place(f, left + (size_t)j)].lane[lane];
             for (int j = 0; j < s->ties; j++)
-                right[s->l + j] = g->lane_registers[function_result_place(f, ties_left + (size_t)j)].lane[lane];
-            add_row_changes(f, GAPS, g->lane_registers, lane, &s->gaps, k.held, k.x, k.lam, right, row);
-            add_row_changes(
-                f, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right + s->l, row);
+                right[s->l + j] = k.rows[s->l + j]
+                    * g->lane_registers[function_result_place(f, ties_left + (size_t)j)].lane[lane];
+            add_row_changes(f, GAPS, g->lane_registers, lane, &s->gaps, k.rows, k.columns, k.x, k.lam, right, row);
+            add_row_changes(f, TIES, g->lane_registers, lane, &s->tie_rows, k.rows + s->l, k.columns, k.x,
+                k.lam + s->l, right + s->l, row);
             differentiate_least_norm(i, &J, right, row, dx);
             for (int c = 0; c < s->n; c++)
-                t[k.places[PLACE_Q] + c].lane[lane] -= k.part * dx[c];
+                t[k.places[PLACE_Q] + c].lane[lane] -= k.part * k.columns[c] * dx[c];
         }
     }
     arena_release(i, arena);
 }
 
 /* Adjoints of the nonzeros of a matrix, added to those of the registers: of r by w, of rows by z. */
-static void add_matrix_adjoints(const Function *f, int which, double *ar, const Pattern *p, const double *held,
-    const double *x, const double *lam, const double *w, const double *z)
+static void add_matrix_adjoints(const Function *f, int which, double *ar, const Pattern *p, const double *rows,
+    const double *columns, const double *x, const double *lam, const double *w, const double *z)
 {
     const size_t from = result_offset(f, which);
     for (int c = 0; c < p->columns; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
-            ar[function_result_place(f, from + (size_t)e)] += (held ? held[r] : 1.0) * (lam[r] * z[c] - w[r] * x[c]);
+            ar[function_result_place(f, from + (size_t)e)] += rows[r] * columns[c] * (lam[r] * z[c] - w[r] * x[c]);
         }
 }
 
@@ -214,15 +214,16 @@ void closed_adjoints(Gradient *g, const Entry *e)
     const Rows J = make_position_rows(i, &k, r);
     const size_t left = result_offset(f, GAP_LEFT), ties_left = result_offset(f, TIES_LEFT);
     for (int c = 0; c < s->n; c++)
-        y[c] = -k.part * g->adjoints[k.places[PLACE_Q] + c];
+        y[c] = -k.part * k.columns[c] * g->adjoints[k.places[PLACE_Q] + c];
     split_adjoint(i, &J, y, w, z);
     clear_registers(g, s->closure);
     for (int j = 0; j < s->l; j++)
-        g->registers[function_result_place(f, left + (size_t)j)] += k.held[j] * w[j];
+        g->registers[function_result_place(f, left + (size_t)j)] += k.rows[j] * w[j];
     for (int j = 0; j < s->ties; j++)
-        g->registers[function_result_place(f, ties_left + (size_t)j)] += w[s->l + j];
-    add_matrix_adjoints(f, GAPS, g->registers, &s->gaps, k.held, k.x, k.lam, w, z);
-    add_matrix_adjoints(f, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
+        g->registers[function_result_place(f, ties_left + (size_t)j)] += k.rows[s->l + j] * w[s->l + j];
+    add_matrix_adjoints(f, GAPS, g->registers, &s->gaps, k.rows, k.columns, k.x, k.lam, w, z);
+    add_matrix_adjoints(
+        f, TIES, g->registers, &s->tie_rows, k.rows + s->l, k.columns, k.x, k.lam + s->l, w + s->l, z);
     lead_adjoints(g, s->closure, r, k.places);
     arena_release(i, arena);
 }
@@ -233,11 +234,21 @@ static Rows make_rate_rows(Gradient *g, const Correction *k)
     Instance *i = g->instance;
     const Scene *s = i->scene;
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
-    fill_rows(s->functions + s->closure, TIES, gradient_values_again(g, s->closure, k->closure), &s->tie_rows, NULL,
-        J.ties.values);
-    fill_rows(s->functions + s->constraints, OF_C, gradient_values_again(g, s->constraints, k->constraints),
-        &s->constraint, k->held, J.constraints.values);
+    fill_rows(s->functions + s->closure, TIES, gradient_values_again(g, s->closure, k->closure), k->rows + s->l,
+        k->columns, J.ties);
+    fill_rows(s->functions + s->constraints, OF_C, gradient_values_again(g, s->constraints, k->constraints), k->rows,
+        k->columns, J.constraints);
     return J;
+}
+
+/* Return the velocities before a correction over the weights of their columns. */
+static const double *find_scaled_rates(Instance *i, const Correction *k)
+{
+    const double *v = k->constraints + i->scene->n;
+    double *scaled = arena_alloc(i, (size_t)i->scene->n);
+    for (int c = 0; c < i->scene->n; c++)
+        scaled[c] = v[c] / k->columns[c];
+    return scaled;
 }
 
 /* Differentiate a correction of velocities, whose right-hand side is -C v - Phi_t for the constraints and the
@@ -251,7 +262,7 @@ void rated_tangents(Gradient *g, const Entry *e)
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
     const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
-    const double *v = k.constraints + s->n;
+    const double *v = find_scaled_rates(i, &k);
     double *rights = arena_alloc(i, count * LANES), *rows = arena_alloc(i, n * LANES), *dx = arena_alloc(i, n),
            *dv = arena_alloc(i, n);
     double *of_ties = arena_alloc(i, count);
@@ -263,26 +274,28 @@ void rated_tangents(Gradient *g, const Entry *e)
         lead_tangents(g, s->closure, gradient_values_again(g, s->closure, k.closure), k.places, t);
         for (int lane = 0; lane < LANES; lane++) {
             double *right = rights + lane * (int)count + s->l, *unused = dx;
-            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, v, k.lam + s->l, right, unused);
-            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right,
-                rows + lane * s->n);
+            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, k.rows + s->l, k.columns, v,
+                k.lam + s->l, right, unused);
+            add_row_changes(closure, TIES, g->lane_registers, lane, &s->tie_rows, k.rows + s->l, k.columns, k.x,
+                k.lam + s->l, right, rows + lane * s->n);
             for (int c = 0; c < s->n; c++)
-                dv[c] = t[k.places[PLACE_V] + c].lane[lane];
+                dv[c] = t[k.places[PLACE_V] + c].lane[lane] / k.columns[c];
             rows_times(&J, dv, of_ties);
             for (int j = 0; j < s->ties; j++)
-                right[j] += t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
+                right[j]
+                    += k.rows[s->l + j] * t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
         }
         lead_tangents(g, s->constraints, gradient_values_again(g, s->constraints, k.constraints), of_constraints, t);
         for (int lane = 0; lane < LANES; lane++) {
             double *right = rights + lane * (int)count, *row = rows + lane * s->n;
             for (int j = 0; j < s->l; j++)
                 right[j]
-                    -= k.held[j] * g->lane_registers[function_result_place(constraints, cv + (size_t)j)].lane[lane];
+                    -= k.rows[j] * g->lane_registers[function_result_place(constraints, cv + (size_t)j)].lane[lane];
             add_row_changes(
-                constraints, OF_C, g->lane_registers, lane, &s->constraint, k.held, k.x, k.lam, right, row);
+                constraints, OF_C, g->lane_registers, lane, &s->constraint, k.rows, k.columns, k.x, k.lam, right, row);
             differentiate_least_norm(i, &J, right, row, dx);
             for (int c = 0; c < s->n; c++)
-                t[k.places[PLACE_V] + c].lane[lane] += dx[c];
+                t[k.places[PLACE_V] + c].lane[lane] += k.columns[c] * dx[c];
         }
     }
     arena_release(i, arena);
@@ -297,16 +310,16 @@ void rated_adjoints(Gradient *g, const Entry *e)
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
     const Rows J = make_rate_rows(g, &k);
     const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
-    const double *v = k.constraints + s->n, *r;
+    const double *v = find_scaled_rates(i, &k), *r;
     double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n), *none = arena_alloc(i, n),
            *back = arena_alloc(i, n);
     const size_t cv = result_offset(constraints, OF_CV);
     for (int c = 0; c < s->n; c++)
-        y[c] = g->adjoints[k.places[PLACE_V] + c];
+        y[c] = k.columns[c] * g->adjoints[k.places[PLACE_V] + c];
     memset(none, 0, n * sizeof *none);
     split_adjoint(i, &J, y, w, z);
     for (int j = 0; j < s->ties; j++)
-        g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += w[s->l + j];
+        g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += k.rows[s->l + j] * w[s->l + j];
     /* The product T v of the ties is differentiated here; C v is part of the function of the constraints. */
     {
         double *of_ties = arena_alloc(i, count);
@@ -314,18 +327,20 @@ void rated_adjoints(Gradient *g, const Entry *e)
         memcpy(of_ties + s->l, w + s->l, (size_t)s->ties * sizeof *of_ties);
         rows_times_back(&J, of_ties, back);
         for (int c = 0; c < s->n; c++)
-            g->adjoints[k.places[PLACE_V] + c] -= back[c];
+            g->adjoints[k.places[PLACE_V] + c] -= back[c] / k.columns[c];
     }
     r = gradient_values_again(g, s->constraints, k.constraints);
     clear_registers(g, s->constraints);
     for (int j = 0; j < s->l; j++)
-        g->registers[function_result_place(constraints, cv + (size_t)j)] -= k.held[j] * w[j];
-    add_matrix_adjoints(constraints, OF_C, g->registers, &s->constraint, k.held, k.x, k.lam, w, z);
+        g->registers[function_result_place(constraints, cv + (size_t)j)] -= k.rows[j] * w[j];
+    add_matrix_adjoints(constraints, OF_C, g->registers, &s->constraint, k.rows, k.columns, k.x, k.lam, w, z);
     lead_adjoints(g, s->constraints, r, of_constraints);
     r = gradient_values_again(g, s->closure, k.closure);
     clear_registers(g, s->closure);
-    add_matrix_adjoints(closure, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
-    add_matrix_adjoints(closure, TIES, g->registers, &s->tie_rows, NULL, v, k.lam + s->l, w + s->l, none);
+    add_matrix_adjoints(
+        closure, TIES, g->registers, &s->tie_rows, k.rows + s->l, k.columns, k.x, k.lam + s->l, w + s->l, z);
+    add_matrix_adjoints(
+        closure, TIES, g->registers, &s->tie_rows, k.rows + s->l, k.columns, v, k.lam + s->l, w + s->l, none);
     lead_adjoints(g, s->closure, r, k.places);
     arena_release(i, arena);
 }

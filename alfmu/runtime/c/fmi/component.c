@@ -122,7 +122,7 @@ Status component_refused(Component *c, Status status)
 }
 
 /* Log the warning of the instance, if any, and return STATUS_OK. */
-static Status log_messages(Component *c)
+Status component_warn(Component *c)
 {
     if (c->instance->warns) {
         c->instance->warns = 0;
@@ -136,7 +136,7 @@ static Outcome log_step(Component *c, double point, double step)
 {
     Instance *i = c->instance;
     const Outcome outcome = instance_step(i, point, step);
-    log_messages(c);
+    component_warn(c);
     return outcome;
 }
 
@@ -215,7 +215,7 @@ Status component_initialized(Component *c, const char *call)
     if ((!i->flags.initialized && !component_begun(c)) || instance_read(i) != DONE)
         return component_refused(c, STATUS_ERROR);
     i->flags.phase = STEPPING;
-    return log_messages(c);
+    return component_warn(c);
 }
 
 Status component_terminated(Component *c, const char *call)
@@ -285,7 +285,7 @@ static Status step_watched(Component *c, double point, double step, int *early)
             if (whole == DONE)
                 i->warns = 0; /* It has been said. */
             else
-                log_messages(c);
+                component_warn(c);
         }
         if (outcome != DONE && whole == DONE)
             k = count; /* It can be made, in one. */
@@ -320,6 +320,8 @@ Status component_step(Component *c, double point, double step, int *early, const
     Outcome outcome;
     if (!component_in(c, STEPPING, call))
         return STATUS_ERROR;
+    if (c->exchanges || c->instance->flags.mode)
+        return component_refuse(c, ERROR_, call, "the instance, or its state, is for Model Exchange");
     if (early && c->look)
         return step_watched(c, point, step, early);
     if (early)

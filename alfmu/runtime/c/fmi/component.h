@@ -49,7 +49,8 @@ typedef struct {
     void *host;
     State *before, *after; /* a step that the host looks into */
     unsigned logged; /* categories, as bits */
-    int has_time;    /* whether time is a variable, behind all others */
+    int has_time;    /* whether time is a variable, behind those of the scene */
+    int exchanges;   /* whether it is for Model Exchange */
 } Component;
 
 extern const char *const category_names[CATEGORIES];
@@ -65,6 +66,7 @@ int component_good(const Component *c);
 void component_say(Component *c, Category category, const char *text);
 Status component_refuse(Component *c, Category category, const char *call, const char *why);
 Status component_refused(Component *c, Status status);
+Status component_warn(Component *c);
 int component_begun(Component *c);
 int component_in(Component *c, int phases, const char *call);
 Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call);

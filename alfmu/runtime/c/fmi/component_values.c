@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "component.h"
+#include "exchange.h"
 #include "instance.h"
 #include "instant_derivatives.h"
 #include "outputs.h"
@@ -14,9 +15,26 @@
 #include "scene_sizes.h"
 #include "variables.h"
 
+/* Return whether a variable is one of Model Exchange, which follow those of the scene. */
+static int is_exchanged(const Component *c, unsigned reference)
+{
+    const Scene *s = c->instance->scene;
+    const unsigned first = (unsigned)scene_variable_count(s);
+    return reference >= first && reference - first < (unsigned)scene_exchange_variables(s);
+}
+
+/* Time is the last variable. */
 static int is_time(const Component *c, unsigned reference)
 {
-    return c->has_time && reference == (unsigned)scene_variable_count(c->instance->scene);
+    const Scene *s = c->instance->scene;
+    return c->has_time && reference == (unsigned)(scene_variable_count(s) + scene_exchange_variables(s));
+}
+
+/* Return the kind of a variable of the scene; the others are outputs. */
+static Kind kind_of(const Component *c, unsigned reference)
+{
+    const Scene *s = c->instance->scene;
+    return reference < (unsigned)scene_variable_count(s) ? s->variables[reference].kind : OUTPUT;
 }
 
 /* Return whether a variable has values of this type. */
@@ -36,7 +54,7 @@ static int check_references(Component *c, const unsigned *references, size_t cou
         : count && (!references || !values) ? "there is no array"
                                             : NULL;
     for (size_t k = 0; !why && k < count; k++)
-        if (!(form == AS_DOUBLE && is_time(c, references[k]))
+        if (!(form == AS_DOUBLE && (is_time(c, references[k]) || is_exchanged(c, references[k])))
             && (references[k] >= (unsigned)scene_variable_count(s)
                 || !component_has_form(s->variables + references[k], form)))
             why = "no variable of this type has this value reference";
@@ -52,7 +70,7 @@ static int check_references_of(Component *c, const unsigned *references, size_t 
     if (!check_references(c, references, count, values, value_count, AS_DOUBLE, call))
         return 0;
     for (size_t k = 0; k < count; k++)
-        if (is_time(c, references[k]) || c->instance->scene->variables[references[k]].kind != kind) {
+        if (is_time(c, references[k]) || kind_of(c, references[k]) != kind) {
             component_refuse(c, ERROR_, call, kind == INPUT ? "inputs alone have such" : "outputs alone have such");
             return 0;
         }
@@ -100,22 +118,26 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
     Value_type form, const char *call)
 {
     Instance *i;
-    int outputs = 0, finite = 1;
+    int outputs = 0, exchanged = 0, finite = 1;
     /* FMI 3 gives start values as soon as there is an instance, FMI 2 when initialisation has begun. */
     const int phases = component_good(c) && c->has_time ? KNOWN | INSTANTIATED : KNOWN;
     if (!component_in(c, phases, call) || !check_references(c, references, count, values, value_count, form, call))
         return STATUS_ERROR;
     i = c->instance;
-    for (size_t k = 0; k < count; k++)
-        outputs |= !is_time(c, references[k]) && i->scene->variables[references[k]].kind == OUTPUT;
+    for (size_t k = 0; k < count; k++) {
+        exchanged |= is_exchanged(c, references[k]);
+        outputs |= !is_time(c, references[k]) && kind_of(c, references[k]) == OUTPUT;
+    }
     if (outputs && !i->flags.initialized) {
         if (component_phase(c) != INITIALIZING)
             return component_refuse(c, ERROR_, call, "outputs are known after initialising");
         if (!component_begun(c))
             return component_refused(c, STATUS_ERROR);
     }
-    if (outputs)
-        instance_read(i);
+    if (exchanged && exchange_indicate(i) != DONE)
+        return component_refused(c, STATUS_DISCARD);
+    if (outputs && !exchanged && exchange_or_read(i, 0) != DONE && i->flags.mode)
+        return component_refused(c, STATUS_DISCARD);
     for (size_t k = 0; k < count; k++) {
         const double value = is_time(c, references[k]) ? *instance_time(i) : instance_get(i, (int)references[k]);
         put_value(values, k, form, value);
@@ -132,7 +154,7 @@ Status component_set(Component *c, const unsigned *references, size_t count, con
     if (!component_in(c, BORN, call) || !check_references(c, references, count, values, value_count, form, call))
         return STATUS_ERROR;
     for (size_t k = 0; k < count; k++) {
-        const Kind kind = is_time(c, references[k]) ? OUTPUT : c->instance->scene->variables[references[k]].kind;
+        const Kind kind = kind_of(c, references[k]);
         if (kind == OUTPUT)
             return component_refuse(c, ERROR_, call, "an output cannot be set");
         if ((kind == PARAMETER || kind == CHOICE) && component_phase(c) == STEPPING)
@@ -153,6 +175,8 @@ Status component_slopes(Component *c, const unsigned *references, size_t count, 
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] != 1)
             return component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
+    if (c->exchanges)
+        return component_refuse(c, ERROR_, call, "the instance is for Model Exchange");
     for (size_t k = 0; k < count; k++)
         if (instance_set_slope(c->instance, (int)references[k], values[k]) != DONE)
             status = component_refused(c, STATUS_DISCARD);
@@ -165,6 +189,8 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     const Scene *s;
     if (!component_in(c, RUN, call) || !check_references_of(c, references, count, values, value_count, OUTPUT, call))
         return STATUS_ERROR;
+    if (c->exchanges)
+        return component_refuse(c, ERROR_, call, "the instance is for Model Exchange");
     s = c->instance->scene;
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] < 1 || orders[k] > 2)
@@ -185,9 +211,11 @@ static int addressed_knowns(
     if (!check_references(c, references, count, values, value_count, AS_DOUBLE, call))
         return 0;
     for (size_t k = 0; k < count && !why; k++)
-        if (is_time(c, references[k]) || !variable_has_derivatives(s, (int)references[k]))
-            why = "there are derivatives by inputs, parameters and start values alone";
-        else if (s->variables[references[k]].kind == PARAMETER && component_phase(c) != INITIALIZING)
+        if (is_exchanged(c, references[k]) && references[k] < (unsigned)(scene_variable_count(s) + scene_exchanged(s)))
+            why = c->instance->flags.mode ? NULL : "there are derivatives by states in Model Exchange alone";
+        else if (kind_of(c, references[k]) == OUTPUT || !variable_has_derivatives(s, (int)references[k]))
+            why = "there are derivatives by inputs, states, parameters and start values alone";
+        else if (kind_of(c, references[k]) == PARAMETER && component_phase(c) != INITIALIZING)
             why = "parameters and start values are fixed once the run has begun; ask for derivatives by them before";
     if (why)
         component_refuse(c, ERROR_, call, why);
@@ -207,9 +235,13 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
         || !addressed_knowns(c, knowns, known_count, back ? found : seed, *of_knowns, call))
         return STATUS_ERROR;
     i = c->instance;
+    for (size_t k = 0; k < unknown_count; k++)
+        if (is_exchanged(c, unknowns[k])
+            && unknowns[k] >= (unsigned)(scene_variable_count(i->scene) + 2 * scene_exchanged(i->scene)))
+            return component_refuse(c, ERROR_, call, "event indicators have no derivatives");
     if (!i->flags.initialized && (component_phase(c) != INITIALIZING || !component_begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
-    outcome = instance_read(i);
+    outcome = exchange_or_read(i, 0);
     if (outcome == DONE)
         outcome = instance_sweep(i, unknowns, unknown_count, knowns, known_count, seed, back, found);
     return outcome == DONE ? STATUS_OK : component_refused(c, STATUS_DISCARD);

@@ -108,7 +108,7 @@ void files_own_resources(char *path)
         wchar_t wide[LONGEST_PATH];
         if (!GetModuleHandleExW(
                 GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_UNCHANGED_REFCOUNT,
-                (LPCWSTR)(void *)own_resources, &module)
+                (LPCWSTR)(void *)files_own_resources, &module)
             || !GetModuleFileNameW(module, wide, LONGEST_PATH)
             || !WideCharToMultiByte(CP_UTF8, 0, wide, -1, path, LONGEST_PATH, NULL, NULL))
             *path = 0;

@@ -38,6 +38,11 @@ typedef struct {
     void (*stepFinished)(fmi2ComponentEnvironment environment, fmi2Status status);
     fmi2ComponentEnvironment componentEnvironment;
 } fmi2CallbackFunctions;
+typedef struct {
+    fmi2Boolean newDiscreteStatesNeeded, terminateSimulation, nominalsOfContinuousStatesChanged,
+        valuesOfContinuousStatesChanged, nextEventTimeDefined;
+    fmi2Real nextEventTime;
+} fmi2EventInfo;
 
 /* FMI 3.0 ---------------------------------------------------------------------------------------------------------- */
 

@@ -1,4 +1,4 @@
-/* FMI 2.0 for co-simulation. */
+/* FMI 2.0 for co-simulation and Model Exchange. */
 
 #include <math.h>
 #include <stddef.h>
@@ -10,6 +10,7 @@
 #include "driving_inputs.h"
 #include "fmi.h"
 #include "instance.h"
+#include "model_exchange.h"
 
 /* Arguments of FMI beside the component. */
 typedef struct {
@@ -37,11 +38,12 @@ API const char *fmi2GetVersion(void)
 API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
-    char why[500] = "it is for co-simulation alone";
+    char why[500];
     const Border border = border_in();
-    Component *c
-        = type == fmi2CoSimulation ? component_new(name, guid, resources, sizeof(Host), why, sizeof why) : NULL;
+    Component *c = component_new(name, guid, resources, sizeof(Host), why, sizeof why);
     Host *host;
+    if (type != fmi2CoSimulation)
+        c = exchange_instance(c, why, sizeof why);
     border_out(&border);
     (void)visible;
     if (!c) {
@@ -85,7 +87,7 @@ API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 
 API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    INSIDE(fmi2Status, component_initialized(c, "fmi2ExitInitializationMode"));
+    INSIDE(fmi2Status, exchange_initialized(c, "fmi2ExitInitializationMode"));
 }
 
 API fmi2Status fmi2Terminate(fmi2Component c)
@@ -246,3 +248,57 @@ API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], 
 {
     INSIDE(fmi2Status, component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate"));
 }
+
+/* Model Exchange --------------------------------------------------------------------------------------------------- */
+
+API fmi2Status fmi2EnterEventMode(fmi2Component c)
+{
+    INSIDE(fmi2Status, exchange_enter(c, AT_EVENT, "fmi2EnterEventMode"));
+}
+
+API fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
+{
+    INSIDE(fmi2Status, exchange_enter(c, CONTINUOUS, "fmi2EnterContinuousTimeMode"));
+}
+
+API fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
+{
+    Exchange_event event = {0, 0, 0.0};
+    const Border border = border_in();
+    const Status status = exchange_updated(c, &event, "fmi2NewDiscreteStates");
+    border_out(&border);
+    if (info)
+        *info = (fmi2EventInfo){fmi2False, fmi2False, fmi2False, event.changed, event.timed, event.next};
+    return (fmi2Status)status;
+}
+
+API fmi2Status fmi2CompletedIntegratorStep(
+    fmi2Component c, fmi2Boolean no_way_back, fmi2Boolean *enter, fmi2Boolean *terminate)
+{
+    (void)no_way_back;
+    if (!enter || !terminate)
+        return fmi2Error;
+    *enter = *terminate = fmi2False;
+    INSIDE(fmi2Status, exchange_accepted(c, enter, "fmi2CompletedIntegratorStep"));
+}
+
+API fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
+{
+    INSIDE(fmi2Status, exchange_time(c, time, "fmi2SetTime"));
+}
+
+API fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real states[], size_t count)
+{
+    INSIDE(fmi2Status, exchange_set(c, states, count, "fmi2SetContinuousStates"));
+}
+
+#define VECTOR(NAME, WHICH) \
+    API fmi2Status fmi2Get##NAME(fmi2Component c, fmi2Real values[], size_t count) \
+    { \
+        INSIDE(fmi2Status, exchange_get(c, WHICH, values, count, "fmi2Get" #NAME)); \
+    }
+
+VECTOR(Derivatives, RATES)
+VECTOR(EventIndicators, INDICATORS)
+VECTOR(ContinuousStates, STATES)
+VECTOR(NominalsOfContinuousStates, NOMINALS)

@@ -1,4 +1,4 @@
-/* FMI 3.0 for co-simulation: scalar variables, no event mode, no clocks. */
+/* FMI 3.0 for co-simulation, without event mode, and Model Exchange: scalar variables, no clocks. */
 
 #include <math.h>
 #include <stddef.h>
@@ -10,6 +10,7 @@
 #include "driving_inputs.h"
 #include "fmi.h"
 #include "instance.h"
+#include "model_exchange.h"
 
 /* Arguments of FMI beside the component. */
 typedef struct {
@@ -64,6 +65,22 @@ static fmi3Instance not_made(fmi3InstanceEnvironment environment, fmi3LogMessage
     return NULL;
 }
 
+/* Hand a new component over to its host. */
+static Component *begun(Component *c, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3IntermediateUpdateCallback update, fmi3Boolean may_return, fmi3Boolean logging, const char *call)
+{
+    Host *host = c->host;
+    host->log = log;
+    host->update = update;
+    host->environment = environment;
+    host->may_return = may_return;
+    c->log = log ? logged : NULL;
+    c->look = update ? look : NULL;
+    c->has_time = 1;
+    component_logging(c, logging, 0, NULL, call);
+    return c;
+}
+
 API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
     fmi3Boolean visible, fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean may_return,
     const fmi3ValueReference intermediate[], size_t intermediate_count, fmi3InstanceEnvironment environment,
@@ -72,26 +89,22 @@ API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, 
     char why[500] = "it has no event mode (hasEventMode is false); leave eventModeUsed false";
     const Border border = border_in();
     Component *c = event_mode ? NULL : component_new(name, token, resources, sizeof(Host), why, sizeof why);
-    Host *host;
     border_out(&border);
     if (!c)
         return not_made(environment, log, why, visible, intermediate, intermediate_count);
-    host = c->host;
-    host->log = log;
-    host->update = update;
-    host->environment = environment;
-    host->may_return = may_return;
-    c->log = log ? logged : NULL;
-    c->look = update ? look : NULL;
-    c->has_time = 1;
-    component_logging(c, logging, 0, NULL, "fmi3InstantiateCoSimulation");
-    return c;
+    return begun(c, environment, log, update, may_return, logging, "fmi3InstantiateCoSimulation");
 }
 
 API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
     fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
-    return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging);
+    char why[500];
+    const Border border = border_in();
+    Component *c = exchange_instance(
+        component_new(name, token, resources, sizeof(Host), why, sizeof why), why, sizeof why);
+    border_out(&border);
+    return c ? begun(c, environment, log, NULL, fmi3False, logging, "fmi3InstantiateModelExchange")
+             : not_made(environment, log, why, visible);
 }
 
 API fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
@@ -126,7 +139,7 @@ API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_toler
 
 API fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
-    INSIDE(fmi3Status, component_initialized(c, "fmi3ExitInitializationMode"));
+    INSIDE(fmi3Status, exchange_initialized(c, "fmi3ExitInitializationMode"));
 }
 
 API fmi3Status fmi3Terminate(fmi3Instance c)
@@ -275,11 +288,9 @@ API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], s
         return unknown(c, #NAME); \
     }
 
-UNKNOWN(fmi3EnterEventMode)
 UNKNOWN(fmi3EnterStepMode)
 UNKNOWN(fmi3EnterConfigurationMode)
 UNKNOWN(fmi3ExitConfigurationMode)
-UNKNOWN(fmi3EnterContinuousTimeMode)
 UNKNOWN(fmi3EvaluateDiscreteStates)
 
 API fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference reference, size_t *count)
@@ -353,56 +364,78 @@ API fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference ref
     return none(c, count, "fmi3SetShiftFraction", references, counters, resolutions);
 }
 
+API fmi3Status fmi3EnterEventMode(fmi3Instance c)
+{
+    INSIDE(fmi3Status, exchange_enter(c, AT_EVENT, "fmi3EnterEventMode"));
+}
+
+API fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
+{
+    INSIDE(fmi3Status, exchange_enter(c, CONTINUOUS, "fmi3EnterContinuousTimeMode"));
+}
+
 API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
     fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
 {
-    return unknown(c, "fmi3UpdateDiscreteStates", again, terminate, nominals, values, has_next, next);
+    Exchange_event event = {0, 0, 0.0};
+    const Border border = border_in();
+    const Status status = exchange_updated(c, &event, "fmi3UpdateDiscreteStates");
+    border_out(&border);
+    if (!again || !terminate || !nominals || !values || !has_next || !next)
+        return fmi3Error;
+    *again = *terminate = *nominals = fmi3False;
+    *values = event.changed != 0;
+    *has_next = event.timed != 0;
+    *next = event.next;
+    return (fmi3Status)status;
 }
 
 API fmi3Status fmi3CompletedIntegratorStep(
     fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *enter, fmi3Boolean *terminate)
 {
-    return unknown(c, "fmi3CompletedIntegratorStep", no_way_back, enter, terminate);
+    int far = 0;
+    Border border;
+    Status status;
+    (void)no_way_back;
+    if (!enter || !terminate)
+        return fmi3Error;
+    border = border_in();
+    status = exchange_accepted(c, &far, "fmi3CompletedIntegratorStep");
+    border_out(&border);
+    *enter = far != 0;
+    *terminate = fmi3False;
+    return (fmi3Status)status;
 }
 
 API fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
 {
-    return unknown(c, "fmi3SetTime", time);
+    INSIDE(fmi3Status, exchange_time(c, time, "fmi3SetTime"));
 }
 
 API fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 states[], size_t count)
 {
-    return unknown(c, "fmi3SetContinuousStates", states, count);
+    INSIDE(fmi3Status, exchange_set(c, states, count, "fmi3SetContinuousStates"));
 }
 
-API fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t count)
-{
-    return unknown(c, "fmi3GetContinuousStateDerivatives", derivatives, count);
-}
+#define VECTOR(NAME, WHICH) \
+    API fmi3Status fmi3Get##NAME(fmi3Instance c, fmi3Float64 values[], size_t count) \
+    { \
+        INSIDE(fmi3Status, exchange_get(c, WHICH, values, count, "fmi3Get" #NAME)); \
+    }
 
-API fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t count)
-{
-    return unknown(c, "fmi3GetEventIndicators", indicators, count);
-}
-
-API fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 states[], size_t count)
-{
-    return unknown(c, "fmi3GetContinuousStates", states, count);
-}
-
-API fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t count)
-{
-    return unknown(c, "fmi3GetNominalsOfContinuousStates", nominals, count);
-}
+VECTOR(ContinuousStateDerivatives, RATES)
+VECTOR(EventIndicators, INDICATORS)
+VECTOR(ContinuousStates, STATES)
+VECTOR(NominalsOfContinuousStates, NOMINALS)
 
 API fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
 {
-    return unknown(c, "fmi3GetNumberOfEventIndicators", count);
+    INSIDE(fmi3Status, exchange_count(c, INDICATORS, count, "fmi3GetNumberOfEventIndicators"));
 }
 
 API fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
 {
-    return unknown(c, "fmi3GetNumberOfContinuousStates", count);
+    INSIDE(fmi3Status, exchange_count(c, STATES, count, "fmi3GetNumberOfContinuousStates"));
 }
 
 API fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)

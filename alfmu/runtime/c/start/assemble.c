@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "equations.h"
 #include "guesses.h"
 #include "instance.h"
 #include "interpret.h"
@@ -35,20 +36,20 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
     const int paused = tape_pause(i, 1);
     another->way = INFINITY;
     for (int k = 0; k < TRIES; k++) {
-        double away = 0.0;
-        loops_beside_guess(s, guess, size, k, q);
+        double away;
+        int most;
+        loops_beside_guess(i, loops, guess, size, k, q);
         loops_follow(i, loops, q);
         if (!loops_close(i, loops, q))
             continue;
-        for (int c = 0; c < s->n; c++)
-            away += (q[c] - guess[c]) * (q[c] - guess[c]);
+        away = loops_way(i, loops, guess, q, &most);
         if (away < best) {
             best = away;
             from = k;
             memcpy(found, q, (size_t)s->n * sizeof *q);
         }
-        away = coordinates_apart(s, guess, q);
-        if (away < another->way && coordinates_apart(s, another->own, q) > DISTINCT) {
+        away = coordinates_apart(s, loops->columns, guess, q);
+        if (away < another->way && coordinates_apart(s, loops->units, another->own, q) > DISTINCT) {
             another->way = away;
             for (int c = 0; c < s->n; c++) /* Angles that a reader compares with the guess, without whole turns. */
                 another->q[c] = guess[c] + coordinate_shortest_way(s, c, q[c] - guess[c]);
@@ -68,25 +69,27 @@ static int start_values_determine(Instance *i, Loops *loops, const double *assem
     const int paused = tape_pause(i, 1);
     int back;
     for (int c = 0; c < s->n; c++)
-        q[c] = assembly[c] + DISTINCT * s->normal[c] / sqrt(s->n);
+        q[c] = assembly[c] + loops->units[c] * DISTINCT * s->normal[c] / sqrt(s->n);
     loops_follow(i, loops, q);
     tape_pause(i, paused);
-    back = loops_close(i, loops, q) && coordinates_apart(s, assembly, q) < DISTINCT * DISTINCT;
+    back = loops_close(i, loops, q) && coordinates_apart(s, loops->units, assembly, q) < DISTINCT * DISTINCT;
     arena_release(i, arena);
     return back;
 }
 
 /* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles
    of a rough guess do so in assemblies that look alike. */
-static int find_changed_side(const Scene *s, const double *from, const double *to)
+static int find_changed_side(const Scene *s, const Loops *loops, const double *from, const double *to)
 {
     int most = -1;
     double longest = AWAY;
-    for (int c = 0; c < s->n; c++)
-        if (!strcmp(s->coordinates[c].unit, "m") && from[c] * to[c] < 0.0 && fabs(to[c] - from[c]) > longest) {
-            longest = fabs(to[c] - from[c]);
+    for (int c = 0; c < s->n; c++) {
+        const double change = fabs(to[c] - from[c]) / loops->units[c];
+        if (coordinate_is_length(s, c) && from[c] * to[c] < 0.0 && change > longest) {
+            longest = change;
             most = c;
         }
+    }
     return most;
 }
 
@@ -96,9 +99,10 @@ static Outcome warn_of_other_assembly(
 {
     const Scene *s = i->scene;
     char own[QUANTITY], given[QUANTITY], other[QUANTITY];
-    int most, c = find_changed_side(s, guess, q);
-    if (another->way < BETWEEN * coordinates_apart(s, guess, q) && start_values_determine(i, loops, q)) {
-        coordinates_way(s, q, another->q, &most);
+    int most, c = find_changed_side(s, loops, guess, q);
+    if (another->way < BETWEEN * coordinates_apart(s, loops->columns, guess, q)
+        && start_values_determine(i, loops, q)) {
+        loops_way(i, loops, q, another->q, &most);
         instance_say(i, DONE,
             "%s: the guess lies between two assemblies; in the one taken %s is %s, guessed as %s, and in the other, "
             "hardly "
@@ -163,23 +167,27 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     double step, moved, size, away = INFINITY, *other = arena_alloc(i, (size_t)s->n);
     Another another = {q, arena_alloc(i, (size_t)s->n), INFINITY};
     char own[QUANTITY], given[QUANTITY], theirs[QUANTITY];
-    int most, from, direct;
+    int most, from, direct, unguessed = 0;
     i->text[0] = '\0';
     memcpy(q, guess, (size_t)s->n * sizeof *q);
     tape_copy(i, q, guess, (size_t)s->n);
     step = loops_follow(i, loops, q);
-    moved = loops_close(i, loops, q) ? coordinates_way(s, guess, q, &most) : INFINITY;
+    moved = loops_close(i, loops, q) ? loops_way(i, loops, guess, q, &most) : INFINITY;
     direct = moved <= 1.5 * step + 1e-6;
-    if (direct && (moved <= AWAY || s->n > DENSE))
+    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* without weights that is the way */
+    if (direct && (size <= AWAY || s->n > DENSE))
         return DONE;
     /* A long way, or none: is there an assembly nearer to the guess? */
-    size = fmin(moved, 3.0);
+    size = fmin(size, 3.0);
     from = find_nearest(i, loops, guess, size, other, &another);
     if (from >= 0)
-        away = coordinates_way(s, guess, other, &most);
+        away = loops_way(i, loops, guess, other, &most);
+    for (int c = 0; c < s->n; c++)
+        unguessed |= s->readiness[c] > 1.0;
+    direct &= away >= NEARER * moved || !unguessed;
     if (direct) {
         if (away < NEARER * moved) {
-            coordinates_way(s, q, other, &most);
+            loops_way(i, loops, q, other, &most);
             instance_say(i, DONE,
                 "%s: the loops closed far from the guess, where %s is %s, guessed as %s, and in a nearer assembly it "
                 "is %s; "
@@ -193,11 +201,15 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     if (from < 0 && moved == INFINITY)
         return report_not_closed(i, loops, guess, q);
     if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess leads to another assembly, or to none. */
+        memcpy(another.q, q, (size_t)s->n * sizeof *q);
+        another.way = moved < INFINITY ? coordinates_apart(s, loops->columns, guess, q) : INFINITY;
         tape_cut(i, begin);
-        loops_beside_guess(s, guess, size, from, q);
+        loops_beside_guess(i, loops, guess, size, from, q);
         tape_copy(i, q, guess, (size_t)s->n);
         loops_follow(i, loops, q);
-        coordinates_way(s, guess, q, &most);
+        if (unguessed) /* The coordinates that have a guess tell which assembly is meant. */
+            return warn_of_other_assembly(i, loops, guess, q, &another);
+        loops_way(i, loops, guess, q, &most);
         return instance_say(i, DONE,
             "%s: no short way leads from the guess to closed loops; in the nearest assembly found, which is taken, %s "
             "is %s, "
@@ -223,15 +235,17 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
-    double *guess = arena_alloc(i, (size_t)s->n);
+    double *guess = arena_alloc(i, (size_t)s->n), own;
     const double *x[] = {instance_field(i, s->p), loops_starts(i), loops_starts(i) + s->starts};
     double *y[] = {guess, v};
-    Loops loops = loops_new(i, held);
+    Loops loops;
     const char *open;
     Outcome outcome;
     Mark begin;
     function_call_recorded(i, s->guesses, x, y);
-    *i->length = s->l ? units_own_length(i, guess) : 1.0;
+    own = s->l ? units_own_length(i, guess) : 1.0;
+    *i->length = own < 1 / ALIKE || own > ALIKE ? own : 1.0; /* Displacements are measured in it. */
+    loops = loops_new(i, held, own);
     if (!isfinite(linear_norm(guess, s->n)))
         outcome = instance_say(
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
@@ -247,7 +261,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     }
     if (outcome == DONE) {
         guesses_check(i, &loops, guess, q);
-        tape_closing(i, held, q, NULL, NULL, 1.0); /* The loops are closed at its end. */
+        tape_correction(i, loops.rows, loops.columns, q, NULL, NULL, NULL, 1.0); /* The loops are closed at its end. */
         outcome = start_rates(i, &loops, q, v);
     }
     arena_release(i, arena);

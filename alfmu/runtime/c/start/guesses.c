@@ -41,7 +41,7 @@ static int fits_in_degrees(
     }
     if (fits)
         loops_follow(i, loops, there);
-    fits = fits && loops_close(i, loops, there) && coordinates_apart(s, there, q) > DISTINCT;
+    fits = fits && loops_close(i, loops, there) && coordinates_apart(s, loops->units, there, q) > DISTINCT;
     for (int c = 0; c < s->n; c++)
         fits &= meant[c] == guess[c] || fabs(coordinate_shortest_way(s, c, there[c] - meant[c])) < AWAY;
     tape_pause(i, paused);
@@ -165,7 +165,7 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double *allowed, *tried, *found, nearest_way = INFINITY, left;
+    double *allowed, *tried, *found, nearest_way = INFINITY, left, away;
     char how[QUANTITY], own[QUANTITY], given[QUANTITY];
     int worst, most;
     if (!s->limit_count || s->n > DENSE)
@@ -182,9 +182,11 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
         for (int k = -1; k < TRIES; k++) {
             memcpy(tried, q, n * sizeof *tried);
             if (k >= 0)
-                loops_beside_guess(s, guess, 3.0, k, tried);
-            if (bring_within_limits(i, loops, allowed, tried) && coordinates_apart(s, guess, tried) < nearest_way) {
-                nearest_way = coordinates_apart(s, guess, tried);
+                loops_beside_guess(i, loops, guess, 3.0, k, tried);
+            away = bring_within_limits(i, loops, allowed, tried) ? coordinates_apart(s, loops->columns, guess, tried)
+                                                                 : INFINITY;
+            if (away < nearest_way) {
+                nearest_way = away;
                 memcpy(found, tried, n * sizeof *found);
             }
         }
@@ -194,7 +196,7 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
             tape_cut(i, begin);
             memcpy(q, found, n * sizeof *q);
             tape_copy(i, q, guess, n);
-            coordinates_way(s, guess, q, &most);
+            loops_way(i, loops, guess, q, &most);
             instance_say(i, DONE,
                 "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, "
                 "where %s is "

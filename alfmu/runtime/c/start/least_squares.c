@@ -25,11 +25,12 @@ void matrix_times(Matrix a, const double *x, double *y)
             y[p->indices[e]] += a.values[e] * x[c];
 }
 
-/* Each row times its weight. */
-void matrix_weigh_rows(Matrix a, const double *weights)
+/* Multiply each row and each column by its weight; those of columns may be NULL. */
+void matrix_weigh(Matrix a, const double *rows, const double *columns)
 {
-    for (int e = 0; e < a.pattern->entries; e++)
-        a.values[e] *= weights[a.pattern->indices[e]];
+    for (int c = 0; c < a.pattern->columns; c++)
+        for (int e = a.pattern->offsets[c]; e < a.pattern->offsets[c + 1]; e++)
+            a.values[e] *= rows[a.pattern->indices[e]] * (columns ? columns[c] : 1.0);
 }
 
 void rows_times(const Rows *J, const double *x, double *y)

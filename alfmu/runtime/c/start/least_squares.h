@@ -21,7 +21,7 @@ typedef struct {
 
 Matrix matrix_new(Instance *i, const Pattern *pattern);
 void matrix_times(Matrix a, const double *x, double *y);
-void matrix_weigh_rows(Matrix a, const double *weights);
+void matrix_weigh(Matrix a, const double *rows, const double *columns);
 
 /* y = J x, and x = J' y */
 void rows_times(const Rows *J, const double *x, double *y);

@@ -39,23 +39,41 @@ void loops_evaluate(Instance *i, Loops *loops, const double *q)
             loops->J.constraints.values[e] = 0.0;
 }
 
-Loops loops_new(Instance *i, const unsigned char *held)
+/* Return whether a gap, or behind them a start value, is in metres. */
+static int row_is_length(const Scene *s, int k)
+{
+    return !strcmp(k < s->l ? s->rows[k].unit : s->variables[s->own + s->tied[k - s->l]].unit, "m");
+}
+
+/* The unit of length is a power of two near the length of the mechanism, by which scaling is exact; the derivatives of
+   the start take it as constant. */
+Loops loops_new(Instance *i, const unsigned char *held, double length)
 {
     const Scene *s = i->scene;
-    Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL};
+    Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL, NULL,
+        NULL, NULL};
+    int exponent;
+    length = frexp(length, &exponent) < sqrt(0.5) ? ldexp(0.5, exponent) : ldexp(1.0, exponent);
     loops.residue = arena_alloc(i, (size_t)loops.count);
     loops.trial = arena_alloc(i, (size_t)s->n);
+    loops.rows = arena_alloc(i, (size_t)loops.count);
+    loops.columns = arena_alloc(i, (size_t)s->n);
+    loops.units = arena_alloc(i, (size_t)s->n);
+    for (int k = 0; k < loops.count; k++)
+        loops.rows[k] = (k >= s->l || held[k]) / (row_is_length(s, k) ? length : 1.0);
+    for (int c = 0; c < s->n; c++) {
+        loops.units[c] = coordinate_is_length(s, c) ? length : 1.0;
+        loops.columns[c] = s->readiness[c] * loops.units[c];
+    }
     return loops;
 }
 
-/* Return whether the residue is below this share of the coordinates; gaps in metres are relative to the length of
-   the mechanism. */
+/* Return whether the residue is below this share of the coordinates. */
 static int loops_within(const Instance *i, const Loops *loops, const double *q, double share)
 {
-    const Scene *s = i->scene;
     double found = 0.0;
     for (int k = 0; k < loops->count; k++)
-        found = fmax(found, fabs(loops->residue[k]) / (k < s->l && !strcmp(s->rows[k].unit, "m") ? *i->length : 1.0));
+        found = fmax(found, fabs(loops->residue[k]) / (row_is_length(i->scene, k) ? *i->length : 1.0));
     return found <= share * fmax(1.0, instance_largest(i, q));
 }
 
@@ -65,7 +83,16 @@ int loops_close(Instance *i, Loops *loops, const double *q)
     return loops_within(i, loops, q, ROUGH);
 }
 
-/* Gauss-Newton steps of least norm from q to where they end; the length of the first one. */
+/* Return the norm of the weighed residue. */
+static double loops_size(const Loops *loops)
+{
+    double square = 0.0;
+    for (int k = 0; k < loops->count; k++)
+        square += pow(loops->rows[k] * loops->residue[k], 2);
+    return sqrt(square);
+}
+
+/* Make Gauss-Newton steps of least weighed norm from q to where they end; return the length of the first one. */
 double loops_follow(Instance *i, Loops *loops, double *q)
 {
     const Scene *s = i->scene;
@@ -73,25 +100,30 @@ double loops_follow(Instance *i, Loops *loops, double *q)
     double *dq = arena_alloc(i, (size_t)s->n), *lam = arena_alloc(i, (size_t)loops->count), first = -1.0;
     loops_evaluate(i, loops, q);
     for (int k = 0; k < MOST; k++) {
-        double size = linear_norm(loops->residue, loops->count), turned = 1e-300, part;
+        const double size = loops_size(loops);
+        double turned = 1e-300, part;
         if (loops_within(i, loops, q, TOLERANCE))
             break;
+        matrix_weigh(loops->J.constraints, loops->rows, loops->columns);
+        matrix_weigh(loops->J.ties, loops->rows + s->l, loops->columns);
+        for (int r = 0; r < loops->count; r++)
+            loops->residue[r] *= loops->rows[r];
         rows_least_multipliers(i, &loops->J, loops->residue, CORRECTIONS, lam, dq);
         if (first < 0.0)
             first = linear_norm(dq, s->n);
         for (int c = 0; c < s->n; c++)
             if (!strcmp(s->coordinates[c].unit, "rad"))
-                turned = fmax(turned, fabs(dq[c]));
+                turned = fmax(turned, fabs(loops->columns[c] * dq[c]));
         for (part = fmin(1.0, LONGEST_TURN / turned); part > 1e-4; part /= 2) {
             for (int c = 0; c < s->n; c++)
-                loops->trial[c] = q[c] - part * dq[c];
+                loops->trial[c] = q[c] - part * loops->columns[c] * dq[c];
             loops_evaluate(i, loops, loops->trial);
-            if (linear_norm(loops->residue, loops->count) < (1 - part / 10) * size)
+            if (loops_size(loops) < (1 - part / 10) * size)
                 break;
         }
         if (part <= 1e-4)
             break;
-        tape_closing(i, loops->held, q, dq, lam, part);
+        tape_correction(i, loops->rows, loops->columns, q, NULL, dq, lam, part);
         memcpy(q, loops->trial, (size_t)s->n * sizeof *q);
     }
     arena_release(i, arena);
@@ -104,20 +136,23 @@ double coordinate_shortest_way(const Scene *s, int coordinate, double change)
     return strcmp(s->coordinates[coordinate].unit, "rad") ? change : remainder(change, 4 * QUARTER);
 }
 
-/* The length of the shortest way from one place to another. */
-double coordinates_apart(const Scene *s, const double *from, const double *to)
+/* The length of the shortest way from one place to another, in units of each coordinate. */
+double coordinates_apart(const Scene *s, const double *units, const double *from, const double *to)
 {
     double square = 0.0;
     for (int c = 0; c < s->n; c++)
-        square += pow(coordinate_shortest_way(s, c, to[c] - from[c]), 2);
+        square += pow(coordinate_shortest_way(s, c, to[c] - from[c]) / units[c], 2);
     return sqrt(square);
 }
 
 /* A place beside the guess from which an assembly is looked for, the k-th of them. */
-void loops_beside_guess(const Scene *s, const double *guess, double size, int k, double *q)
+void loops_beside_guess(
+    const Instance *i, const Loops *loops, const double *guess, double size, int k, double *q)
 {
+    const Scene *s = i->scene;
     for (int c = 0; c < s->n; c++)
-        q[c] = guess[c] + size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
+        q[c] = guess[c]
+            + loops->units[c] * size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
 }
 
 /* The widest gap, or the start value that is missed most. */
@@ -126,7 +161,7 @@ const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t
     const Scene *s = i->scene;
     int worst = 0;
     for (int k = 1; k < loops->count; k++)
-        if (fabs(loops->residue[k]) > fabs(loops->residue[worst]))
+        if (fabs(loops->residue[k]) * loops->rows[k] > fabs(loops->residue[worst]) * loops->rows[worst])
             worst = k;
     if (worst < s->l) {
         double gap = 0.0;
@@ -143,15 +178,18 @@ const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t
     return label;
 }
 
-/* The length of the way from one place to another, and the coordinate that changes most on it. */
-double coordinates_way(const Scene *s, const double *from, const double *to, int *most)
+/* The weighed length of the way from one place to another, and the coordinate that changes most on it. */
+double loops_way(const Instance *i, const Loops *loops, const double *from, const double *to, int *most)
 {
-    double square = 0.0;
+    double square = 0.0, longest = 0.0;
     *most = 0;
-    for (int c = 0; c < s->n; c++) {
-        square += (to[c] - from[c]) * (to[c] - from[c]);
-        if (fabs(to[c] - from[c]) > fabs(to[*most] - from[*most]))
+    for (int c = 0; c < i->scene->n; c++) {
+        const double change = (to[c] - from[c]) / loops->columns[c];
+        square += change * change;
+        if (fabs(to[c] - from[c]) > longest * loops->units[c]) {
+            longest = fabs(to[c] - from[c]) / loops->units[c];
             *most = c;
+        }
     }
     return sqrt(square);
 }

@@ -18,18 +18,21 @@ typedef struct {
     int untied; /* whether start values are guesses, too */
     Rows J;
     double *residue, *trial;
+    double *rows, *columns; /* weights: gaps in metres are over the mechanism's length, coordinates are multiples */
+    double *units;          /* those of coordinates, which columns without a guess are larger multiples of */
 } Loops;
 
 const double *loops_starts(const Instance *i);
 void loops_evaluate(Instance *i, Loops *loops, const double *q);
-Loops loops_new(Instance *i, const unsigned char *held);
+Loops loops_new(Instance *i, const unsigned char *held, double length);
 int loops_close(Instance *i, Loops *loops, const double *q);
 double loops_follow(Instance *i, Loops *loops, double *q);
 double coordinate_shortest_way(const Scene *s, int coordinate, double change);
-double coordinates_apart(const Scene *s, const double *from, const double *to);
-void loops_beside_guess(const Scene *s, const double *guess, double size, int k, double *q);
+double coordinates_apart(const Scene *s, const double *units, const double *from, const double *to);
+void loops_beside_guess(
+    const Instance *i, const Loops *loops, const double *guess, double size, int k, double *q);
 const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t size);
-double coordinates_way(const Scene *s, const double *from, const double *to, int *most);
+double loops_way(const Instance *i, const Loops *loops, const double *from, const double *to, int *most);
 
 #include "internal_end.h"
 

@@ -24,7 +24,7 @@ void rank_weighted_rows(Instance *i, const double *q, const double *weights, Mat
     double *zeros = arena_alloc(i, (size_t)s->n);
     memset(zeros, 0, (size_t)s->n * sizeof *zeros);
     constraints_evaluate(i, q, zeros, NULL, C.values, phi, NULL);
-    matrix_weigh_rows(C, weights);
+    matrix_weigh(C, weights, NULL);
     for (int r = 0; r < s->l; r++)
         phi[r] *= weights[r];
     arena_release(i, arena);

@@ -87,10 +87,9 @@ void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row
         }
 }
 
-/* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of
-   constraints of lengths alone the least radius by which their coefficients turn; 1 m where that is of its size, or
-   nothing tells it. Rows in other units have the same arms: those of a known coefficient of a length are over it,
-   and others count where none is. */
+/* Return the length of the mechanism: the longest arm by which an angle moves a point, of constraints of lengths
+   alone the least radius by which their coefficients turn; 1 m where nothing tells it. Rows in other units have the
+   same arms: those of a known coefficient of a length are over it, and others count where none is. */
 double units_own_length(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
@@ -136,7 +135,7 @@ double units_own_length(Instance *i, const double *q)
     }
     found = known > 0.0 ? known : arm > 0.0 ? arm : radius;
     arena_release(i, arena);
-    return found >= 1e-300 && found < 1e12 && (found < 1 / ALIKE || found > ALIKE) ? found : 1.0;
+    return found >= 1e-300 && found < 1e12 ? found : 1.0;
 }
 
 /* The constant coefficient of a row, of a length where it has any. */

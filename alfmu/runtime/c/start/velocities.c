@@ -23,30 +23,33 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n),
-           *weights = arena_alloc(i, (size_t)s->l);
-    double *lam = arena_alloc(i, (size_t)loops->count);
+           *lam = arena_alloc(i, (size_t)loops->count), *scaled = arena_alloc(i, (size_t)s->n);
+    const double *weights = loops->rows;
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     loops_evaluate(i, loops, q);
     constraints_evaluate(i, q, v, NULL, J.constraints.values, NULL, NULL);
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r];
-    matrix_weigh_rows(J.constraints, weights);
+    matrix_weigh(J.constraints, weights, loops->columns);
+    matrix_weigh(J.ties, weights + s->l, loops->columns);
     for (int pass = 0; pass < 3; pass++) {
-        rows_times(&J, v, made);
+        for (int c = 0; c < s->n; c++)
+            scaled[c] = v[c] / loops->columns[c];
+        rows_times(&J, scaled, made);
         if (s->timed) { /* Include the motion that constraints prescribe. */
             constraints_evaluate(i, q, v, NULL, NULL, NULL, made);
             for (int r = 0; r < s->l; r++)
                 made[r] *= weights[r];
         }
         for (int r = 0; r < loops->count; r++)
-            left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
+            left[r] = (r < s->l ? 0.0 : weights[r] * rate[s->tied[r - s->l]]) - made[r];
         if (pass == 2)
             break;
         rows_least_multipliers(i, &J, left, CORRECTIONS, lam, dv);
-        tape_rating(i, loops->held, q, v, dv, lam);
+        tape_correction(i, weights, loops->columns, q, v, dv, lam, 1.0);
         for (int c = 0; c < s->n; c++)
-            v[c] += dv[c];
+            v[c] += loops->columns[c] * dv[c];
     }
+    for (int r = 0; r < loops->count; r++)
+        left[r] = weights[r] > 0.0 ? left[r] / weights[r] : 0.0;
     arena_release(i, arena);
 }
 
@@ -57,18 +60,16 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = loops_starts(i) + s->starts;
     double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n),
-           *weights = arena_alloc(i, l);
-    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
+           *F = arena_alloc(i, n);
+    double *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1),
            *M = arena_alloc(i, (size_t)s->mass.entries);
     double lost = 0.0, most;
     const double zero = 0.0;
     Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     int worst = 0;
     solve_rates(i, loops, q, rate, v, left);
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r];
     for (int r = 1; r < loops->count; r++)
-        if (fabs(left[r]) > fabs(left[worst]))
+        if (loops->rows[r] * fabs(left[r]) > loops->rows[worst] * fabs(left[worst]))
             worst = r;
     if (!(linear_largest(left, loops->count) <= ROUGH * fmax(1.0, instance_largest(i, v))))
         return instance_say(i, FAILED,
@@ -86,16 +87,11 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
         memset(zeros, 0, ((size_t)scene_driven(s) + 1) * sizeof *zeros);
         function_call(i, s->dynamics, x, y);
     }
-    for (int r = 0; r < s->l; r++)
-        weights[r] = loops->held[r] / (!strcmp(s->rows[r].unit, "m") ? *i->length : 1.0);
-    matrix_weigh_rows(J.constraints, weights);
-    for (int c = 0; c < s->n; c++)
-        for (int e = s->constraint.offsets[c]; coordinate_is_length(s, c) && e < s->constraint.offsets[c + 1]; e++)
-            J.constraints.values[e] *= *i->length;
+    matrix_weigh(J.constraints, loops->rows, loops->columns);
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
-        left[r] *= weights[r];
+        left[r] *= loops->rows[r];
     /* Two passes leave residues in directions that C hardly holds, which a motion violates in proportion to its
        acceleration. */
     rows_least_correction(i, &J, left, 2, dv);
@@ -110,7 +106,7 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
         return instance_say(i, FAILED,
             "%s: the start is a singular position, and its rates belong to none of the motions possible there (%s "
             "would open by %.3g %s/s2); start a little beside it",
-            s->name, s->rows[worst].name, lost / weights[worst], s->rows[worst].unit);
+            s->name, s->rows[worst].name, lost / loops->rows[worst], s->rows[worst].unit);
     return DONE;
 }
 
@@ -124,7 +120,7 @@ void start_set_off(Instance *i, const unsigned char *held, const double *q, doub
     double *guess = arena_alloc(i, n), *way = arena_alloc(i, n), *equal = arena_alloc(i, (size_t)s->starts), size;
     const double *x[] = {instance_field(i, s->p), loops_starts(i), equal};
     double *y[] = {guess, way};
-    Loops loops = loops_new(i, held);
+    Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
         equal[k] = 1.0;
     function_call(i, s->guesses, x, y);

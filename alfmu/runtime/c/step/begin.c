@@ -97,7 +97,7 @@ static void begin_motion(Instance *i, const double *q, const double *v, double t
     memset(i->peaks, 0, scene_peaks_length(s) * sizeof *i->peaks);
     *i->dissipated = 0.0;
     memset(instance_field(i, s->pace), 0, PACE * sizeof(double));
-    instance_field(i, s->pace)[PACE_DT] = FIRST_STEP;
+    instance_field(i, s->pace)[PACE_DT] = FIRST_STEP * i->values[s->step_size];
     instance_field(i, s->pace)[PACE_BEFORE] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
     memset(instance_field(i, s->tally), 0, TALLY * sizeof(double));

@@ -265,13 +265,25 @@ static void choose_sticking(Instance *i, const unsigned char *rests)
     arena_release(i, arena);
 }
 
+/* Return the rate [rad/s or m/s] of motions that are fast for steps as long as solver.step_size, at most 1. */
+static double find_pace(const Instance *i)
+{
+    return fmin(1.0, SLOW_STEP / i->values[i->scene->step_size]);
+}
+
+/* Return the rate below which a joint is at rest. */
+double friction_rest(const Instance *i)
+{
+    return REST * find_pace(i);
+}
+
 /* Let joints at their limit slide if nothing holds them and they begin to move. */
 static void release_unheld(Instance *i)
 {
     const Scene *s = i->scene;
     const int count = s->frictions;
     const double *seconds = friction_gripped(i) + 2 * count;
-    double most = 1.0;
+    double most = pow(find_pace(i), 2);
     for (int k = 0; k < count; k++)
         most = fmax(most, fabs(seconds[k]));
     for (int k = 0; k < count; k++)
@@ -292,7 +304,7 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
     double settled = 0.0;
     memcpy(began, rests, (size_t)count);
     for (int again = 0; again <= SLIDING_ROUNDS * count; again++) {
-        double idle = IDLE;
+        double idle = IDLE * pow(find_pace(i), 2);
         int moves = 1, any = 0;
         for (int k = 0; k < count; k++)
             if (rests[k]) {
@@ -345,7 +357,7 @@ Outcome friction_event(Instance *i, const unsigned char *stopped)
     friction_rates(i, rates);
     for (int k = 0; k < count; k++) {
         before[k] = *friction_slip(i, k);
-        rests[k] = (stopped && stopped[k]) || !(fabs(rates[k]) > REST);
+        rests[k] = (stopped && stopped[k]) || !(fabs(rates[k]) > friction_rest(i));
         if (!rests[k])
             *friction_slip(i, k) = rates[k] > 0.0 ? 1.0 : -1.0;
     }
@@ -381,8 +393,8 @@ Outcome friction_checked(Instance *i)
     int wrong = 0;
     friction_rates(i, rates);
     for (int k = 0; k < count; k++)
-        wrong |= fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * rates[k] <= REST
-                                                   : fabs(rates[k]) > REST || !friction_count_sticking(i);
+        wrong |= fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * rates[k] <= friction_rest(i)
+                                                   : fabs(rates[k]) > friction_rest(i) || !friction_count_sticking(i);
     if (!wrong && friction_count_sticking(i)) {
         grip = friction_gripped(i);
         for (int k = 0; k < count; k++)

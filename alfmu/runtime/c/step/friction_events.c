@@ -18,7 +18,7 @@
 /* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its
    direction, the reserve of a sticking joint's multiplier relative to its limit, or the rate that a joint held by
    others lacks to move. */
-static void find_distances(Instance *i, double *found)
+void friction_distances(Instance *i, double *found)
 {
     const Scene *s = i->scene;
     friction_rates(i, found);
@@ -32,7 +32,7 @@ static void find_distances(Instance *i, double *found)
         if (fabs(*friction_slip(i, k)) == 1.0)
             found[k] *= *friction_slip(i, k);
         else if (*friction_slip(i, k) != 0.0)
-            found[k] = MOVING * REST - fabs(found[k]);
+            found[k] = MOVING * friction_rest(i) - fabs(found[k]);
 }
 
 /* Return the least distance of the joints that meet an event in this step. */
@@ -54,7 +54,7 @@ static void find_second_rates(Instance *i, double *found)
 }
 
 /* Return whether the cubic through both ends of a step of length h lets the rate of a joint cross zero and return. */
-static int has_crossing(double before, double after, double bend_before, double bend_after, double h)
+static int has_crossing(double rest, double before, double after, double bend_before, double bend_after, double h)
 {
     const double slope = bend_before * h, end = bend_after * h, change = after - before;
     const double square = 3 * change - 2 * slope - end, cube = slope + end - 2 * change;
@@ -62,7 +62,7 @@ static int has_crossing(double before, double after, double bend_before, double 
         return 0;
     for (int k = 1; k < SEEN_BETWEEN; k++) {
         const double x = (double)k / SEEN_BETWEEN;
-        if (before + x * (slope + x * (square + x * cube)) < -REST)
+        if (before + x * (slope + x * (square + x * cube)) < -rest)
             return 1;
     }
     return 0;
@@ -76,9 +76,9 @@ static int find_jam_ahead(Instance *i)
     double *z = instance_field(i, s->z), *kept = arena_alloc(i, (size_t)s->n);
     int found = friction_jammed(i);
     memcpy(kept, z, (size_t)s->n * sizeof *z);
-    for (double ahead = i->values[s->step_size]; !found && ahead > JAM_AHEAD; ahead /= JAM_SHORTER) {
+    for (double ahead = 1.0; !found && ahead > JAM_AHEAD; ahead /= JAM_SHORTER) {
         for (int c = 0; c < s->n; c++)
-            z[c] = kept[c] + ahead * z[s->n + c];
+            z[c] = kept[c] + ahead * i->values[s->step_size] * z[s->n + c];
         found = friction_jammed(i);
     }
     memcpy(z, kept, (size_t)s->n * sizeof *z);
@@ -134,13 +134,13 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
     const double start = kept->state[s->time];
     double low = start, high = *instance_time(i), at_low = find_least_distance(before, meets, count),
            at_high = find_least_distance(after, meets, count);
-    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * REST / STOPPED), weight_low = 1.0,
-           weight_high = 1.0;
-    double there = at_high;
+    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * friction_rest(i) / STOPPED);
+    double weight_low = 1.0, weight_high = 1.0, there = at_high;
+    const double early = EARLIEST * i->values[s->step_size];
     Outcome outcome = DONE;
     for (int pass = 0; pass < SEARCHED && outcome == DONE; pass++) {
         double t;
-        if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), EARLIEST))
+        if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), early))
             break;
         if (at_low <= 0.0) /* The joint has only begun to move: the event is here or later. */
             t = low + (high - low) * RIGHT_THERE;
@@ -154,7 +154,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         outcome = make_step(i, t, dt, 1);
         if (outcome != DONE)
             break;
-        find_distances(i, now);
+        friction_distances(i, now);
         there = find_least_distance(now, meets, count);
         if (there < 0.0) {
             if (at_low <= 0.0) { /* The joint moves in the wrong direction from the beginning. */
@@ -184,6 +184,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
     const double end = start + h;
     double *time = instance_time(i), *before = arena_alloc(i, count), *after = arena_alloc(i, count);
     double *bend_before = arena_alloc(i, count), *bend_after = arena_alloc(i, count), within = INFINITY;
+    const double rest = friction_rest(i), brief = LOOKED_INTO * i->values[s->step_size];
     const int looks = settings_method(i) != 0; /* The user sets the length of RK4 steps. */
     unsigned char *meets = (unsigned char *)arena_alloc(i, count);
     Step_memory kept = {arena_alloc(i, scene_state_length(s)), arena_alloc(i, past),
@@ -202,22 +203,22 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         memcpy(kept.state, instance_field(i, s->z), kept.size);
         memcpy(kept.pace, instance_field(i, s->pace), past * sizeof(double));
         memcpy(kept.peaks, i->peaks, scene_peaks_length(s) * sizeof(double));
-        find_distances(i, before);
+        friction_distances(i, before);
         if (looks && friction_count_sticking(i) < (int)count)
             find_second_rates(i, bend_before);
         outcome = make_step(i, limit, dt, 0);
         if (outcome != DONE)
             break;
-        find_distances(i, after);
+        friction_distances(i, after);
         for (size_t k = 0; k < count; k++) {
-            meets[k] = !(after[k] >= (fabs(*friction_slip(i, (int)k)) == 1.0 ? -REST : 0.0));
+            meets[k] = !(after[k] >= (fabs(*friction_slip(i, (int)k)) == 1.0 ? -rest : 0.0));
             any |= meets[k];
         }
-        if (!any && looks && friction_count_sticking(i) < (int)count && *time - from > LOOKED_INTO) {
+        if (!any && looks && friction_count_sticking(i) < (int)count && *time - from > brief) {
             find_second_rates(i, bend_after);
             for (size_t k = 0; k < count; k++)
                 if (fabs(*friction_slip(i, (int)k)) == 1.0
-                    && has_crossing(before[k], after[k], bend_before[k], bend_after[k], *time - from))
+                    && has_crossing(rest, before[k], after[k], bend_before[k], bend_after[k], *time - from))
                     within = (*time - from) / 2;
             if (within < INFINITY) { /* Repeat the step in halves. */
                 restore_step(i, &kept);
@@ -231,11 +232,11 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         outcome = locate_event(i, &kept, before, after, meets, dt);
         if (outcome != DONE)
             break;
-        find_distances(i, after);
+        friction_distances(i, after);
         {
             const double first = find_least_distance(after, meets, (int)count);
             for (size_t k = 0; k < count; k++)
-                meets[k] = meets[k] && fabs(*friction_slip(i, (int)k)) == 1.0 && after[k] <= fmax(fabs(first), REST);
+                meets[k] = meets[k] && fabs(*friction_slip(i, (int)k)) == 1.0 && after[k] <= fmax(fabs(first), rest);
         }
         at_once = *time > from ? 0 : at_once + 1;
         if (at_once == AT_ONCE)

@@ -12,12 +12,14 @@
 #include "adjoint.h"
 #include "begin.h"
 #include "diagnosis.h"
+#include "exchange.h"
 #include "gradient.h"
 #include "instance.h"
 #include "message.h"
 #include "outputs.h"
 #include "record.h"
 #include "scene.h"
+#include "scene_sizes.h"
 #include "state.h"
 #include "tangent.h"
 #include "variables.h"
@@ -40,8 +42,9 @@ int instance_moves_start(const Instance *i)
     return i->scene->followed_count && !(i->flags.phase & RUN);
 }
 
-/* Record the evaluation of the outputs, and the start too if `of_start` is set, on the tape. */
-static Outcome record_evaluation(Instance *i, Gradient *g, int of_start)
+/* Record the evaluation of the outputs, the start too if `of_start` is set, and rates of states if they are wanted, on
+   the tape. */
+static Outcome record_evaluation(Instance *i, Gradient *g, int of_start, int wanted)
 {
     Outcome outcome = DONE;
     tape_clear(g->tape);
@@ -52,7 +55,7 @@ static Outcome record_evaluation(Instance *i, Gradient *g, int of_start)
         outcome = instance_initialize(i);
     i->flags.known = i->onward = 0;
     if (outcome == DONE)
-        outcome = instance_read(i);
+        outcome = exchange_or_read(i, wanted);
     i->tape = NULL;
     if (outcome == DONE && g->tape->lost)
         outcome = instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
@@ -71,16 +74,18 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
     const size_t count = back ? known_count : unknown_count;
     Gradient *g;
     Outcome outcome;
-    int of_start = 0;
+    int of_start = 0, exchanged = 0;
     for (size_t k = 0; k < known_count; k++)
-        of_start |= i->scene->variables[knowns[k]].kind == PARAMETER || instance_moves_start(i);
+        of_start |= knowns[k] < (unsigned)i->scene->parameters || instance_moves_start(i);
+    for (size_t k = 0; k < unknown_count; k++)
+        exchanged |= unknowns[k] >= (unsigned)scene_variable_count(i->scene);
     if (!i->gradient)
         i->gradient = gradient_new(i, 1);
     g = i->gradient;
     if (!g)
         return instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
     instance_remember(i);
-    outcome = record_evaluation(i, g, of_start);
+    outcome = record_evaluation(i, g, of_start, exchanged);
     instance_go_back(i);
     arena_reset(i);
     if (outcome != DONE)

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "breaks.h"
+#include "exchange.h"
 #include "gradient.h"
 #include "instance.h"
 #include "interpret.h"
@@ -47,6 +48,7 @@ static size_t layout_parts(Instance *i, double *numbers)
         {&i->length, 1},
         {&i->peaks, (int)scene_peaks_length(s)},
         {&i->jacobian, s->entries},
+        {&i->exchange, scene_exchange_variables(s) + EXCHANGE_TIMES},
         {&i->given, s->l},
         {&i->counts, COUNTED},
         {&i->stabilisation, 2},

@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "exchange.h"
 #include "instance.h"
 #include "layout.h"
 #include "message.h"
@@ -14,7 +15,7 @@
 #include "settings.h"
 #include "variables.h"
 
-#define FORMAT 8
+#define FORMAT 9
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 void instance_remember(Instance *i)
@@ -130,6 +131,7 @@ static Outcome check_state(Instance *i)
         {"an impulse", i->impulses, s->impulses},
         {"energy lost", i->dissipated, 1},
         {"a derivative of the last step", i->jacobian, s->entries},
+        {"a state", i->exchange, 2 * scene_exchanged(s)},
         {"a peak", i->peaks, (int)scene_peaks_length(s)},
         {"a step size", control, 1},
         {"a past input", instance_field(i, s->past), s->past_size},
@@ -149,6 +151,8 @@ static Outcome check_state(Instance *i)
     for (int k = 0; k < s->inputs; k++)
         if (i->slopes[1 + k] != s->no_slope && !isfinite(i->slopes[1 + k]))
             return report_unsound(i, "the derivative of an input", i->slopes[1 + k]);
+    if (f->mode < 0 || f->mode > CONTINUOUS)
+        return report_unsound(i, "the mode", f->mode);
     for (int k = 0; k < s->switches; k++)
         if ((i->requested[k] != 0.0 && i->requested[k] != 1.0) || (i->active[k] != 0.0 && i->active[k] != 1.0))
             return report_unsound(i, inputs[s->inputs + k].name, i->requested[k]);

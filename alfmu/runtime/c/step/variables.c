@@ -122,6 +122,8 @@ static inline const double *value_address(const Instance *i, int reference)
 {
     const Scene *s = i->scene;
     const int output = reference - scene_first_output(s), event = output - (s->outputs - s->event_count);
+    if (output >= s->outputs + s->entries)
+        return i->exchange + (output - s->outputs - s->entries);
     if (output >= s->outputs)
         return i->jacobian + (output - s->outputs);
     if (event >= 0)

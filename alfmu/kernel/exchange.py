@@ -1,0 +1,57 @@
+"""Model Exchange: the states that an importer integrates, and the mechanisms that are exported for co-simulation alone.
+
+The states are all coordinates, their rates, and the states of first-order equations. The runtime evaluates their rates
+with outputs, at the position on the constraints nearest to them (`step/exchange.c`).
+"""
+
+from __future__ import annotations
+
+from ..equations import Equations, Variable
+from ..equations.interface import MONITORS
+from ..equations.types import REACTION_ERROR
+from ..model.units import quotient
+from .form import Traced
+
+__all__ = ["ACCELERATIONS", "FADING", "exchanged", "indicators", "obstacle"]
+
+FADING = 0.1
+"""Share of the distance to the constraints by which states return in a communication step [1]: errors of an importer
+fade over ten of them. A fifth of this leaves up to twice the error of a run, and twice of it gains nothing."""
+
+ACCELERATIONS = "a0"
+"""Value of the programs that evaluate outputs; the runtime reads it."""
+
+
+def obstacle(e: Traced) -> str:
+    """Return why an importer cannot integrate a mechanism; empty if it can. The equations are those of a scene
+    (`alfmu.kernel.tables.alone`)."""
+    if e.followed:
+        names = ", ".join(e.inputs[each.input].name for each in e.followed)
+        return f"{names} moves something, and its course between communication points comes from its past values"
+    if e.breaks and e.functions["breaks"].jac_sparsity(0, 1).nnz():
+        return "a force, a law of motion or the rate of a state jumps or bends where an input passes a value"
+    monitors = {"monitor.distance", "monitor.singular", REACTION_ERROR} & {v.name for v in MONITORS} - set(e.monitors)
+    if not monitors and not any(output.instant for output in e.outputs):
+        return "none of its outputs needs accelerations; add monitor.distance to them"
+    return ""
+
+
+def exchanged(e: Equations) -> list[tuple[Variable, Variable]]:
+    """Return the states of Model Exchange, each with its rate, in the order of the runtime."""
+    own = e.coordinates[: e.n - e.timed]
+    found: list[tuple[str, str, str, float | None]] = [(f"state.{c.name}", c.unit, c.name, None) for c in own]
+    found += [(f"state.{c.name}_rate", quotient(c.unit, "s"), f"rate of {c.name}", None) for c in own]
+    found += [(f"state.{v.name}", v.unit, v.name, v.nominal) for v in e.states]
+    return [
+        (
+            Variable(name, unit, description=f"{text}, as the importer integrates it", nominal=nominal),
+            Variable(f"der({name})", quotient(unit, "s"), description=f"time derivative of {name}"),
+        )
+        for name, unit, text, nominal in found
+    ]
+
+
+def indicators(e: Equations) -> list[Variable]:
+    """Return the event indicators, in the order of the runtime."""
+    text = "above zero until {} sticks or slides: its rate, or the share of its limit that its load leaves"
+    return [Variable(f"indicator.{each.name}", "1", description=text.format(each.name)) for each in e.frictions]

@@ -1,0 +1,63 @@
+/* The functions of Model Exchange that FMI 2 and FMI 3 share. */
+
+#ifndef ALFMU_MODEL_EXCHANGE_H
+#define ALFMU_MODEL_EXCHANGE_H
+
+#include <stddef.h>
+#include <stdio.h>
+
+#include "component.h"
+#include "scene_features.h"
+
+#include "internal_begin.h"
+
+/* A vector that the host gets. */
+typedef enum { STATES, RATES, NOMINALS, INDICATORS } Exchanged;
+
+/* What an event leaves to the host. */
+typedef struct {
+    int changed; /* whether states have */
+    int timed;   /* whether there is a next event at a known time */
+    double next;
+} Exchange_event;
+
+#define CO_SIMULATION "it is for co-simulation alone"
+
+#if HAS_MODEL_EXCHANGE
+/* Make a new component one of Model Exchange; NULL, and why, where it is for co-simulation alone. */
+Component *exchange_instance(Component *c, char *why, size_t why_size);
+
+/* After initialisation, which leads to event mode. */
+Status exchange_initialized(Component *c, const char *call);
+Status exchange_enter(Component *c, int mode, const char *call);
+Status exchange_time(Component *c, double time, const char *call);
+Status exchange_set(Component *c, const double *states, size_t count, const char *call);
+Status exchange_get(Component *c, Exchanged which, double *values, size_t count, const char *call);
+Status exchange_count(Component *c, Exchanged which, size_t *count, const char *call);
+Status exchange_accepted(Component *c, int *enter, const char *call);
+Status exchange_updated(Component *c, Exchange_event *event, const char *call);
+#else
+static inline Component *exchange_instance(Component *c, char *why, size_t why_size)
+{
+    if (c)
+        snprintf(why, why_size, CO_SIMULATION);
+    component_free(c);
+    return NULL;
+}
+static inline Status exchange_initialized(Component *c, const char *call) { return component_initialized(c, call); }
+static inline Status exchange_none(Component *c, const char *call)
+{
+    return component_good(c) ? component_refuse(c, ERROR_, call, CO_SIMULATION) : STATUS_ERROR;
+}
+#define exchange_enter(c, mode, call) exchange_none(c, call)
+#define exchange_time(c, time, call) exchange_none(c, ((void)(time), call))
+#define exchange_set(c, states, count, call) exchange_none(c, ((void)(states), (void)(count), call))
+#define exchange_get(c, which, values, count, call) exchange_none(c, ((void)(values), (void)(count), call))
+#define exchange_count(c, which, count, call) exchange_none(c, ((void)(count), call))
+#define exchange_accepted(c, enter, call) exchange_none(c, call)
+#define exchange_updated(c, event, call) exchange_none(c, ((void)(event), call))
+#endif
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,61 @@
+/* Model Exchange: an importer integrates coordinates, their rates and the states of first-order equations. */
+
+#ifndef ALFMU_EXCHANGE_H
+#define ALFMU_EXCHANGE_H
+
+#include <stddef.h>
+
+#include "instance.h"
+#include "outputs.h"
+#include "scene.h"
+#include "scene_features.h"
+
+#include "internal_begin.h"
+
+/* Numbers behind the variables of Model Exchange: the time from which on, and that up to which, the laws in force hold,
+   and where they begin behind the next event. */
+enum { FROM, UNTIL, BEHIND, EXCHANGE_TIMES };
+
+#if HAS_MODEL_EXCHANGE
+/* Evaluate outputs and rates: at the states of the importer, or after a communication step. */
+Outcome exchange_read(Instance *i);
+
+/* Begin with the states of the start. */
+Outcome exchange_begin(Instance *i);
+
+void exchange_set_time(Instance *i, double time);
+void exchange_set_states(Instance *i, const double *states);
+void exchange_nominals(const Instance *i, double *found);
+
+/* Accept the states of a step; `far` is whether an event has to correct them. */
+Outcome exchange_accept(Instance *i, int *far);
+
+/* Let events at this instant happen; `changed` is whether states differ after them, `next` the time [s] of the next
+   event that is known, infinity for none. */
+Outcome exchange_event(Instance *i, int *changed, double *next);
+
+/* Compute event indicators, which are above zero up to their events. */
+Outcome exchange_indicate(Instance *i);
+#else
+static inline Outcome exchange_read(Instance *i) { return (void)i, REFUSED; }
+static inline Outcome exchange_begin(Instance *i) { return (void)i, REFUSED; }
+static inline void exchange_set_time(Instance *i, double time) { (void)i, (void)time; }
+static inline void exchange_set_states(Instance *i, const double *states) { (void)i, (void)states; }
+static inline void exchange_nominals(const Instance *i, double *found) { (void)i, (void)found; }
+static inline Outcome exchange_accept(Instance *i, int *far) { return (void)i, (void)far, REFUSED; }
+static inline Outcome exchange_event(Instance *i, int *changed, double *next)
+{
+    return (void)i, (void)changed, (void)next, REFUSED;
+}
+static inline Outcome exchange_indicate(Instance *i) { return (void)i, REFUSED; }
+#endif
+
+/* Evaluate outputs, and the rates of states where they are wanted; those of an importer always come with them. */
+static inline Outcome exchange_or_read(Instance *i, int wanted)
+{
+    return wanted || i->flags.mode ? exchange_read(i) : instance_read(i);
+}
+
+#include "internal_end.h"
+
+#endif
