@@ -174,7 +174,7 @@ void settings_upload(Instance *i)
     settings_set_penalties(i);
     k[SETTINGS_FREEDOM] = *i->freedom;
     k[SETTINGS_MASSES] = *i->masses;
-    k[SETTINGS_REGULAR] = exp(*i->regular);
+    k[SETTINGS_REGULAR] = *i->regular;
     k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && settings_continue(i);
