@@ -95,6 +95,18 @@ def test_friction_and_lags_of_files(tmp_path: Path):
     np.testing.assert_allclose(run["u_state"], 1 - np.exp(-run.time / 0.2), atol=1e-8)
 
 
+def test_tendons_and_motors_of_ball_joints_are_left_out(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    ball = arm(after=TENDON.format(' stiffness="2"') + '<actuator><motor joint="jb"/><motor tendon="t"/></actuator>')
+    path.write_text(ball.replace('name="jb" axis="0 1 0" ref="0.4"', 'name="jb" type="ball"'))
+    with pytest.raises(alfmu.InputError, match="leave=tendons leaves it out") as told:
+        alfmu.imported(path)
+    assert "leave=actuators leaves it out" in str(told.value)
+    found = alfmu.imported(path, leave="actuators,tendons")
+    assert len(found.mechanism.coordinates) == 6
+    assert not found.mechanism.inputs
+
+
 def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
     path = tmp_path / "m.sdf"
     screw = "<joint name='l' type='screw'><parent>world</parent><child>l</child><axis><xyz>0 0 1</xyz></axis>{}</joint>"
@@ -109,6 +121,8 @@ def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
     assert texts[0] == texts[1]
     assert "lead=0.002" in texts[0]
     assert "joints with the name of a link have _joint added (line 1, l_joint)" in found.notes
+    path.write_text(sdf(LINK.format("l", "") + screw.format("")))
+    assert "lead=1" in alfmu.imported(path).source()  # as libsdformat has it
 
 
 LINK = "<link name='{}'>{}<inertial><mass>2</mass></inertial></link>"
@@ -160,6 +174,10 @@ def test_models_of_a_world_move_together(tmp_path: Path):
     assert [c.name for c in found.mechanism.coordinates][:3] == ["a_j_angle", "b_l_x", "b_l_y"]
     assert "other models (line 1, floor)" in found.left_out
     assert len(alfmu.imported(path, model="a").mechanism.coordinates) == 1
+    path.write_text(world.replace("name='b'", "name='a'"))
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates][:3] == ["a_j_angle", "a_2_l_x", "a_2_l_y"]
+    assert "models with a name that another has, or none, have a number added (line 1, a_2)" in found.notes
 
 
 def test_shapes_give_inertia_in_sdf(tmp_path: Path):

@@ -101,6 +101,10 @@ class _Settings:
 Inherited = dict[str, tuple[str, Node]]
 
 
+def _is_scalar(joint: Joint) -> bool:
+    return joint.kind in ("revolute", "prismatic")
+
+
 def read(
     root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (), folders: Sequence[Path] = ()
 ) -> Linkage:
@@ -626,20 +630,24 @@ class _File:
         name = given.text(which)
         known(given.node, name, self.joints, "joint")
         joint = self.joints[name]
-        if joint.kind not in ("revolute", "prismatic"):
+        if not _is_scalar(joint):
             given.fail(which, f"{which} {shown(name)} is no hinge and no slide")
         return joint
 
     def _summed(self, given: Reading, which: str, what: str) -> Sum:
         """Return a joint, or the joints of a fixed tendon with their factors, by its name in an attribute."""
+        name = given.text(which)
+        joint = self.joints.get(name)
+        if what == "joint" and given.node.tag in _ACTUATORS and joint and not _is_scalar(joint):
+            self.linkage.without("actuators", given.node, f"{which} {shown(name)} is no hinge and no slide")
+            return ()
         if what == "joint":
             return ((self._scalar(given, which), 1.0),)
-        name = given.text(which)
         known(given.node, name, self.tendons, "tendon")
         found = self.tendons[name]
         if found is None:
             word = "tendons" if given.node.tag == "tendon" else "actuators"
-            what = f"{which} {shown(name)} is a spatial tendon; alfmu takes fixed ones, sums of joints"
+            what = f"{which} {shown(name)} is no fixed tendon of hinges and slides; alfmu takes these"
             self.linkage.without(word, given.node, what)
         return found or ()
 
@@ -654,10 +662,11 @@ class _File:
             ("class", "group", "limited", "range", "solreflimit", "solimplimit", "solreffriction", "solimpfriction",
              "margin", "springlength", "width", "material", "rgba", "user", "actuatorfrcrange", "actuatorfrclimited")
         )  # fmt: skip
-        if node.tag != "fixed":
+        over = [self.joints.get(each.attributes.get("joint", "")) for each in node.each()]
+        if node.tag != "fixed" or any(joint and not _is_scalar(joint) for joint in over):
             self.tendons[name] = None
             if acts:
-                what = f"{acts[0]} of a <{node.tag}> tendon does not map; alfmu takes fixed tendons, sums of joints"
+                what = f"{acts[0]} of a <{node.tag}> tendon does not map; alfmu takes sums of hinges and slides"
                 self.linkage.without("tendons", node, what)
             else:
                 self.linkage.leave("tendons without forces", node)

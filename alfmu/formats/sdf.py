@@ -136,7 +136,7 @@ class _File:
 
     def _chosen(self, root: Node, world: Node | None, models: list[Node], wanted: str) -> Node:
         """Return the model of a name, the only one that moves, or one that holds all that move."""
-        named = {each.attributes.get("name", ""): each for each in models}
+        named = {each.attributes.get("name", ""): each for each in reversed(models)}
         if wanted:
             known(root, wanted, named, "model")
         moving = [named[wanted]] if wanted else [each for each in models if not flag(each, "static", False)]
@@ -146,8 +146,10 @@ class _File:
         others = [] if world is None or wanted else world.all("joint", "frame")
         if len(moving) == 1 and not any(each.tag == "joint" for each in others):
             return moving[0]
-        if len(named) < len(models):
-            root.fail("two of its models have the same name, or none; names are used once")
+        for k, each in enumerate(models):
+            if named[name := each.attributes.get("name", "")] is not each:
+                each.attributes["name"] = f"{name or 'model'}_{k + 1}"
+                self.linkage.note("models with a name that another has, or none, have a number added", each)
         name = (root if world is None else world).attributes.get("name", "") or root.file.stem
         whole = Node("model", {"name": name}, root.file, moving[0].line, root)
         whole.children = [*moving, *others]
@@ -641,11 +643,9 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
         if abs(one @ two) > 1e-9 * np.linalg.norm(one) * np.linalg.norm(two):
             node.fail("its two axes are not square to each other, as those of a universal joint are")
     if kind == "screw":
-        found["lead"] = number(node, "screw_thread_pitch", 0.0)
-        if node.one("screw_thread_pitch") is None:
+        found["lead"] = number(node, "screw_thread_pitch", 1.0)
+        if node.one("screw_thread_pitch") is None and (turns := number(node, "thread_pitch", 0.0)):
             # The older element is in radians per metre, with the other sign, as libsdformat converts it.
-            if not (turns := number(node, "thread_pitch", 0.0)):
-                node.fail("a screw needs <screw_thread_pitch> [m per turn], or <thread_pitch> [rad per m]")
             found["lead"] = -2 * math.pi / turns
     if not found["damping"]:
         found |= dict.fromkeys(("damping", "stiffness", "rest", "friction"), (0.0,))
