@@ -358,15 +358,17 @@ class _Declaring:
         return self.values[str(self.coordinates[joint][0].value.name())]
 
     def _stiffness(self, joint: Joint, which: int = 0) -> float:
-        """Return the stiffness of an end stop, from inertia and weight of all that the joint carries."""
-        link = next(link for link in self.linkage.links if joint in link.joints)
-        inertia, lever = self.linkage.resists(joint, link, which)
-        while link.parent is not None:
-            link = link.parent
-            more = self.linkage.resists(joint, link, which)
-            if inertia > _LIGHT * more[0]:
-                break
-            inertia, lever = more
+        """Return the stiffness of an end stop, from inertia and weight of all that the joint carries, or of what the
+        joints before it carry if that is nothing."""
+        M, momenta, columns = self.linkage.masses
+        at = columns[joint][which]
+        parent = next(link for link in self.linkage.links if joint in link.joints).parent
+        while parent is not None:
+            for each in parent.joints:
+                if each.kind == joint.kind and M[at, at] <= _LIGHT * M[columns[each][0], columns[each][0]]:
+                    at = columns[each][0]
+            parent = parent.parent
+        inertia, lever = M[at, at], float(np.linalg.norm(momenta[:, at]))
         sag = _SAG_M if joint.kind == "prismatic" else _SAG
         found = max(inertia * _RATE**2, lever * float(np.linalg.norm(self.linkage.gravity)) / sag)
         return float(f"{found or 1.0:.3g}")

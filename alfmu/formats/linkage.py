@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ..model.errors import InputError
 from ..model.words import there_is
 from .markup import Node, UnknownName
 from .poses import Array, Pose, about, of_quaternion
-from .solids import Inertial, together
+from .solids import Inertial
 
 __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon"]
 
@@ -221,8 +222,6 @@ class Linkage:
     """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
     """Elements of further remarks, by remark."""
-    _carried: dict[Link, Inertial] = field(default_factory=dict)
-    _places: dict[Link, Pose] = field(default_factory=dict)
 
     def note(self, what: str, *nodes: Node) -> None:
         """Add a further remark."""
@@ -278,53 +277,44 @@ class Linkage:
         """Return coordinates at which all links are at their poses."""
         return {j: (j.reference,) if len(j.zero) == 1 else j.zero for j in self.joints if j.kind != "free"}
 
-    def carried(self, link: Link) -> Inertial:
-        """Return the inertia of a link and all that it carries, in ground axes at the references."""
-        if link not in self._carried:
-            at = place(link, self.references, self._places)
-            x = link.inertial
-            own = Inertial(x.mass, at.at(x.center), at.turn @ x.inertia @ at.turn.T)
-            self._carried[link] = together([own, *(self.carried(each) for each in self.links if each.parent is link)])
-        return self._carried[link]
+    @cached_property
+    def masses(self) -> tuple[Array, Array, dict[Joint, range]]:
+        """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
 
-    def resists(self, joint: Joint, carrier: Link, which: int = 0) -> tuple[float, float]:
-        """Return inertia about or along a joint's axis at the references, and the weight over gravity times its arm, of
-        what a link carries."""
-        link = next(link for link in self.links if joint in link.joints)
-        pose = link.before(link.joints.index(joint), self.references, self._places)
-        axis, load = pose.turn @ joint.axes[which], self.carried(carrier)
-        axis, arm = axis / np.linalg.norm(axis), load.center - pose.at(joint.point)
-        if joint.kind == "prismatic":
-            return load.mass + joint.armature, load.mass
-        inertia = load.inertia + load.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return float(axis @ inertia @ axis) + joint.armature, load.mass * float(np.linalg.norm(np.cross(axis, arm)))
-
-    def mass_along(self, along: Sum) -> float:
-        """Return the mass that an effort along a sum of coordinates accelerates at the references, 1/(J M^-1 J'), where
-        loops are open."""
-        twists, armatures, effort = list[Array](), list[float](), list[float]()
+        A diagonal entry is the inertia of all that a joint carries, and the size of a momentum its mass times its arm.
+        """
+        twists, armatures = list[Array](), list[float]()
         paths: dict[Link | None, list[int]] = {None: []}
-        factors = dict(along)
+        columns, known = dict[Joint, range](), dict[Link, Pose]()
         for link in self.links:
             paths[link] = list(paths[link.parent])
             for j, joint in enumerate(link.joints):
-                pose = link.before(j, self.references, self._places)
+                pose = link.before(j, self.references, known)
                 axes = [pose.turn @ axis / np.linalg.norm(axis) for axis in joint.axes]
                 turns = np.array(axes) if axes else np.eye(3)
                 own = np.hstack((turns, np.cross(pose.at(joint.point), turns)))
                 if joint.kind in ("prismatic", "free"):
                     own = np.hstack((np.zeros_like(turns), turns)) if axes else np.eye(6)
-                paths[link] += range(len(twists), len(twists) + len(own))
+                columns[joint] = range(len(twists), len(twists) + len(own))
+                paths[link] += columns[joint]
                 twists += list(own)
                 armatures += [joint.armature] * len(own)
-                effort += [factors.get(joint, 0.0)] * len(own)
-        M, J = np.diag(armatures), np.array(effort)
+        M, momenta = np.diag(armatures), np.zeros((3, len(twists)))
         for link in self.links:
-            x, at, path = link.inertial, place(link, self.references, self._places), paths[link]
+            x, at, path = link.inertial, place(link, self.references, known), paths[link]
             spins, moves = np.split(np.array([twists[i] for i in path]).reshape(-1, 6), 2, axis=1)
             moves = moves + np.cross(spins, at.at(x.center))
-            inertia = at.turn @ x.inertia @ at.turn.T
-            M[np.ix_(path, path)] += x.mass * moves @ moves.T + spins @ inertia @ spins.T
+            M[np.ix_(path, path)] += x.mass * moves @ moves.T + spins @ at.turn @ x.inertia @ at.turn.T @ spins.T
+            momenta[:, path] += x.mass * moves.T
+        return M, momenta, columns
+
+    def mass_along(self, along: Sum) -> float:
+        """Return the mass that an effort along a sum of coordinates accelerates at the references, 1/(J M^-1 J'), where
+        loops are open."""
+        M, _, columns = self.masses
+        J = np.zeros(len(M))
+        for joint, factor in along:
+            J[columns[joint]] = factor
         return float(1 / (J @ np.linalg.solve(M, J)))
 
     def drive(self, wanted: str) -> None:
