@@ -284,12 +284,11 @@ class _File:
         parts: list[Inertial] = []
         for child in node.each():
             with self.linkage.trying(child):
-                parts += self._branch(child, link, pose, childclass)
+                parts += self._branch(child, link, pose, childclass) or []
         return parts
 
-    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
+    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial] | None:
         """Read a child of a body or a frame; return the masses of its geoms."""
-        parts: list[Inertial] = []
         if child.tag == "body":
             self._body(child, link, pose, childclass)
         elif child.tag == "frame":
@@ -297,13 +296,13 @@ class _File:
             inner = pose @ self._pose(given)
             given.done(("name", "childclass"))
             own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
-            parts += self._tree(child, link, inner, own)
+            return self._tree(child, link, inner, own)
         elif child.tag in ("joint", "freejoint"):
             if link is None:
                 child.fail("the world has no joints; put the joint into a body")
             self._joint(child, link, pose, childclass)
         elif child.tag == "geom":
-            parts += self._geom(child, link, pose, childclass)
+            return self._geom(child, link, pose, childclass)
         elif child.tag == "site":
             given = self._reading(child, childclass)
             if given.has("fromto"):
@@ -322,7 +321,7 @@ class _File:
             self.linkage.warn("plugins, which are programs", child)
         elif child.tag not in ("inertial",):
             child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
-        return parts
+        return None
 
     def _body(self, node: Node, parent: Link | None, pose: Pose, childclass: str | None) -> None:
         given = Reading(node)
@@ -477,18 +476,12 @@ class _File:
             given.fail(
                 "springdamper", "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
             )
-        limits = given.numbers("range", 2, (0.0, 0.0))
-        limited = given.choice("limited", ("true", "false", "auto"), "auto")
-        if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
-            not self.settings.off & {"limit", "constraint"}
-        ):
-            if kind in ("hinge", "slide"):
-                joint.limits = ((angle(limits[0]), angle(limits[1])),)
-                self.linkage.limited.append(node)
-                if not limits[0] < limits[1]:
-                    given.fail("range", f"range is from {limits[0]:g} to {limits[1]:g}; give the smaller number first")
-            else:
-                self.linkage.warn("limits of ball joints", node)
+        limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
+        if limits and kind in ("hinge", "slide"):
+            joint.limits = ((angle(limits[0]), angle(limits[1])),)
+            self.linkage.limited.append(node)
+        elif limits and kind == "ball":
+            self.linkage.warn("limits of ball joints", node)
         given.done(
             ("class", "group", "user", "type", "pos", "axis", "ref", "springref", "solreflimit", "solimplimit",
              "solreffriction", "solimpfriction", "margin", "align", "range", "limited")
