@@ -7,8 +7,9 @@ import textwrap
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
@@ -26,11 +27,18 @@ _NAMED = 4
 """Number of names in a line on ignored elements."""
 
 
-Contacts = Literal["refuse", "leave"]
-Limits = Literal["stop", "ignore"]
+_COMMON = {
+    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "ignore"], "leave": str, "folders": str,
+    "drives": str,
+}  # fmt: skip
+"""Options of all formats, with the values they take; the first is the default, as no text is of others."""
 
-_COMMON = {"limits": "stop", "leave": "", "folders": "", "drives": ""}
-"""Options of all formats, with their defaults."""
+_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "mujoco": ("MJCF", {"key": str} | _COMMON),
+    "sdf": ("SDF", {"model": str} | _COMMON),
+    "robot": ("URDF", {"base": Literal["fixed", "floating"], "loops": str} | _COMMON),
+}
+"""Formats by the first element of a file: name and options."""
 
 
 @dataclass(frozen=True)
@@ -83,30 +91,16 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
             warnings.warn(f"{path}: {found.moved}", AlfmuWarning, stacklevel=2)
         return found.mechanism
 
-    def mjcf(
-        key: str = "", contacts: Contacts = "refuse", limits: Limits = "stop", leave: str = "", folders: str = "",
-        drives: str = "",
-    ) -> Mechanism:  # fmt: skip
-        return made(key=key, contacts=contacts, limits=limits, leave=leave, folders=folders, drives=drives)
-
-    def sdf(
-        model: str = "", contacts: Contacts = "refuse", limits: Limits = "stop", leave: str = "", folders: str = "",
-        drives: str = "",
-    ) -> Mechanism:  # fmt: skip
-        return made(model=model, contacts=contacts, limits=limits, leave=leave, folders=folders, drives=drives)
-
-    def urdf(
-        base: Literal["fixed", "floating"] = "fixed", loops: str = "", contacts: Contacts = "refuse",
-        limits: Limits = "stop", leave: str = "", drives: str = "",
-    ) -> Mechanism:  # fmt: skip
-        return made(base=base, loops=loops, contacts=contacts, limits=limits, leave=leave, drives=drives)
-
-    factories: dict[str, Callable[..., Mechanism]] = {"mujoco": mjcf, "sdf": sdf, "robot": urdf}
-    return factories[_format(root)]
+    kinds = _OPTIONS[_format(root)][1]
+    made.__annotations__ = kinds | {"return": Mechanism}
+    made.__signature__ = Signature(  # type: ignore[attr-defined]
+        [Parameter(name, Parameter.KEYWORD_ONLY, default=(*get_args(kind), "")[0]) for name, kind in kinds.items()]
+    )
+    return made
 
 
 def _format(root: Node) -> str:
-    if root.tag not in ("mujoco", "sdf", "robot"):
+    if root.tag not in _OPTIONS:
         raise InputError(
             f"{root.file}, line {root.line}: the file begins with <{root.tag[:40]}>; alfmu reads <mujoco> (MJCF), "
             "<sdf> and <robot> (URDF)"
@@ -117,32 +111,27 @@ def _format(root: Node) -> str:
 def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     from . import mjcf, sdf, urdf
 
-    formats: dict[str, tuple[str, Callable[..., Linkage], tuple[str, ...]]] = {
-        "mujoco": ("MJCF", mjcf.read, ("contacts", "key")),
-        "sdf": ("SDF", sdf.read, ("contacts", "model")),
-        "robot": ("URDF", urdf.read, ("contacts", "base", "loops")),
-    }
-    called, read, takes = formats[_format(root)]
-    common = {name: options.pop(name, default) for name, default in _COMMON.items()}
-    for name, value in (options | common).items():
-        if name not in (*takes, *_COMMON):
-            every = ", ".join((*takes, *_COMMON))
-            raise InputError(f"{path} has no option {shown(name)}; {called} takes {every}")
+    called, takes = _OPTIONS[_format(root)]
+    given = {name: (*get_args(kind), "")[0] for name, kind in takes.items()} | options
+    for name, value in given.items():
+        if name not in takes:
+            raise InputError(f"{path} has no option {shown(name)}; {called} takes {', '.join(takes)}")
         if not isinstance(value, str):
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
-    for name, known in (("limits", ("stop", "ignore")), ("contacts", ("refuse", "leave"))):
-        if (said := (options | common).get(name, known[0])) not in known:
-            raise InputError(f"{path}: option {name} is {shown(said)}; give {' or '.join(known)}")
-    folders = [(path.parent / each).resolve() for each in common["folders"].split(os.pathsep) if each]
-    leaves = [each.strip() for each in common["leave"].split(",") if each.strip()]
+        if (known := get_args(takes[name])) and value not in known:
+            raise InputError(f"{path}: option {name} is {shown(value)}; give {' or '.join(known)}")
+    folders = [(path.parent / each).resolve() for each in given.pop("folders").split(os.pathsep) if each]
+    leaves = [each.strip() for each in given.pop("leave").split(",") if each.strip()]
     if unknown := [each for each in leaves if each not in LEAVES]:
         raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
-    linkage = read(root, **options, leaves=leaves, folders=folders)
-    linkage.stops = common["limits"] == "stop"
+    limits, drives = given.pop("limits"), given.pop("drives")
+    readers: dict[str, Callable[..., Linkage]] = {"mujoco": mjcf.read, "sdf": sdf.read, "robot": urdf.read}
+    linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders)
+    linkage.stops = limits == "stop"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
-    linkage.drive(common["drives"])
+    linkage.drive(drives)
     linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")

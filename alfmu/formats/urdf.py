@@ -56,8 +56,6 @@ def read(
     folders: Sequence[Path] = (),
 ) -> Linkage:
     """The linkage of a URDF file; see `imported` for the options."""
-    if base not in ("fixed", "floating"):
-        root.fail(f"the base is {shown(base)}; take fixed or floating")
     return _File(root, base, loops, contacts, leaves).linkage
 
 
