@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import InputError
+from .markup import content_of
 
 __all__ = ["KEYS", "listed"]
 
@@ -24,12 +25,9 @@ _LARGEST = 1_000_000
 def listed(path: Path) -> dict[str, Any]:
     """Return lists by their keys; raise InputError if the file has another form."""
     try:
-        with path.open("rb") as file:
-            text = file.read(_LARGEST + 1).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    if len(text) > _LARGEST:
-        raise InputError(f"{path} has more than {_LARGEST / 1e6:g} MB; alfmu reads lists of loops up to that size")
+        text = content_of(path, _LARGEST).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} cannot be read ({error})") from None
     plain = "\n".join(re.sub(r"(^|\s)#.*", "", line).rstrip() for line in text.splitlines())
     found = {}
     for part in re.split(r"\n(?=[A-Za-z_]\w*:)", "\n" + plain)[1:]:

@@ -253,15 +253,7 @@ def parsed(path: str | Path) -> Node:
     """Return the root element of a file; raise InputError if it is missing, not XML, too large, or has a
     document type."""
     path = Path(path)
-    try:
-        if not path.is_file():
-            raise InputError(f"there is no file {path}")
-        with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
-    if len(content) > LARGEST:
-        raise InputError(f"{path} has more than {LARGEST / 1e6:g} MB; alfmu reads descriptions up to that size")
+    content = content_of(path, LARGEST)
     try:
         return _Tree(path).of(content)
     except InputError:
@@ -270,6 +262,20 @@ def parsed(path: str | Path) -> Node:
         if plain == content:
             raise
     return _Tree(path).of(plain)
+
+
+def content_of(path: Path, largest: int) -> bytes:
+    """Return the content of a file of up to a size; raise InputError if it is missing or larger."""
+    try:
+        if not path.is_file():
+            raise InputError(f"there is no file {path}")
+        with path.open("rb") as file:
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
+    if len(content) > largest:
+        raise InputError(f"{path} has more than {largest / 1e6:g} MB; alfmu reads files like it up to that size")
+    return content
 
 
 def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Path:

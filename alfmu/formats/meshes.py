@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from ..model.errors import InputError
+from .markup import content_of
 from .poses import Array
 from .solids import Inertial
 
@@ -27,13 +28,7 @@ def triangles(path: Path) -> Array:
     """Return the corners (n, 3, 3) of the triangles in a file."""
     if path.suffix.lower() not in (".stl", ".obj"):
         raise InputError(f"{path} is no STL or OBJ file; alfmu reads the inertia of these")
-    try:
-        with path.open("rb") as file:
-            content = file.read(_LARGEST + 1)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
-    if len(content) > _LARGEST:
-        raise InputError(f"{path} has more than {_LARGEST / 1e6:g} MB; alfmu reads meshes up to that size")
+    content = content_of(path, _LARGEST)
     try:
         found = _stl(content) if path.suffix.lower() == ".stl" else _obj(content.decode(errors="replace"))
     except (ValueError, IndexError):
