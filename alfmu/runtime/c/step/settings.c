@@ -50,7 +50,9 @@ int penalty_is_given(const Instance *i)
 /* Return a further remedy for a failure. */
 const char *settings_or_penalty(const Instance *i)
 {
-    return penalty_is_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
+    if (penalty_is_given(i))
+        return "; or solver.penalty 0, which scales it with the masses";
+    return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
 }
 
 /* Return a further remedy if compliances that share loads differ too much for the available iterations. */
