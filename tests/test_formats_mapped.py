@@ -162,6 +162,20 @@ def test_models_in_models_and_included_ones_are_one(tmp_path: Path):
     np.testing.assert_allclose(runs[0]["inner_j.angle"], runs[1]["j.angle"], atol=1e-9)
 
 
+def test_two_revolute_joints_in_series_are_a_universal_one(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    axes = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 1</xyz></axis2></joint>"
+    joint = "<joint name='j' type='{}'><parent>world</parent><child>k</child>" + axes
+    texts = []
+    for kind in ("universal", "revolute2"):
+        path.write_text(sdf(LINK.format("k", "") + joint.format(kind)))
+        texts.append(alfmu.imported(path).source())
+    assert texts[0] == texts[1]
+    path.write_text(sdf(LINK.format("k", "") + joint.format("revolute2").replace("1 0 0", "1 1 0")))
+    with pytest.raises(alfmu.InputError, match="its two axes are not square to each other"):
+        alfmu.imported(path)
+
+
 def test_models_of_a_world_move_together(tmp_path: Path):
     model = "<model name='{}'><pose>{} 0 0 0 0 0</pose>" + LINK.format("l", "") + "{}</model>"
     world = "<sdf version='1.9'><world name='w'>{}</world></sdf>".format(

@@ -29,12 +29,13 @@ _KINDS = {
     "prismatic": "prismatic",
     "ball": "spherical",
     "universal": "universal",
+    "revolute2": "universal",
     "screw": "screw",
     "fixed": "weld",
 }
 _LATER = (
-    "a {} joint does not map; alfmu takes revolute, continuous, prismatic, ball, universal, screw and fixed joints "
-    "(make it of these)"
+    "a {} joint does not map; alfmu takes revolute, continuous, prismatic, ball, universal, revolute2, screw and fixed "
+    "joints (make it of these)"
 )
 _MODEL_HARMLESS = ("allow_auto_disable", "enable_wind", "link", "joint", "frame", "pose", "static", "self_collide")
 _LINK_HARMLESS = ("must_be_base_link", "self_collide", "inertial", "pose", "gravity", "enable_wind", "kinematic")
