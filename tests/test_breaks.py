@@ -188,6 +188,10 @@ def test_what_chatters_still_ends_a_run():
     settings = {"solver.method": "explicit", "solver.relative_tolerance": 1e-10, "start.th_rate": 1.0}
     with pytest.raises(StepError, match="no step however short meets the tolerance"):
         alfmu.simulate(m, 1.0, 0.1, parameters=settings)
+    m = bar(lambda m: ca.if_else(m.coordinates[0].v > 0.0, -5.0, 5.0))
+    m.end_stop("stop", m.coordinates[0].q, upper=9.0, stiffness=1e3, unit="rad")
+    with pytest.raises(StepError, match="or leave out end stops, those of a file by its option limits=ignore"):
+        alfmu.simulate(m, 1.0, 0.1, parameters=settings)
 
 
 @pytest.mark.parametrize(("kind", "fmi"), [("python", 2), ("native", 2), ("native", 3)])

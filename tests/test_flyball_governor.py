@@ -161,6 +161,25 @@ def test_no_regular_position_is_taken_for_a_singular_one():
     assert (i.memory["tally"][1:] == 0).all()  # no step but the quick one
 
 
+def test_none_is_in_a_mechanism_of_many_coordinates():
+    """The same among pendulums, with which products of pivots are too small for a number."""
+    m = alfmu.load("flyball_governor")
+    for k in range(45):
+        bob = m.spatial_body(f"bob{k}", mass=1.0, inertia=(0.1, 0.1, 0.1), center=(0, 0, -1), relative=True)
+        angle = m.coordinate(f"swing{k}_angle", "rad", start=0.1)
+        m.spatial_revolute(f"swing{k}", m.spatial_ground.at(k, 5, 0), bob.at(), axis=(0, 1, 0), coordinate=angle)
+    of = prepared(alfmu.derive(m))
+    i = started(of, {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0})
+    judge, small = by_the_oracle(of, {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0}), 0
+    for k in range(50):
+        i.step(1e-3, 1e-3 * k)
+        small += int((judge.pivots(i.q) < BRANCH_MARGIN).sum()) > judge.freedom
+        assert i.get("monitor.distance") >= 0.5
+        assert judge.margin(i.q)[1] >= 0.25
+    assert small > 0
+    assert (i.memory["tally"][1:] == 0).all()
+
+
 @pytest.mark.slow
 def test_energy_and_momentum():
     """Energy as by hand, its loss the work of the dampers; the momentum about the shaft stays to 1e-11."""

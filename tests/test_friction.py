@@ -92,6 +92,23 @@ def test_a_block_lets_go_when_the_push_exceeds_static_friction():
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_a_constant_load_takes_the_same_from_each_swing(method):
+    """Each half swing of a mass on a spring is shorter by 2 F/k than the one before; the last ends closer than F/k."""
+    m = Mechanism("seal", "A mass on a spring in a seal")
+    s = m.coordinate("s", "m", start=1.0, independent=True)
+    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("mass", mass=2.0).at(0, 0), coordinate=s)
+    m.spring_damper(guide, stiffness=50.0)
+    m.friction(guide, coulomb=0.5, load=8.0)
+    half = math.pi * math.sqrt(2.0 / 50.0)
+    run = alfmu.simulate(m, 9 * half, half, parameters={"solver.method": method, "solver.step_size": 2e-3})
+    turns = [(-1) ** i * (1.0 - 2 * 4.0 / 50.0 * i) for i in range(7)]
+    np.testing.assert_allclose(run["mass.position"], [*turns, *turns[-1:] * 3], atol=1e-9)
+    np.testing.assert_allclose(run["guide.friction_force"][-1], 50.0 * turns[-1], rtol=1e-8)
+    with pytest.raises(alfmu.DeclarationError, match="a constant load needs no radius"):
+        m.friction(guide, coulomb=0.5, load=8.0, length=0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_a_block_on_a_belt_sticks_and_slips(method):
     """A spring pulls it at an even speed. In each stretch of sliding s = V t + D - D cos w t - V/w sin w t."""
     stiffness, speed, coulomb, static = 200.0, 0.1, 0.3, 0.6

@@ -30,8 +30,8 @@ guesses otherwise. Names of coordinates: `alfmu info NAME`."""
 
 _IMPORT = """MJCF (.xml), SDF and URDF files also run as they are: `alfmu simulate robot.xml --option key=home`.
 The Python file declares the same mechanism with the same numbers, to change and extend. Elements without effect on
-the motion are left out and reported; an element that does not map is an error with its line. Options are those of the
-file's format: `alfmu info FILE`."""
+the motion are left out, and named by --all; elements that do not map are told all at once, each with its line. Options
+are those of the file's format: `alfmu info FILE`."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
@@ -74,6 +74,9 @@ def add(command: Command) -> None:
     sub.epilog = _IMPORT
     sub.add_argument("file", metavar="FILE", help="an MJCF (.xml), SDF or URDF file")
     sub.add_argument("-o", "--output", metavar="FILE.py", help="where to write it (default: NAME.py here)")
+    sub.add_argument("--loops", metavar="FILE", help="loops of a URDF (default: the file NAME.yaml beside it)")
+    sub.add_argument("--limits", choices=("stop", "ignore"), help="take limits of joints as end stops (default)")
+    sub.add_argument("--all", action="store_true", help="name what was left out although it does nothing, too")
     add_option(sub)
 
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
@@ -130,7 +133,12 @@ def _import(chosen: argparse.Namespace) -> None:
     from ..formats import imported
     from ..model.files import write
 
-    found = imported(chosen.file, **dict(chosen.option))
+    options = dict(chosen.option)
+    if chosen.loops:
+        options["loops"] = str(Path(chosen.loops).resolve())
+    if chosen.limits:
+        options["limits"] = chosen.limits
+    found = imported(chosen.file, **options)
     path = Path(chosen.output or f"{file_name(found.mechanism.name)}.py")
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise InputError(f"{path} cannot be a Python file with a function of its name; say -o NAME.py")
@@ -139,7 +147,7 @@ def _import(chosen: argparse.Namespace) -> None:
     print(said)
     for title, lines in (
         ("left out, and may matter: ", found.warnings),
-        ("left out: ", found.left_out),
+        ("left out: ", found.left_out if chosen.all else ()),
         ("", found.notes),
         ("", [f"{old} is called {new}" for old, new in found.renamed.items()]),
     ):

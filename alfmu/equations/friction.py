@@ -99,6 +99,8 @@ def rubbing(
 
 def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
     """Return the load of a joint with this friction."""
+    if x.load is not None:
+        return symbolic(x.load)
     if isinstance(x.of, SpatialJoint):
         return _load_in_space(x, x.of, reactions, friction)
     if x.radius is not None:

@@ -17,7 +17,7 @@ from ..model.errors import DeclarationError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import quantity
 from .closing import Closed, Loops
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, place
+from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
 from .markup import Node
 from .poses import Array, Pose, cleaned, of_quaternion, quaternion, vector
 from .script import Named, Script
@@ -38,6 +38,24 @@ _NAMED = 3
 
 _PARALLEL = 1e-14
 """Entry of a rotation matrix up to which frames are parallel: round-off of some successive rotations."""
+
+_RATE = 200.0
+"""Frequency [rad/s] of what a joint carries on its end stop: a blow lasts some 15 ms, and steps of 1 ms follow it."""
+
+_SAG, _SAG_M = 0.01, 1e-3
+"""Most penetration [rad, m] of an end stop by the weight that the joint carries."""
+
+_ONSET, _ONSET_M = 0.01, 1e-3
+"""Penetration [rad, m] over which an end stop of a file stiffens."""
+
+_RESTITUTION = 0.3
+"""Restitution of end stops of files, where formats give none: a blow on rubber or on a gearbox."""
+
+_CREEP = 0.01
+"""Rate [rad/s, m/s] between approach and return at end stops of files."""
+
+_LIGHT = 1e-7
+"""Share of the inertia that its parent carries up to which a link counts as a frame without inertia."""
 
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
@@ -118,7 +136,7 @@ class _Declaring:
         self.bodies: dict[Link | None, Named] = {}
         self.origins: dict[Link | None, Array] = {None: np.zeros(3)}
         self.zeros: dict[Link, Pose] = {}
-        self.drivable: set[Joint] = {motor.joint for motor in linkage.motors}
+        self.drivable: set[Joint] = {joint for motor in linkage.motors for joint, _ in motor.along}
         self.script = Script(plain_name(linkage.name), description)
         self.bodies[None] = self.script.ground
         with self._of(linkage.node):
@@ -131,11 +149,21 @@ class _Declaring:
         for coupling in linkage.couplings:
             with self._of(coupling.node):
                 self._coupling(coupling)
+        for tendon in linkage.tendons:
+            with self._of(tendon.node):
+                self._tendon(tendon)
         if linkage.motors:
             self.script.remark("Motors")
+        efforts: dict[Joint, list[Named]] = {}
         for motor in linkage.motors:
             with self._of(motor.node):
-                self._motor(motor)
+                self._motor(motor, efforts)
+        for joint, given in efforts.items():
+            effort = given[0]
+            for each in given[1:]:
+                effort = effort + each
+            with self._of(joint.node):
+                self.script.do("drive", self.made[joint], effort.limited(*joint.effort) if joint.effort else effort)
 
     @property
     def driven(self) -> list[str]:
@@ -196,6 +224,10 @@ class _Declaring:
         self.origins[link] = zero.place
         with self._of(link.node):
             self.bodies[link] = self._body(link, name, zero, free)
+            if (share := self.linkage.lifted.get(link)) and link.inertial.mass:
+                center = cleaned(zero.turn @ link.inertial.center).tolist()
+                lift = [-share * link.inertial.mass * g for g in self.linkage.gravity]
+                self.script.do("force", self.bodies[link].at(center), *lift)
         if not link.joints:
             at = zero.place
             with self._of(link.node):
@@ -296,7 +328,8 @@ class _Declaring:
         if joint.kind == "screw":
             given["lead"] = joint.lead
         given |= {"coordinate": coordinates[0]} if len(units) == 1 else {"coordinates": tuple(coordinates)}
-        uses = any(map(any, (joint.damping, joint.stiffness))) or joint in self.drivable
+        stopped = self.linkage.stops and self.chosen is not None and joint.follows is None and joint.limits
+        uses = any(map(any, (joint.damping, joint.stiffness, joint.friction))) or joint in self.drivable or stopped
         keep = name if uses and joint.kind != "spherical" else ""
         made = self.script.do(_METHODS.get(joint.kind, joint.kind), name, *markers, **given, keep=keep)
         self.made[joint] = made
@@ -311,6 +344,57 @@ class _Declaring:
         self._spring(joint, made)
         if joint.armature:
             self.script.do("kinetic_energy", (joint.armature / 2) * self.script.rate(coordinates[0]) ** 2)
+        if stopped:
+            for i, limits in enumerate(joint.limits):
+                which = made.freedom(_FREEDOMS[joint.kind][i]) if joint.kind in _FREEDOMS else made
+                value, stiffness = self.values[f"{name}{words[i]}"], self._stiffness(joint, i)
+                self._stop(f"{name}_stop{i + 1 if i else ''}", joint.node, which, limits, value, units[i], stiffness)
+
+    def _value(self, joint: Joint) -> float:
+        """Return the start value of a joint with one coordinate."""
+        if joint.follows is not None:
+            other, factor, offset = joint.follows
+            return factor * self._value(other) + offset
+        return self.values[str(self.coordinates[joint][0].value.name())]
+
+    def _stiffness(self, joint: Joint, which: int = 0) -> float:
+        """Return the stiffness of an end stop, from inertia and weight of all that the joint carries, or of what the
+        joints before it carry if that is nothing."""
+        M, momenta, columns = self.linkage.masses
+        at = columns[joint][which]
+        parent = next(link for link in self.linkage.links if joint in link.joints).parent
+        while parent is not None:
+            for each in parent.joints:
+                if each.kind == joint.kind and M[at, at] <= _LIGHT * M[columns[each][0], columns[each][0]]:
+                    at = columns[each][0]
+            parent = parent.parent
+        inertia, lever = M[at, at], float(np.linalg.norm(momenta[:, at]))
+        sag = _SAG_M if joint.kind == "prismatic" else _SAG
+        found = max(inertia * _RATE**2, lever * float(np.linalg.norm(self.linkage.gravity)) / sag)
+        return float(f"{found or 1.0:.3g}")
+
+    def _stop(
+        self,
+        name: str,
+        node: Node,
+        of: Named,
+        limits: tuple[float, float],
+        value: float,
+        unit: str,
+        stiffness: float,
+    ) -> None:
+        """Declare an end stop, unless the start is beyond it."""
+        onset = _ONSET if unit == "rad" else _ONSET_M
+        given: dict[str, Any] = {
+            which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE
+        }
+        if not limits[0] - onset <= value <= limits[1] + onset:
+            self.linkage.warn("limits beyond which the start is", node)
+        elif given:
+            self.script.do(
+                "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,
+                restitution=_RESTITUTION, creep=_CREEP, unit=unit,
+            )  # fmt: skip
 
     def _spring(self, joint: Joint | Closure, made: Named) -> None:
         freedoms = _FREEDOMS.get(joint.kind, ("",))
@@ -319,6 +403,8 @@ class _Declaring:
             numbers: dict[str, Any] = {name: x for name, x in every.items() if x}
             if numbers:
                 self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
+        if joint.friction[0]:
+            self.script.do("friction", made, coulomb=1.0, load=joint.friction[0])
 
     # Closures of loops ------------------------------------------------------------------------------------------
 
@@ -355,7 +441,7 @@ class _Declaring:
             )
         if closure.kind == "screw":
             given["lead"] = closure.lead
-        springs = any(map(any, (closure.damping, closure.stiffness)))
+        springs = any(map(any, (closure.damping, closure.stiffness, closure.friction)))
         method = _METHODS.get(closure.kind, closure.kind)
         made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
         self._spring(closure, made)
@@ -370,38 +456,80 @@ class _Declaring:
         self.script.do("spatial_revolute", f"{name}_turn", marker, origin, axis=axis, coordinate=angle)
         return origin
 
+    def _along(self, terms: Sum, referred: bool = False, rates: bool = False) -> Named:
+        """Return a sum of coordinates or of their rates, if `referred` from the references of their joints."""
+        found: Named | None = None
+        for joint, factor in terms:
+            each = self.coordinates[joint][0]
+            if rates:
+                each = self.script.rate(each)
+            elif referred and joint.reference:
+                each = each - joint.reference
+            if factor != 1:
+                each = factor * each
+            found = each if found is None else found + each
+        assert found is not None
+        return found
+
     def _coupling(self, coupling: Coupling) -> None:
-        of, by = coupling.of, coupling.by
-        found = self.coordinates[of][0]
-        if of.reference:
-            found = found - of.reference
+        found = self._along(coupling.of, True)
         if coupling.coefficients[0]:
             found = found - coupling.coefficients[0]
-        if by is not None:
-            x = self.coordinates[by][0] - by.reference if by.reference else self.coordinates[by][0]
+        if coupling.by:
+            x = self._along(coupling.by, True)
             for power, factor in enumerate(coupling.coefficients[1:], 1):
                 if factor:
                     found = found - factor * (x if power == 1 else x**power)
         name = self._name(coupling.name, "coupling")
-        self.script.do("constraint", name, found, "m" if of.kind == "prismatic" else "rad")
+        self.script.do("constraint", name, found, "m" if coupling.of[0][0].kind == "prismatic" else "rad")
 
-    def _motor(self, motor: Motor) -> None:
+    def _tendon(self, tendon: Tendon) -> None:
+        length, rate = self._along(tendon.along), self._along(tendon.along, rates=True)
+        low, high = tendon.rest
+        pull: Named | None = None
+        if tendon.stiffness:
+            stretch = length - low if low == high else length - length.limited(low, high)
+            pull = -tendon.stiffness * (stretch if low or high else length)
+        if tendon.damping:
+            loss = -tendon.damping * rate
+            pull = loss if pull is None else pull + loss
+        if pull is not None:
+            for joint, factor in tendon.along:
+                self.script.do("drive", self.made[joint], pull if factor == 1 else factor * pull)
+        if tendon.armature:
+            self.script.do("kinetic_energy", (tendon.armature / 2) * rate**2)
+        if tendon.limits and self.linkage.stops and self.chosen is not None:
+            unit = "m" if tendon.along[0][0].kind == "prismatic" else "rad"
+            value = sum(factor * self._value(joint) for joint, factor in tendon.along)
+            stiffness = max(self._stiffness(joint) / max(factor**2, _LIGHT) for joint, factor in tendon.along)
+            self._stop(tendon.name, tendon.node, length, tendon.limits, value, unit, float(f"{stiffness:.3g}"))
+
+    def _motor(self, motor: Motor, efforts: dict[Joint, list[Named]]) -> None:
         name = self._name(motor.name, "motor")
         u = self.script.do("input", name, motor.unit, **({"start": motor.start} if motor.start else {}), keep=name)
         if motor.control is not None:
             u = u.limited(*motor.control)
-        q = self.coordinates[motor.joint][0]
+        if motor.lag:
+            state = self._name(f"{name}_state", "state", (".start",))
+            x = self.script.do("state", state, motor.unit, start=motor.start, keep=state)
+            self.script.do("derivative", x, (1 / motor.lag) * (u - x))
+            u = x
         effort = u if motor.gain == 1 else motor.gain * u
         constant, length, rate = motor.bias
+        if motor.ratio:
+            mass = self.linkage.mass_along(motor.along) / motor.gear**2
+            rate -= 2 * motor.ratio * float(np.sqrt(motor.gain * mass))
         if length:
-            effort = effort + (length * motor.gear) * q
+            effort = effort + (length * motor.gear) * self._along(motor.along)
         if rate:
-            effort = effort + (rate * motor.gear) * self.script.rate(q)
+            effort = effort + (rate * motor.gear) * self._along(motor.along, rates=True)
         if constant:
             effort = effort + constant
         if motor.force is not None:
             effort = effort.limited(*motor.force)
-        self.script.do("drive", self.made[motor.joint], effort if motor.gear == 1 else motor.gear * effort)
+        for joint, factor in motor.along:
+            share = motor.gear * factor
+            efforts.setdefault(joint, []).append(effort if share == 1 else share * effort)
 
 
 def _quaternion_rate(e: Array, spin: Array) -> Array:

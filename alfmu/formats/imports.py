@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import counted, shown
 from .declared import declared, plain_name
-from .linkage import Linkage
+from .linkage import LEAVES, Linkage
 from .markup import Node, parsed
 
 __all__ = ["Imported", "factory", "imported"]
@@ -23,6 +25,20 @@ _WIDTH = 116
 
 _NAMED = 4
 """Number of names in a line on ignored elements."""
+
+
+_COMMON = {
+    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "ignore"], "leave": str, "folders": str,
+    "drives": str,
+}  # fmt: skip
+"""Options of all formats, with the values they take; the first is the default, as no text is of others."""
+
+_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "mujoco": ("MJCF", {"key": str} | _COMMON),
+    "sdf": ("SDF", {"model": str} | _COMMON),
+    "robot": ("URDF", {"base": Literal["fixed", "floating"], "loops": str} | _COMMON),
+}
+"""Formats by the first element of a file: name and options."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +67,11 @@ def imported(path: str | Path, **options: Any) -> Imported:
     """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
     Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
-    and slider). MJCF: `key`, the keyframe at the start; `contacts="leave"` ignores contacts. SDF: `model`, one of
-    several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError with file, line and
-    element if something cannot be mapped.
+    and slider); `limits`, of joints, are end stops (`stop`, the default) or not taken (`ignore`); `contacts="leave"`
+    leaves contacts out; `leave`, words of other things to leave out although they affect the motion; `folders`, where
+    included files may stand, beside that of the file. MJCF: `key`, the keyframe at the start. SDF: `model`, one of
+    several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises InputError with file,
+    line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -73,21 +91,16 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
             warnings.warn(f"{path}: {found.moved}", AlfmuWarning, stacklevel=2)
         return found.mechanism
 
-    def mjcf(key: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
-        return made(key=key, contacts=contacts, drives=drives)
-
-    def sdf(model: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
-        return made(model=model, contacts=contacts, drives=drives)
-
-    def urdf(base: Literal["fixed", "floating"] = "fixed", drives: str = "") -> Mechanism:
-        return made(base=base, drives=drives)
-
-    factories: dict[str, Callable[..., Mechanism]] = {"mujoco": mjcf, "sdf": sdf, "robot": urdf}
-    return factories[_format(root)]
+    kinds = _OPTIONS[_format(root)][1]
+    made.__annotations__ = kinds | {"return": Mechanism}
+    made.__signature__ = Signature(  # type: ignore[attr-defined]
+        [Parameter(name, Parameter.KEYWORD_ONLY, default=(*get_args(kind), "")[0]) for name, kind in kinds.items()]
+    )
+    return made
 
 
 def _format(root: Node) -> str:
-    if root.tag not in ("mujoco", "sdf", "robot"):
+    if root.tag not in _OPTIONS:
         raise InputError(
             f"{root.file}, line {root.line}: the file begins with <{root.tag[:40]}>; alfmu reads <mujoco> (MJCF), "
             "<sdf> and <robot> (URDF)"
@@ -98,24 +111,31 @@ def _format(root: Node) -> str:
 def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     from . import mjcf, sdf, urdf
 
-    formats: dict[str, tuple[str, Callable[..., Linkage], tuple[str, ...]]] = {
-        "mujoco": ("MJCF", mjcf.read, ("key", "contacts")),
-        "sdf": ("SDF", sdf.read, ("model", "contacts")),
-        "robot": ("URDF", urdf.read, ("base",)),
-    }
-    called, read, takes = formats[_format(root)]
-    drives = options.pop("drives", "")
-    for name, value in options.items():
+    called, takes = _OPTIONS[_format(root)]
+    given = {name: (*get_args(kind), "")[0] for name, kind in takes.items()} | options
+    for name, value in given.items():
         if name not in takes:
-            raise InputError(f"{path} has no option {shown(name)}; {called} takes {', '.join((*takes, 'drives'))}")
+            raise InputError(f"{path} has no option {shown(name)}; {called} takes {', '.join(takes)}")
         if not isinstance(value, str):
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
-    linkage = read(root, **options)
-    root.finish({node for nodes in linkage.left_out.values() for node in nodes})
+        if (known := get_args(takes[name])) and value not in known:
+            raise InputError(f"{path}: option {name} is {shown(value)}; give {' or '.join(known)}")
+    folders = [(path.parent / each).resolve() for each in given.pop("folders").split(os.pathsep) if each]
+    leaves = [each.strip() for each in given.pop("leave").split(",") if each.strip()]
+    if unknown := [each for each in leaves if each not in LEAVES]:
+        raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
+    limits, drives = given.pop("limits"), given.pop("drives")
+    readers: dict[str, Callable[..., Linkage]] = {"mujoco": mjcf.read, "sdf": sdf.read, "robot": urdf.read}
+    linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders)
+    linkage.stops = limits == "stop"
+    if not linkage.stops and linkage.limited:
+        linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
     linkage.drive(drives)
-    if not linkage.joints:
+    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
+    if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
+    linkage.judge()
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
     script, renamed, remarks, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)

@@ -6,17 +6,30 @@ frame, about points and axes of that frame: a link with several joints is a chai
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.words import there_is
-from .markup import Node
+from .markup import Node, UnknownName
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
 
-__all__ = ["Closure", "Coupling", "Joint", "Link", "Linkage", "Motor"]
+__all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon"]
+
+ANYWHERE = 1e15
+"""Limit [rad, m, N.m, N] from which on files mean that there is none."""
+
+LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
+"""Words of what a user may leave out although it affects the motion: of `free` joints, what resists their motion."""
+
+_PARTICULAR = r"'[^']*'|\"[^\"]*\"|\[[^]]*\]|[-+.\d]+"
+"""Parts of a message that differ between refusals of one kind."""
 
 Values = Mapping["Joint", Sequence[float]]
 """Coordinates of joints: an angle [rad] or a position [m], two angles, or four Euler parameters."""
@@ -44,6 +57,10 @@ class Joint:
     damping: tuple[float, ...] = (0.0,)
     stiffness: tuple[float, ...] = (0.0,)
     rest: tuple[float, ...] = (0.0,)
+    friction: tuple[float, ...] = (0.0,)
+    """Dry friction, a constant torque [N.m] or force [N]."""
+    effort: tuple[float, float] | None = None
+    """Limits of the effort of all motors on it together."""
     armature: float = 0.0
     lead: float = 0.0
     follows: tuple[Joint, float, float] | None = None
@@ -116,32 +133,58 @@ class Closure:
     damping: tuple[float, ...] = (0.0,)
     stiffness: tuple[float, ...] = (0.0,)
     rest: tuple[float, ...] = (0.0,)
+    friction: tuple[float, ...] = (0.0,)
     lead: float = 0.0
+
+
+Sum = tuple[tuple["Joint", float], ...]
+"""Joints with one coordinate and factors: the sum of their coordinates, as of a tendon."""
 
 
 @dataclass(eq=False)
 class Coupling:
-    """The coordinate of one joint, from its reference, as a constant or a polynomial in that of another."""
+    """The coordinate of one joint, or a sum of several, from its reference, as a constant or a polynomial in another
+    sum."""
 
     name: str
     node: Node
-    of: Joint
-    by: Joint | None
+    of: Sum
+    by: Sum
     coefficients: Sequence[float]
 
 
 @dataclass(eq=False)
-class Motor:
-    """An input for an effort along a joint: gear * limited(gain * u + bias), with lengths and rates scaled by gear."""
+class Tendon:
+    """A spring, a damper and limits along a sum of coordinates, which do nothing by default."""
 
     name: str
     node: Node
-    joint: Joint
+    along: Sum
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: tuple[float, float] = (0.0, 0.0)
+    """Ends of the range within which the spring is slack."""
+    armature: float = 0.0
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(eq=False)
+class Motor:
+    """An input for an effort along a joint or a sum of coordinates: gear * limited(gain * u + bias), with lengths and
+    rates scaled by gear."""
+
+    name: str
+    node: Node
+    along: Sum
     unit: str
     gear: float = 1.0
     gain: float = 1.0
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Constant, per length and per rate of the joint."""
+    ratio: float = 0.0
+    """Damping ratio, which gives a bias per rate with the inertia at the reference."""
+    lag: float = 0.0
+    """Time constant by which the input is filtered [s]."""
     control: tuple[float, float] | None = None
     force: tuple[float, float] | None = None
     start: float = 0.0
@@ -158,6 +201,17 @@ class Linkage:
     closures: list[Closure] = field(default_factory=list)
     couplings: list[Coupling] = field(default_factory=list)
     motors: list[Motor] = field(default_factory=list)
+    tendons: list[Tendon] = field(default_factory=list)
+    lifted: dict[Link, float] = field(default_factory=dict)
+    """Share of its weight that does not act on a link."""
+    stops: bool = True
+    """Whether limits of joints are end stops."""
+    limited: list[Node] = field(default_factory=list)
+    """Elements with limits of joints."""
+    leaves: Sequence[str] = ()
+    """Words of what the user leaves out although it affects the motion."""
+    causes: list[str] = field(default_factory=list)
+    """Messages on all that is refused."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     left_out: dict[str, list[Node]] = field(default_factory=dict)
     """Ignored elements without effect on the motion, by kind."""
@@ -181,6 +235,39 @@ class Linkage:
         """Record ignored elements that may affect the motion."""
         self.warned.setdefault(what, []).extend(nodes)
 
+    @contextmanager
+    def trying(self, node: Node | None = None) -> Iterator[None]:
+        """Keep the refusal of an element, so that all are told at once; what was not read of it is not judged."""
+        try:
+            yield
+        except InputError as error:
+            if node is not None:
+                node.take()
+            if not (isinstance(error, UnknownName) and self.causes):
+                self.causes.append(str(error))
+
+    def without(self, word: str, node: Node, why: str) -> None:
+        """Refuse an element that affects the motion, or leave it out if the user says its word."""
+        if word not in self.leaves:
+            node.fail(f"{why}; --option leave={word} leaves it out")
+        node.take()
+        self.warn(f"{word}, which the user leaves out", node)
+
+    def judge(self) -> None:
+        """Raise InputError with all that was refused, the most frequent first."""
+        kinds: dict[str, list[str]] = {}
+        for cause in self.causes:
+            why = cause.split(": ", 2)[-1]
+            kinds.setdefault(re.sub(_PARTICULAR, "#", why), []).append(cause)
+        said = [
+            each[0] + (f" (and {len(each) - 1} more like it)" if len(each) > 1 else "")
+            for each in sorted(kinds.values(), key=len, reverse=True)
+        ]
+        if len(said) == 1:
+            raise InputError(said[0])
+        if said:
+            raise InputError(f"{self.node.file} is refused for {len(said)} reasons:\n" + "\n".join(said))
+
     @property
     def joints(self) -> list[Joint]:
         return [joint for link in self.links for joint in link.joints]
@@ -190,13 +277,53 @@ class Linkage:
         """Return coordinates at which all links are at their poses."""
         return {j: (j.reference,) if len(j.zero) == 1 else j.zero for j in self.joints if j.kind != "free"}
 
+    @cached_property
+    def masses(self) -> tuple[Array, Array, dict[Joint, range]]:
+        """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
+
+        A diagonal entry is the inertia of all that a joint carries, and the size of a momentum its mass times its arm.
+        """
+        twists, armatures = list[Array](), list[float]()
+        paths: dict[Link | None, list[int]] = {None: []}
+        columns, known = dict[Joint, range](), dict[Link, Pose]()
+        for link in self.links:
+            paths[link] = list(paths[link.parent])
+            for j, joint in enumerate(link.joints):
+                pose = link.before(j, self.references, known)
+                axes = [pose.turn @ axis / np.linalg.norm(axis) for axis in joint.axes]
+                turns = np.array(axes) if axes else np.eye(3)
+                own = np.hstack((turns, np.cross(pose.at(joint.point), turns)))
+                if joint.kind in ("prismatic", "free"):
+                    own = np.hstack((np.zeros_like(turns), turns)) if axes else np.eye(6)
+                columns[joint] = range(len(twists), len(twists) + len(own))
+                paths[link] += columns[joint]
+                twists += list(own)
+                armatures += [joint.armature] * len(own)
+        M, momenta = np.diag(armatures), np.zeros((3, len(twists)))
+        for link in self.links:
+            x, at, path = link.inertial, place(link, self.references, known), paths[link]
+            spins, moves = np.split(np.array([twists[i] for i in path]).reshape(-1, 6), 2, axis=1)
+            moves = moves + np.cross(spins, at.at(x.center))
+            M[np.ix_(path, path)] += x.mass * moves @ moves.T + spins @ at.turn @ x.inertia @ at.turn.T @ spins.T
+            momenta[:, path] += x.mass * moves.T
+        return M, momenta, columns
+
+    def mass_along(self, along: Sum) -> float:
+        """Return the mass that an effort along a sum of coordinates accelerates at the references, 1/(J M^-1 J'), where
+        loops are open."""
+        M, _, columns = self.masses
+        J = np.zeros(len(M))
+        for joint, factor in along:
+            J[columns[joint]] = factor
+        return float(1 / (J @ np.linalg.solve(M, J)))
+
     def drive(self, wanted: str) -> None:
         """Add a motor to joints by their names, `all` for every joint with one coordinate."""
         able = {j.name: j for j in self.joints if j.kind in ("revolute", "prismatic", "screw") and not j.follows}
-        driven = {motor.joint for motor in self.motors}
+        driven = {motor.along[0][0] for motor in self.motors}
         for name in able if wanted == "all" else [each.strip() for each in wanted.split(",") if each.strip()]:
             if name not in able:
                 self.node.fail(f"there is no joint {name!r} to drive; {there_is(name, list(able))}")
             if (joint := able[name]) not in driven:
                 unit = "N" if joint.kind == "prismatic" else "N.m"
-                self.motors.append(Motor(f"{name}_drive", joint.node, joint, unit))
+                self.motors.append(Motor(f"{name}_drive", joint.node, ((joint, 1.0),), unit))

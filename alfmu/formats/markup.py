@@ -7,6 +7,7 @@ attributes were read, so that none is ignored silently.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
@@ -28,6 +29,9 @@ MOST = 200_000
 """Largest number of elements of a file."""
 
 _UNKNOWN = "alfmu does not know what {} does to the motion; leave it out if it does nothing"
+
+_NAMESPACES = ("xmlns", "xsi:", "xml:")
+"""Beginnings of attributes that are of XML itself, not of a format."""
 
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
@@ -101,17 +105,24 @@ class Node:
             child.taken = True
             yield child
 
-    def finish(self, left: Container[Node]) -> None:
-        """Reject attributes and elements that were not read, recursively; `left` is ignored."""
+    def take(self) -> None:
+        """Mark it and all in it as read."""
+        for each in self.below():
+            each.taken = True
+            each.attributes.taken.update(each.attributes)
+
+    def unread(self, left: Container[Node]) -> Iterator[str]:
+        """Yield messages on attributes and elements that were not read, recursively; `left` is ignored."""
         if self in left or self.tag == "plugin":
             return
         for name, value in self.attributes.items():
-            if name not in self.attributes.taken and name != "name" and not name.startswith("xmlns"):
-                self.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>'))
+            if name not in self.attributes.taken and name != "name" and not name.startswith(_NAMESPACES):
+                yield f"{self.where}: " + _UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>')
         for child in self.children:
             if not child.taken:
-                child.fail(_UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>"))
-            child.finish(left)
+                yield f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
+            else:
+                yield from child.unread(left)
 
     def one(self, tag: str) -> Node | None:
         """Return the only child with a tag, None if there is none; raise InputError if there are several."""
@@ -125,6 +136,10 @@ class Node:
         yield self
         for child in self.children:
             yield from child.below()
+
+
+class UnknownName(InputError):
+    """A name without a definition, which is a consequence where the element of that name was refused."""
 
 
 class Reading:
@@ -171,6 +186,10 @@ class Reading:
             return list(default)
         return numbers(self._given.get(name, ("", self.node))[1], name, self.text(name), count)
 
+    def limit(self, name: str, default: float) -> float:
+        """Return one number, which may be infinite."""
+        return numbers(self.node, name, self.text(name), 1, finite=False)[0] if self.has(name) else default
+
     def number(self, name: str, default: float | None = None) -> float:
         """Return one finite number."""
         return self.numbers(name, 1, None if default is None else (default,))[0]
@@ -199,12 +218,12 @@ class Reading:
         """Reject attributes that were neither read nor harmless."""
         self.node.attributes.taken.update(self._given)
         for name, (value, node) in self._given.items():
-            if name not in self._taken and name not in harmless:
+            if name not in self._taken and name not in harmless and not name.startswith(_NAMESPACES):
                 node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
 
 
-def numbers(node: Node, what: str, text: str, count: int | range) -> list[float]:
-    """Return this number of finite values from a text; raise InputError with the line otherwise."""
+def numbers(node: Node, what: str, text: str, count: int | range, finite: bool = True) -> list[float]:
+    """Return this number of values from a text, by default finite ones; raise InputError with the line otherwise."""
     words = text.split()
     if len(words) > _LONGEST:
         node.fail(f"{what} has {len(words)} numbers; alfmu reads {_LONGEST}")
@@ -214,7 +233,7 @@ def numbers(node: Node, what: str, text: str, count: int | range) -> list[float]
             value = float(word)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value) or "_" in word:
+        if math.isnan(value) or (finite and math.isinf(value)) or "_" in word:
             node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
         found.append(value)
     if not (len(found) in count if isinstance(count, range) else len(found) == count):
@@ -234,16 +253,44 @@ def parsed(path: str | Path) -> Node:
     """Return the root element of a file; raise InputError if it is missing, not XML, too large, or has a
     document type."""
     path = Path(path)
+    content = content_of(path, LARGEST)
+    try:
+        return _Tree(path).of(content)
+    except InputError:
+        # Exporters write comments with two dashes in them, which XML does not allow.
+        plain = re.sub(rb"<!--.*?-->", lambda each: b"\n" * each[0].count(b"\n"), content, flags=re.DOTALL)
+        if plain == content:
+            raise
+    return _Tree(path).of(plain)
+
+
+def content_of(path: Path, largest: int) -> bytes:
+    """Return the content of a file of up to a size; raise InputError if it is missing or larger."""
     try:
         if not path.is_file():
             raise InputError(f"there is no file {path}")
         with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
+            content = file.read(largest + 1)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
-    if len(content) > LARGEST:
-        raise InputError(f"{path} has more than {LARGEST / 1e6:g} MB; alfmu reads descriptions up to that size")
-    return _Tree(path).of(content)
+    if len(content) > largest:
+        raise InputError(f"{path} has more than {largest / 1e6:g} MB; alfmu reads files like it up to that size")
+    return content
+
+
+def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Path:
+    """Return the path of a file that an element names: in one of some folders, and within the allowed ones alone."""
+    paths = [(folder / name).resolve() for folder in where]
+    inside = [path for path in paths if any(path.is_relative_to(folder) for folder in allowed)]
+    if Path(name).is_absolute() or not inside:
+        node.fail(
+            f"{shown(name[:60])} is outside the folder of the file; alfmu includes files in it alone, and in those of "
+            "--option folders=FOLDER"
+        )
+    found = next((path for path in inside if path.is_file()), None)
+    if found is None:
+        node.fail(f"there is no file {shown(name[:60])}; --option folders=FOLDER names other folders to look in")
+    return found
 
 
 class _Tree:
@@ -302,4 +349,4 @@ class _Tree:
 def known(node: Node, name: str, there: Mapping[str, object], what: str) -> None:
     """Reject a name without a definition."""
     if name not in there:
-        node.fail(f"there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")
+        raise UnknownName(f"{node.where}: there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")

@@ -7,15 +7,18 @@ ignored.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, place
-from .markup import Node, Reading, known, parsed
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
+from .markup import Node, Reading, found_file, known, parsed
+from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
@@ -24,21 +27,29 @@ __all__ = ["read"]
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
 """Sections without effect on the motion."""
 
-_MEDIUM = "alfmu has no medium around bodies; leave it out"
+_MEDIUM = "alfmu has no medium around bodies"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
 _ACTUATORS = ("motor", "general", "position", "velocity")
-_SHARED = {"name", "class", "group", "user", "joint", "gear", "ctrllimited", "ctrlrange", "forcelimited", "forcerange"}
+_SHARED = {
+    "name", "class", "group", "user", "joint", "tendon", "gear", "ctrllimited", "ctrlrange", "forcelimited",
+    "forcerange",
+}  # fmt: skip
 """Attributes of actuators of all kinds; defaults of one kind apply to all."""
 
 _HARMLESS_GEOM = (
     "name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass",
     "density", "shellinertia", "fitscale", "mesh", "hfield", "contype", "conaffinity", "group", "user", "material",
-    "rgba", "condim", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
+    "rgba", "condim", "priority", "adhesion", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
 )  # fmt: skip
-_DYNAMICS = (
-    "dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping",
-)  # fmt: skip
+_DYNAMICS = ("actdim", "delay", "nsample", "armature", "damping")
+_LAGS = ("filter", "filterexact")
+_IMPLIED = ("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm")
+"""Attributes of `general` that the other kinds set, or take for defaults of their own."""
+
+_PASSIVE = ("stiffness", "damping", "armature", "frictionloss")
+"""Attributes by which a tendon acts without an actuator."""
+
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _PARTIAL = {"size", "stiffness", "damping", "polycoef", "biasprm"}
 """Attributes with optional trailing numbers, which come from the default."""
@@ -67,6 +78,15 @@ class _Settings:
     """Settings of the compiler and the options."""
 
     degrees: bool = True
+    bounds: tuple[float, float] = (0.0, 0.0)
+    """Least mass [kg] and least moment of inertia [kg.m2] of bodies."""
+    meshes: str = ""
+    """Folder of meshes."""
+    strips: bool = False
+    """Whether folders in names of meshes are left out."""
+    balance: bool = False
+    total: float = 0.0
+    """Mass of all bodies together [kg], if above zero."""
     euler: str = "xyz"
     autolimits: bool = True
     from_geoms: str = "auto"
@@ -81,112 +101,145 @@ class _Settings:
 Inherited = dict[str, tuple[str, Node]]
 
 
-def read(root: Node, key: str = "", contacts: str = "refuse") -> Linkage:
+def _is_scalar(joint: Joint) -> bool:
+    return joint.kind in ("revolute", "prismatic")
+
+
+def read(
+    root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (), folders: Sequence[Path] = ()
+) -> Linkage:
     """Return the linkage of an MJCF file; see `imported` for the options."""
-    return _File(root, key, contacts).linkage
+    return _File(root, key, contacts, leaves, folders).linkage
 
 
 class _File:
-    def __init__(self, root: Node, key: str, contacts: str):
+    def __init__(self, root: Node, key: str, contacts: str, leaves: Sequence[str], folders: Sequence[Path]):
         self.root = root
-        _include(root, root.file.resolve().parent, 0, [])
+        _include(root, [root.file.resolve().parent, *folders], 0, [])
         model = Reading(root)
-        self.linkage = Linkage(model.text("model", ""), "MJCF", root)
-        self.settings = self._settings()
-        self.linkage.gravity = self.settings.gravity
+        self.linkage = Linkage(model.text("model", ""), "MJCF", root, leaves=leaves)
+        trying = self.linkage.trying
+        self.settings = _Settings()
+        for node in root.all("compiler"):
+            with trying(node):
+                self._compiler(node)
+        for node in root.all("option"):
+            with trying(node):
+                self._option(node)
+        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         for node in root.all("default"):
-            self._default(node, None)
+            with trying(node):
+                self._default(node, None)
+        self.tendons: dict[str, Sum | None] = {}
+        self.folders = folders
+        self.meshes = {
+            x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
+            for section in root.all("asset")
+            for x in section.all("mesh")
+        }
+        self.inertias: dict[str, Inertial] = {}
+        """Inertias of meshes that were read, of unit density."""
+        self.tuned: list[tuple[Joint, float, float]] = []
+        """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.free: set[Link] = set()
         for section in root.each():
-            self._section(section)
+            with trying(section):
+                self._section(section)
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
+        self._balanced()
+        for joint, time, ratio in self.tuned:
+            inertia = self.linkage.mass_along(((joint, 1.0),))
+            joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
         self.zero: dict[Link, Pose] = {}
+        for node in root.all("tendon"):
+            for each in node.each():
+                with trying(each):
+                    self._tendon(each)
         for node in root.all("equality"):
             self._equalities(node)
         for node in root.all("actuator"):
             for each in node.each():
-                self._actuator(each)
+                with trying(each):
+                    self._actuator(each)
         if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
-            self._contacts()
+            with trying():
+                self._contacts()
         else:
             self.linkage.leave("contacts", *root.all("contact"))
-        self._start(key)
+        with trying():
+            self._start(key)
 
     def _section(self, section: Node) -> None:
         tag = section.tag
         if tag in _VISUAL:
             what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
             self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
-        elif tag in ("tendon", "deformable", "extension"):
+        elif tag in ("deformable", "extension"):
             for child in section.each():
-                child.fail(
-                    f"a <{child.tag}> does not map; alfmu takes bodies, joints, connect, weld and joint equalities, "
-                    "and motors on joints (declare the rest in the file that `alfmu import` writes)"
-                )
+                if tag == "deformable" and child.tag == "skin":
+                    self.linkage.leave("skins", child)
+                elif tag == "extension":
+                    self.linkage.warn("plugins, which are programs", child)
+                else:
+                    self.linkage.without("flexible", child, f"a <{child.tag}> does not map; alfmu takes rigid bodies")
         elif tag not in (
-            "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe",
+            "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe", "tendon",
         ):  # fmt: skip
             section.fail(f"alfmu does not know <{tag}>")
 
     # Settings and defaults --------------------------------------------------------------------------------------
 
-    def _settings(self) -> _Settings:
-        found = _Settings()
-        for node in self.root.all("compiler"):
-            given = Reading(node)
-            found.degrees = (
-                given.choice("angle", ("degree", "radian"), "degree" if found.degrees else "radian") == "degree"
-            )
-            found.euler = given.text("eulerseq", found.euler)
-            if len(found.euler) != 3 or set(found.euler.lower()) - set("xyz"):
-                given.fail("eulerseq", f"eulerseq is {shown(found.euler[:40])}; give three of x, y, z, X, Y, Z")
-            found.autolimits = given.flag("autolimits", found.autolimits)
-            found.from_geoms = given.choice("inertiafromgeom", ("auto", "true", "false"), found.from_geoms)
-            low, high = given.numbers("inertiagrouprange", 2, (0, 5))
-            found.groups = range(int(low), int(high) + 1)
-            if given.text("coordinate", "local") != "local":
-                given.fail("coordinate", "global coordinates do not map; save the file with local ones, as MuJoCo does")
-            if given.has("settotalmass") and given.number("settotalmass") > 0:
-                given.fail("settotalmass", "settotalmass does not map; give the masses themselves")
-            given.refuse(
-                {
-                    "boundmass": "give the masses themselves",
-                    "boundinertia": "give the inertias themselves",
-                    "balanceinertia": "give inertias that a body can have",
-                    "alignfree": "leave it out: it moves frames, not bodies",
-                }
-            )
-            given.done(
-                ("strippath", "meshdir", "texturedir", "assetdir", "fitaabb", "discardvisual", "usethread",
-                 "fusestatic", "saveinertial", "conflict", "convexhull", "exactmeshinertia")
-            )  # fmt: skip
-            self.linkage.leave("lengthrange", *node.all("lengthrange"))
-        for node in self.root.all("option"):
-            given = Reading(node)
-            x, y, z = given.numbers("gravity", 3, found.gravity)
-            found.gravity = (x, y, z)
-            given.refuse(dict.fromkeys(("density", "viscosity", "wind"), _MEDIUM))
-            given.done(
-                ("timestep", "integrator", "solver", "cone", "jacobian", "iterations", "tolerance", "ls_iterations",
-                 "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance",
-                 "sdf_iterations", "sdf_initpoints", "impratio", "magnetic", "o_margin", "o_solref", "o_solimp",
-                 "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance")
-            )  # fmt: skip
-            if given.has("actuatorgroupdisable"):
-                given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
-            if set(node.attributes) - {"gravity", "density", "viscosity", "wind"}:
-                self.linkage.leave(_SOLVER, node)
-            for flags in node.all("flag"):
-                self._flags(Reading(flags), found)
-        if "gravity" in found.off:
-            found.gravity = (0.0, 0.0, 0.0)
-        return found
+    def _compiler(self, node: Node) -> None:
+        found, given = self.settings, Reading(node)
+        found.degrees = given.choice("angle", ("degree", "radian"), "degree" if found.degrees else "radian") == "degree"
+        found.euler = given.text("eulerseq", found.euler)
+        if len(found.euler) != 3 or set(found.euler.lower()) - set("xyz"):
+            given.fail("eulerseq", f"eulerseq is {shown(found.euler[:40])}; give three of x, y, z, X, Y, Z")
+        found.autolimits = given.flag("autolimits", found.autolimits)
+        found.from_geoms = given.choice("inertiafromgeom", ("auto", "true", "false"), found.from_geoms)
+        low, high = given.numbers("inertiagrouprange", 2, (0, 5))
+        found.groups = range(int(low), int(high) + 1)
+        found.bounds = tuple(
+            given.positive(f"bound{each}", x) for each, x in zip(("mass", "inertia"), found.bounds, strict=True)
+        )  # type: ignore[assignment]
+        found.meshes = given.text("meshdir", given.text("assetdir", found.meshes))
+        found.strips = given.flag("strippath", found.strips)
+        found.balance = given.flag("balanceinertia", found.balance)
+        found.total = max(given.number("settotalmass", found.total), 0.0)
+        self.linkage.leave("lengthrange", *node.all("lengthrange"))
+        if given.text("coordinate", "local") != "local":
+            given.fail("coordinate", "global coordinates do not map; save the file with local ones, as MuJoCo does")
+        given.refuse({"alignfree": "leave it out: it moves frames, not bodies"})
+        given.done(
+            ("strippath", "meshdir", "texturedir", "assetdir", "fitaabb", "discardvisual", "usethread",
+             "fusestatic", "saveinertial", "conflict", "convexhull", "exactmeshinertia")
+        )  # fmt: skip
+
+    def _option(self, node: Node) -> None:
+        found, given = self.settings, Reading(node)
+        x, y, z = given.numbers("gravity", 3, found.gravity)
+        found.gravity = (x, y, z)
+        for flags in node.all("flag"):
+            self._flags(Reading(flags), found)
+        for name in ("density", "viscosity", "wind"):
+            if any(given.numbers(name, 3 if name == "wind" else 1, (0.0,))):
+                self.linkage.without("medium", node, f'{name}="{given.text(name)[:60]}" does not map: {_MEDIUM}')
+        given.done(
+            ("timestep", "integrator", "solver", "cone", "jacobian", "iterations", "tolerance", "ls_iterations",
+             "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance",
+             "sdf_iterations", "sdf_initpoints", "impratio", "magnetic", "o_margin", "o_solref", "o_solimp",
+             "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance", "collision")
+        )  # fmt: skip
+        if given.has("actuatorgroupdisable"):
+            given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
+        if set(node.attributes) - {"gravity", "density", "viscosity", "wind"}:
+            self.linkage.leave(_SOLVER, node)
 
     def _flags(self, given: Reading, found: _Settings) -> None:
         for name in given.node.attributes:
@@ -228,46 +281,56 @@ class _File:
 
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
         """Read a body, or a frame in a body at a pose; return the masses of its geoms."""
-        parts = []
+        parts: list[Inertial] = []
         for child in node.each():
-            if child.tag == "body":
-                self._body(child, link, pose, childclass)
-            elif child.tag == "frame":
-                given = Reading(child)
-                inner = pose @ self._pose(given)
-                given.done(("name", "childclass"))
-                own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
-                parts += self._tree(child, link, inner, own)
-            elif child.tag in ("joint", "freejoint"):
-                if link is None:
-                    child.fail("the world has no joints; put the joint into a body")
-                self._joint(child, link, pose, childclass)
-            elif child.tag == "geom":
-                parts += self._geom(child, link, pose, childclass)
-            elif child.tag == "site":
-                given = self._reading(child, childclass)
-                if given.has("fromto"):
-                    start, end = np.split(vector(given.numbers("fromto", 6)), 2)
-                    at = Pose((start + end) / 2, self._along(child, start - end))
-                else:
-                    at = self._pose(given)
-                if name := given.text("name", ""):
-                    self.sites[name] = link, pose @ at
-                self.linkage.leave("sites", child)
-            elif child.tag in _IN_BODIES:
-                self.linkage.leave(f"{child.tag}s", child)
-            elif child.tag not in ("inertial",):
-                child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
+            with self.linkage.trying(child):
+                parts += self._branch(child, link, pose, childclass) or []
         return parts
+
+    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial] | None:
+        """Read a child of a body or a frame; return the masses of its geoms."""
+        if child.tag == "body":
+            self._body(child, link, pose, childclass)
+        elif child.tag == "frame":
+            given = Reading(child)
+            inner = pose @ self._pose(given)
+            given.done(("name", "childclass"))
+            own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
+            return self._tree(child, link, inner, own)
+        elif child.tag in ("joint", "freejoint"):
+            if link is None:
+                child.fail("the world has no joints; put the joint into a body")
+            self._joint(child, link, pose, childclass)
+        elif child.tag == "geom":
+            return self._geom(child, link, pose, childclass)
+        elif child.tag == "site":
+            given = self._reading(child, childclass)
+            if given.has("fromto"):
+                start, end = np.split(vector(given.numbers("fromto", 6)), 2)
+                at = Pose((start + end) / 2, self._along(child, start - end))
+            else:
+                at = self._pose(given)
+            if name := given.text("name", ""):
+                self.sites[name] = link, pose @ at
+            self.linkage.leave("sites", child)
+        elif child.tag in _IN_BODIES:
+            self.linkage.leave(f"{child.tag}s", child)
+        elif child.tag in ("flexcomp", "composite"):
+            self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
+        elif child.tag == "plugin":
+            self.linkage.warn("plugins, which are programs", child)
+        elif child.tag not in ("inertial",):
+            child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
+        return None
 
     def _body(self, node: Node, parent: Link | None, pose: Pose, childclass: str | None) -> None:
         given = Reading(node)
         name = given.text("name", f"body{len(self.links) + 1}")
         childclass = given.text("childclass", childclass or "main")
         own = self._pose(given)
-        given.refuse(
-            {"mocap": "use a joint with a law, as in docs of motion", "gravcomp": "alfmu's gravity acts on all bodies"}
-        )
+        if given.flag("mocap", False):
+            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
+        lifted = given.number("gravcomp", 0.0)
         given.done(("user", "sleep"))
         if name in self.links:
             node.fail(f"there is a body {shown(name[:60])} already; names are used once")
@@ -275,6 +338,8 @@ class _File:
         link = Link(name, node, parent, pose @ own, nothing)
         self.links[name] = link
         self.linkage.links.append(link)
+        if lifted:
+            self.linkage.lifted[link] = lifted
         parts = self._tree(node, link, Pose(), childclass)
         inertial = node.one("inertial")
         if inertial is not None:
@@ -292,9 +357,29 @@ class _File:
             xx, yy, zz, xy, xz, yz = given.numbers("fullinertia", 6)
             matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
-            matrix = np.diag(given.numbers("diaginertia", 3))
+            matrix = np.diag(given.numbers("diaginertia", 3, (0.0, 0.0, 0.0)))
         given.done()
         return Inertial(mass, at.place, at.turn @ matrix @ at.turn.T)
+
+    def _balanced(self) -> None:
+        """Change masses and inertias as the compiler is told to."""
+        given, (mass, least) = self.settings, self.settings.bounds
+        if not (mass or least or given.balance or given.total):
+            return
+        whole = 0.0
+        for link in self.linkage.links:
+            moments, axes = np.linalg.eigh(link.inertial.inertia)
+            moments = np.maximum(moments, least)
+            if given.balance and moments[0] + moments[1] < moments[2]:
+                moments = np.full(3, moments.mean())
+            link.inertial = Inertial(
+                max(link.inertial.mass, mass), link.inertial.center, axes @ np.diag(moments) @ axes.T
+            )
+            whole += link.inertial.mass
+        factor = given.total / whole if given.total and whole else 1.0
+        for link in self.linkage.links:
+            x = link.inertial
+            link.inertial = Inertial(factor * x.mass, x.center, factor * x.inertia)
 
     def _pose(self, given: Reading) -> Pose:
         ways = [name for name in _ATTITUDES if given.has(name)]
@@ -366,37 +451,40 @@ class _File:
         joint.start = {"ball": (1.0, 0.0, 0.0, 0.0), "free": ()}.get(kind, (joint.reference,))
         joint.rates = {"ball": (0.0,) * 3, "free": (0.0,) * 6}.get(kind, (0.0,))
         if kind == "free" and not free:
-            for each in ("stiffness", "damping", "armature", "frictionloss"):
-                if given.number(each, 0.0):
-                    given.fail(
-                        each, f"{each} of a free joint does not map; use <freejoint/>, or three slides and a ball"
-                    )
+            for each in _PASSIVE:
+                if any(given.numbers(each, range(1, 6), (0.0,))):
+                    what = f"{each} of a free joint does not map; use <freejoint/>, or three slides and a ball"
+                    self.linkage.without("free", node, what)
         if kind == "ball" and stiffness:
             given.fail("stiffness", "the spring of a ball joint does not map; use three hinges")
-        if "frictionloss" not in self.settings.off:
-            given.refuse(
-                {"frictionloss": "alfmu's dry friction follows from the joint's reaction (`Mechanism.friction`)"}
-            )
+        loss = given.positive("frictionloss", 0.0)
+        if loss and kind in ("hinge", "slide") and not self.settings.off & {"frictionloss", "constraint"}:
+            joint.friction = (loss,)
+        elif loss and kind == "ball":
+            given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
         given.refuse(
             {
-                "springdamper": "give stiffness and damping",
                 "actuatorgravcomp": "alfmu's gravity acts on all bodies",
                 "align": "it moves frames, not bodies; leave it out",
-                "actuatorfrcrange": "limit the motor by forcerange",
             }
         )
-        limits = given.numbers("range", 2, (0.0, 0.0))
-        limited = given.text("limited", "auto")
-        if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
-            not self.settings.off & {"limit", "constraint"}
-        ):
-            self.linkage.warn("limits of joints", node)
-            if kind in ("hinge", "slide"):
-                joint.limits = ((angle(limits[0]), angle(limits[1])),)
+        joint.effort = self._range(given, "actuatorfrc")
+        time, ratio = given.numbers("springdamper", 2, (0.0, 0.0))
+        if time > 0 and ratio > 0 and kind in ("hinge", "slide"):
+            self.tuned.append((joint, time, ratio))
+        elif time or ratio:
+            given.fail(
+                "springdamper", "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
+            )
+        limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
+        if limits and kind in ("hinge", "slide"):
+            joint.limits = ((angle(limits[0]), angle(limits[1])),)
+            self.linkage.limited.append(node)
+        elif limits and kind == "ball":
+            self.linkage.warn("limits of ball joints", node)
         given.done(
             ("class", "group", "user", "type", "pos", "axis", "ref", "springref", "solreflimit", "solimplimit",
-             "solreffriction", "solimpfriction", "margin", "align", "frictionloss", "range", "limited",
-             "actuatorfrclimited")
+             "solreffriction", "solimpfriction", "margin", "align", "range", "limited")
         )  # fmt: skip
         self.joints[name] = joint
         link.joints.append(joint)
@@ -417,8 +505,9 @@ class _File:
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
         self.geoms.append((link, node, masks[0], masks[1]))
-        given.refuse({"fluidshape": _MEDIUM})
-        given.done((*_HARMLESS_GEOM, "fluidcoef", "fluidshape"))
+        if given.text("fluidshape", "none") != "none":
+            self.linkage.without("medium", node, f"fluidshape does not map: {_MEDIUM}")
+        given.done((*_HARMLESS_GEOM, "fluidcoef"))
         self.linkage.leave("shapes of geoms", node)
         if link is None or kind in ("plane", "hfield"):
             return []
@@ -431,17 +520,51 @@ class _File:
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
             return []
+        if given.flag("shellinertia", False):
+            node.fail("the inertia of shells does not map; give the body an <inertial>")
+        if kind == "mesh":
+            whole, pose = self._mesh(given), frame @ self._pose(given)
+            factor = density if mass is None else mass / whole.mass
+            inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
+            return [Inertial(factor * whole.mass, pose.at(whole.center), inertia)]
         if kind not in _SIZES:
             node.fail(
                 f"a geom of type {shown(kind[:40])} gives no inertia here; give its body an <inertial>, or the geom "
                 'mass="0"'
             )
-        if given.flag("shellinertia", False):
-            node.fail("the inertia of shells does not map; give the body an <inertial>")
         if given.has("mesh"):
             node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
         solid, at = self._solid(given, kind)
         return [solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)]
+
+    def _mesh(self, geom: Reading) -> Inertial:
+        """Return the inertia of the mesh of a geom, of unit density."""
+        name = geom.text("mesh")
+        if name in self.inertias:
+            return self.inertias[name]
+        known(geom.node, name, self.meshes, "mesh")
+        node = self.meshes[name]
+        given = self._reading(node, None)
+        kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
+        if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
+            node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
+        try:
+            if given.has("file"):
+                folder = self.root.file.resolve().parent
+                path = Path(given.text("file"))
+                path = Path(self.settings.meshes) / (path.name if self.settings.strips else path)
+                corners = triangles(found_file(node, str(path), [folder, *self.folders], [folder, *self.folders]))
+            else:
+                points = vector(given.numbers("vertex", range(12, 100_001))).reshape(-1, 3)
+                faces = np.array(given.numbers("face", range(3, 100_001), ()), dtype=int).reshape(-1, 3)
+                corners = points[faces] if len(faces) else hull(points)
+            corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
+            corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
+            found = solid(hull(corners.reshape(-1, 3)) if kind == "convex" else corners, kind != "legacy")
+        except (InputError, IndexError, ValueError) as error:
+            geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
+        self.inertias[name] = found
+        return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
         count = _SIZES[kind]
@@ -466,36 +589,107 @@ class _File:
             self.linkage.leave("equality constraints, which the options disable", section)
             return
         for i, node in enumerate(section.each()):
-            if node.tag not in ("connect", "weld", "joint"):
-                node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld and joint")
-            given = self._reading(node, None, "equality")
-            name = given.text("name", f"{node.tag}{i + 1}")
-            if not given.flag("active", True):
-                self.linkage.leave("equality constraints that are not active", node)
-                continue
-            if node.tag == "joint":
-                of = self._scalar(given, "joint1")
-                by = self._scalar(given, "joint2") if given.has("joint2") else None
-                given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
-                coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
-                self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
-            else:
-                self.linkage.closures.append(self._equality(given, name))
-            if given.has("solref") or given.has("solimp"):
-                self.linkage.leave(_SOLVER, node)
-            given.done(("class", "solref", "solimp", "user", "anchor", "relpose"))
+            with self.linkage.trying(node):
+                self._closing(i, node)
+
+    def _closing(self, i: int, node: Node) -> None:
+        if node.tag in ("flex", "flexvert", "flexstrain", "distance"):
+            self.linkage.without("flexible", node, f"an equality of kind <{node.tag}> does not map")
+            return
+        if node.tag not in ("connect", "weld", "joint", "tendon"):
+            node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
+        given = self._reading(node, None, "equality")
+        name = given.text("name", f"{node.tag}{i + 1}")
+        if not given.flag("active", True):
+            self.linkage.leave("equality constraints that are not active", node)
+            return
+        if node.tag in ("joint", "tendon"):
+            of, by = (
+                self._summed(given, f"{node.tag}{k}", node.tag) if k == 1 or given.has(f"{node.tag}2") else ()
+                for k in (1, 2)
+            )
+            given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
+            if not of or (not by and given.has(f"{node.tag}2")):
+                return
+            coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
+            self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
+        else:
+            self.linkage.closures.append(self._equality(given, name))
+        if given.has("solref") or given.has("solimp"):
+            self.linkage.leave(_SOLVER, node)
+        given.done(("class", "solref", "solimp", "user", "anchor", "relpose", "torquescale"))
 
     def _scalar(self, given: Reading, which: str) -> Joint:
         name = given.text(which)
         known(given.node, name, self.joints, "joint")
         joint = self.joints[name]
-        if joint.kind not in ("revolute", "prismatic"):
+        if not _is_scalar(joint):
             given.fail(which, f"{which} {shown(name)} is no hinge and no slide")
         return joint
 
+    def _summed(self, given: Reading, which: str, what: str) -> Sum:
+        """Return a joint, or the joints of a fixed tendon with their factors, by its name in an attribute."""
+        name = given.text(which)
+        joint = self.joints.get(name)
+        if what == "joint" and given.node.tag in _ACTUATORS and joint and not _is_scalar(joint):
+            self.linkage.without("actuators", given.node, f"{which} {shown(name)} is no hinge and no slide")
+            return ()
+        if what == "joint":
+            return ((self._scalar(given, which), 1.0),)
+        known(given.node, name, self.tendons, "tendon")
+        found = self.tendons[name]
+        if found is None:
+            word = "tendons" if given.node.tag == "tendon" else "actuators"
+            what = f"{which} {shown(name)} is no fixed tendon of hinges and slides; alfmu takes these"
+            self.linkage.without(word, given.node, what)
+        return found or ()
+
+    # Tendons ----------------------------------------------------------------------------------------------------
+
+    def _tendon(self, node: Node) -> None:
+        given = self._reading(node, None, "tendon", node.tag)
+        name = given.text("name", f"tendon{len(self.tendons) + 1}")
+        limits = self._range(given, "")
+        acts = [each for each in _PASSIVE if any(given.numbers(each, range(1, 6), (0.0,)))] + ["limits"] * bool(limits)
+        given.done(
+            ("class", "group", "limited", "range", "solreflimit", "solimplimit", "solreffriction", "solimpfriction",
+             "margin", "springlength", "width", "material", "rgba", "user", "actuatorfrcrange", "actuatorfrclimited")
+        )  # fmt: skip
+        over = [self.joints.get(each.attributes.get("joint", "")) for each in node.each()]
+        if node.tag != "fixed" or any(joint and not _is_scalar(joint) for joint in over):
+            self.tendons[name] = None
+            if acts:
+                what = f"{acts[0]} of a <{node.tag}> tendon does not map; alfmu takes sums of hinges and slides"
+                self.linkage.without("tendons", node, what)
+            else:
+                self.linkage.leave("tendons without forces", node)
+            return
+        terms = []
+        for child in node.each():
+            each = Reading(child)
+            terms.append((self._scalar(each, "joint"), each.number("coef")))
+            each.done()
+        if not terms:
+            node.fail("it has no joint; give one")
+        self.tendons[name] = along = tuple(terms)
+        if not acts:
+            return
+        if "frictionloss" in acts:
+            self.linkage.without("tendons", node, "frictionloss of a tendon does not map")
+        low, *rest = given.numbers("springlength", range(1, 3), (-1.0,))
+        if low == -1 and not rest:
+            low = sum(factor * joint.rest[0] for joint, factor in along)
+        stiffness, damping = (self._linear(given, each, "give one number") for each in ("stiffness", "damping"))
+        made = Tendon(name, node, along, stiffness, damping, (low, *(rest or [low])), given.positive("armature", 0.0))  # type: ignore[arg-type]
+        if limits:
+            made.limits = limits
+            self.linkage.limited.append(node)
+        self.linkage.tendons.append(made)
+
     def _equality(self, given: Reading, name: str) -> Closure:
         node = given.node
-        kind = "spherical" if node.tag == "connect" else "weld"
+        turns = node.tag == "connect" or given.positive("torquescale", 1.0) == 0
+        kind = "spherical" if turns else "weld"
         if given.has("site1"):
             places = []
             for which in ("site1", "site2"):
@@ -505,13 +699,11 @@ class _File:
             return Closure(name, kind, node, places[0], places[1])
         first, second = self._link(given, "body1"), self._link(given, "body2", "world")
         apart = self._at_reference(first).inverse @ self._at_reference(second)
-        if kind == "spherical":
+        if node.tag == "connect":
             anchor = vector(given.numbers("anchor", 3))
             return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
         # The anchor is given in the frame of the second body.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
-        if not given.number("torquescale", 1.0) > 0:
-            given.fail("torquescale", "a weld that leaves turns free does not map; use connect")
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
         if any(posed[3:]):
             # MuJoCo fixes the anchor at the position of relpose.
@@ -534,40 +726,69 @@ class _File:
     def _actuator(self, node: Node) -> None:
         kind = node.tag
         if kind not in _ACTUATORS:
-            node.fail(f"an actuator of kind <{kind}> does not map; alfmu takes {', '.join(_ACTUATORS)} on joints")
+            what = f"an actuator of kind <{kind}> does not map; alfmu takes {', '.join(_ACTUATORS)}"
+            self.linkage.without("actuators", node, what)
+            return
         given = self._reading(node, None, *(t for t in _ACTUATORS if t != kind), kind)
         for name, (_, origin) in given._given.items():
-            if name not in _SHARED and origin.tag != kind:
+            implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
+            if name not in _SHARED and origin.tag != kind and not implied:
                 origin.fail(f"{name} of <{origin.tag}> counts for the <{kind}> in line {node.line} too; give it there")
-        for each in ("jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "refsite"):
+        for each in ("site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
-                given.fail(each, f"{each} does not map: alfmu takes motors on joints")
-        joint = self._scalar(given, "joint")
-        name = given.text("name", f"{joint.name}_{kind}")
-        rotary = joint.kind == "revolute"
+                what = f"{each} does not map: alfmu takes motors on joints and on fixed tendons"
+                self.linkage.without("actuators", node, what)
+                given.done(tuple(given._given))
+                return
+        which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
+        along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
+        if not along:
+            return
+        name = given.text("name", f"{given.text(which)}_{kind}")
+        rotary = along[0][0].kind == "revolute"
         gear = given.numbers("gear", range(1, 7), (1.0,))[0]
-        motor = Motor(name, node, joint, "N.m" if rotary else "N", gear)
+        motor = Motor(name, node, along, "N.m" if rotary else "N", gear)
+        gain = given.numbers("gainprm", range(1, 11), (1.0,))[0]
+        prm = [*given.numbers("biasprm", range(1, 11), (0.0,)), 0.0, 0.0]
+        dynamics = given.text("dyntype", "none") if kind in ("general", "position") else "none"
+        lag = given.numbers("dynprm", range(1, 11), (1.0,))[0] if dynamics in _LAGS else 0.0
         if kind == "position":
-            kp, kv = given.positive("kp", 1.0), given.positive("kv", 0.0)
+            kp, kv = given.positive("kp", gain), given.positive("kv", max(-prm[2], 0.0))
             motor.gain, motor.bias, motor.unit = kp, (0.0, -kp, -kv), "rad" if rotary else "m"
+            motor.ratio = given.positive("dampratio", 0.0 if given.has("kv") else max(prm[2], 0.0))
+            lag = given.positive("timeconst", lag)
         elif kind == "velocity":
-            kv = given.positive("kv", 1.0)
+            kv = given.positive("kv", gain)
             motor.gain, motor.bias, motor.unit = kv, (0.0, 0.0, -kv), "rad/s" if rotary else "m/s"
         elif kind == "general":
-            if given.choice("gaintype", ("fixed",), "fixed"):
-                motor.gain = given.numbers("gainprm", range(1, 11), (1.0,))[0]
+            given.choice("gaintype", ("fixed",), "fixed")
             bias = given.choice("biastype", ("none", "affine"), "none")
-            prm = [*given.numbers("biasprm", range(1, 11), (0.0,)), 0.0, 0.0]
-            motor.bias = (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
+            motor.gain, motor.bias = gain, (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
             motor.unit = motor.unit if bias == "none" else "1"
+            if bias == "affine" and prm[2] > 0 and prm[1] == -motor.gain:
+                motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
+        if dynamics not in ("none", *_LAGS) and not given.has("timeconst"):
+            what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
+            self.linkage.without("actuators", node, what)
+            return
+        motor.lag = lag
         motor.control = self._range(given, "ctrl")
+        inherit = given.positive("inheritrange", 0.0)
+        if inherit and motor.control is None and along[0][0].limits:
+            low, high = along[0][0].limits[0]
+            middle, half = (low + high) / 2, inherit * (high - low) / 2
+            motor.control = (middle - half, middle + half)
         motor.force = self._range(given, "force")
-        given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators without dynamics; give the input what they make"))
+        if lag and (limits := self._range(given, "act")) is not None:
+            given.fail("actrange", f"actrange from {limits[0]:g} to {limits[1]:g} does not map; limit ctrlrange")
+        given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators with a lag at most"))
+        unused = (*_IMPLIED, "kp", "kv", "timeconst") if kind == "motor" else _IMPLIED
         given.done(("class", "group", "user", "ctrllimited", "forcelimited", "lengthrange", "actlimited", "actrange",
-                    "dynprm", "actearly", "interp"))  # fmt: skip
+                    "actearly", "interp", *unused))  # fmt: skip
         self.linkage.motors.append(motor)
 
     def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
+        """Return a range if it is in force."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
         if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
@@ -671,12 +892,12 @@ def _holder(node: Node) -> Node:
     return found
 
 
-def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
+def _include(node: Node, folders: Sequence[Path], depth: int, read: list[Path]) -> None:
     """Replace <include> elements by the elements of the included files."""
     children = []
     for child in node.children:
         if child.tag != "include":
-            _include(child, folder, depth, read)
+            _include(child, folders, depth, read)
             children.append(child)
             continue
         given = Reading(child)
@@ -684,16 +905,12 @@ def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
         given.done()
         if depth >= _DEEPEST:
             child.fail(f"files include each other more than {_DEEPEST} deep")
-        path = (child.file.parent / name).resolve()
-        if Path(name).is_absolute() or not path.is_relative_to(folder):
-            child.fail(f"{shown(name[:60])} is outside the folder of the file; alfmu includes files in it alone")
-        if not path.is_file():
-            child.fail(f"there is no file {shown(name[:60])}")
+        path = found_file(child, name, [folders[0], child.file.resolve().parent, *folders[1:]], folders)
         read.append(path)
         if len(read) > _FILES:
             child.fail(f"more than {_FILES} files are included")
         root = parsed(path)
-        _include(root, folder, depth + 1, read)
+        _include(root, folders, depth + 1, read)
         for each in root.each():
             each.parent = node
         children += root.children

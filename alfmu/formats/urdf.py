@@ -6,10 +6,15 @@ joint follow another. Joints with a `<transmission>` get an input.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.words import shown
-from .linkage import Closure, Joint, Link, Linkage, Motor, place
+from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, Motor, place
+from .loops import listed
 from .markup import Node, Reading, known, numbers
 from .poses import Array, Pose, quaternion, turned, vector
 from .sdf import ball_constraint, follow, joint_closure, joint_details
@@ -26,45 +31,100 @@ _LOOPS = {
     "fixed": "weld",
     "prismatic": "prismatic",
 }
-_LEFT = {"visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors"}
+_LEFT = {
+    "visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors", "contact": "settings of contacts",
+    "collision_checking": "settings of contacts", "self_collision_checking": "settings of contacts",
+}  # fmt: skip
+_TOUCHING = ("selfcollide", "self_collide")
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
-_MOVED = ("axis", "dynamics", "mimic", "limit")
+_RESISTING = ("dynamics", "joint_properties")
+_MOVED = ("axis", "mimic", "limit", *_RESISTING)
 _MOVING = {
-    "turnGravityOff": "alfmu's gravity acts on all bodies",
     "dampingFactor": "give joints damping",
     "springStiffness": "declare the spring in the file that `alfmu import` writes",
 }
 """Settings for Gazebo that change the motion, with the alternative."""
 
 
-def read(root: Node, base: str = "fixed") -> Linkage:
+def read(
+    root: Node,
+    base: str = "fixed",
+    loops: str = "",
+    contacts: str = "refuse",
+    leaves: Sequence[str] = (),
+    folders: Sequence[Path] = (),
+) -> Linkage:
     """The linkage of a URDF file; see `imported` for the options."""
-    if base not in ("fixed", "floating"):
-        root.fail(f"the base is {shown(base)}; take fixed or floating")
-    return _File(root, base).linkage
+    return _File(root, base, loops, contacts, leaves).linkage
 
 
 class _File:
-    def __init__(self, root: Node, base: str):
+    def __init__(self, root: Node, base: str, loops: str, contacts: str, leaves: Sequence[str]):
         given = Reading(root)
-        self.linkage = Linkage(given.text("name", ""), "URDF", root)
+        self.linkage = Linkage(given.text("name", ""), "URDF", root, leaves=leaves)
+        trying = self.linkage.trying
         given.done([name for name in root.attributes if name.startswith(("xmlns", "version"))])
+        self.contacts = contacts
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
+        self.other = self._other(root.file, loops)
+        self.changed = dict(zip(self.other.get("joint_name", []), self.other.get("joint_type", []), strict=False))
         nodes = {each.attributes.get("name", ""): each for each in root.all("link")}
         if len(nodes) < len(root.all("link")) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
+        if "world" not in nodes and any(
+            x.attributes.get("link") == "world" for j in root.all("joint") for x in j.children
+        ):
+            nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
         for child in root.each():
-            self._section(child)
-        self._tree(nodes, root.all("joint"), base)
+            with trying(child):
+                self._section(child)
+        with trying(root):
+            self._tree(nodes, root.all("joint"), base)
         for child in root.all("loop_joint", "drake:loop_joint"):
-            self.linkage.closures.append(self._loop(child))
+            with trying(child):
+                self.linkage.closures.append(self._loop(child))
         for child in root.all("drake:ball_constraint"):
-            self.linkage.closures.append(ball_constraint(child, self.links, len(self.linkage.closures)))
+            with trying(child):
+                self.linkage.closures.append(ball_constraint(child, self.links, len(self.linkage.closures)))
         for child in root.all("gazebo"):
-            self._gazebo(child)
+            with trying(child):
+                self._gazebo(child)
         for child in root.all("transmission"):
-            self._transmission(child)
+            with trying(child):
+                self._transmission(child)
+        with trying():
+            self._closed()
+
+    def _other(self, file: Path, loops: str) -> dict[str, list]:
+        """Return the lists of the file of loops: the given one, or one of the same name beside the URDF."""
+        path = file.parent / loops if loops else file.with_suffix(".yaml")
+        if not loops and not path.is_file():
+            return {}
+        found = listed(path)
+        if not loops and "closed_loop" not in found:
+            return {}
+        pairs, kinds = found.get("closed_loop", []), found.get("type", [])
+        if any(not isinstance(pair, list) or len(pair) != 2 for pair in pairs):
+            raise InputError(f"{path}: closed_loop has an entry that is no pair of links; give [[a, b], [c, d]]")
+        if len(kinds) != len(pairs) or any(str(kind).lower() not in ("3d", "6d") for kind in kinds):
+            raise InputError(f"{path}: type has {len(kinds)} entries for {len(pairs)} loops; give 3d or 6d for each")
+        self.linkage.note(f"loops, motors and freedoms of joints are those of {path.name}", self.linkage.node)
+        return found
+
+    def _closed(self) -> None:
+        """Close the loops of the file of loops, and add its motors."""
+        node = self.linkage.node
+        frames = {joint.name: link for link in self.linkage.links for joint in link.joints} | self.links
+        for (one, two), kind in zip(self.other.get("closed_loop", []), self.other.get("type", []), strict=True):
+            for name in (one, two):
+                known(node, name, frames, "link or joint")
+            ends = [(frames[name], Pose()) for name in (one, two)]
+            how = "spherical" if kind.lower() == "3d" else "weld"
+            self.linkage.closures.append(Closure(f"{one}_closed", how, node, ends[0], ends[1]))
+        able = {j.name for j in self.linkage.joints if len(j.zero) == 1 and not j.follows}
+        self.linkage.drive(",".join(name for name in self.other.get("name_mot", []) if name in able))
 
     def _section(self, child: Node) -> None:
         tag = child.tag
@@ -72,7 +132,7 @@ class _File:
             child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
         if tag in ("material", "sensor"):
             self.linkage.leave(f"{tag}s", child)
-        elif tag in ("mujoco", "ros2_control"):
+        elif tag in ("mujoco", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group"):
             self.linkage.leave(f"settings for other programs (<{tag}>)", child)
         elif tag not in (
             "link", "joint", "loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission",
@@ -109,7 +169,9 @@ class _File:
                 ends[waiting[0]][1].fail("the links that it joins do not hang on the root; joints lead in a circle")
             waiting.remove(name)
             parent, joint = ends[name]
-            mimics += self._joint(joint, self._link(nodes[name], self.links[parent], self._origin(joint)))
+            link = self._link(nodes[name], self.links[parent], self._origin(joint))
+            with self.linkage.trying(joint):
+                mimics += self._joint(joint, link)
         for mimic, follower in mimics:
             given = Reading(mimic)
             leader = given.text("joint")
@@ -131,13 +193,15 @@ class _File:
     def _link(self, node: Node, parent: Link | None, pose: Pose) -> Link:
         given = Reading(node)
         name = given.text("name")
-        given.done(("type",))
-        for child in node.each():
-            if child.tag in _LEFT:
-                self.linkage.leave(_LEFT[child.tag], child)
-            elif child.tag != "inertial":
-                child.fail(f"<{child.tag}> of a link does not map; alfmu takes its inertial")
-        link = Link(name, node, parent, pose, self._inertial(node))
+        link = Link(name, node, parent, pose, Inertial(0.0, np.zeros(3), np.zeros((3, 3))))
+        with self.linkage.trying(node):
+            given.done(("type", "drake_ignore"))
+            for child in node.each():
+                if child.tag in _LEFT:
+                    self.linkage.leave(_LEFT[child.tag], child)
+                elif child.tag != "inertial":
+                    child.fail(f"<{child.tag}> of a link does not map; alfmu takes its inertial")
+            link.inertial = self._inertial(node)
         self.links[name] = link
         self.linkage.links.append(link)
         return link
@@ -182,7 +246,7 @@ class _File:
             return np.array((1.0, 0.0, 0.0))
         given = Reading(child)
         axis = vector(given.numbers("xyz", 3, (1, 0, 0)))
-        given.done()
+        given.done(("rpy",))
         if not np.linalg.norm(axis) > 0:
             child.fail("the axis has no direction")
         return axis
@@ -198,21 +262,25 @@ class _File:
                 "and floating ones"
             )
         limits: tuple[tuple[float, float], ...] = ()
+        most: tuple[float, float] | None = None
         for child in node.each():
             if child.tag in ("safety_controller", "calibration"):
                 self.linkage.leave(child.tag, child)
             elif child.tag == "limit" and kind not in ("fixed", "floating"):
                 x = Reading(child)
-                low, high, effort, speed = (x.number(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
+                low, high, effort, speed = (x.limit(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
                 x.done()
-                if kind != "continuous" or effort or speed:
-                    self.linkage.warn("limits of joints", node)
+                if 0 < effort < ANYWHERE:
+                    most = (-effort, effort)
+                if 0 < speed < ANYWHERE:
+                    self.linkage.warn("limits of the speed of joints", node)
                 if kind != "continuous" and low < high:
                     limits = ((low, high),)
-            elif child.tag not in ("origin", "parent", "child", "axis", "dynamics", "mimic", "limit"):
+                    self.linkage.limited.append(node)
+            elif child.tag not in ("origin", "parent", "child", "axis", "mimic", "limit", *_RESISTING):
                 child.fail(f"<{child.tag}> of a joint does not map")
             elif child.tag in _MOVED and kind in ("fixed", "floating"):
-                if child.tag == "mimic" or (child.tag, kind) == ("dynamics", "floating"):
+                if child.tag == "mimic" or (child.tag in _RESISTING and kind == "floating"):
                     child.fail(f"<{child.tag}> of a {kind} joint does not map")
                 self.linkage.leave("what joints without an axis say of one", child)
         if kind == "fixed":
@@ -222,19 +290,31 @@ class _File:
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
         axes = () if kind == "floating" else (self._axis(node),)
-        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes, limits=limits)
+        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes, limits=limits, effort=most)
         if kind == "floating":
             at = place(link.parent, {}, {}) @ link.pose
             link.parent, link.pose = None, at
             joint.start, joint.rates = (*at.place.tolist(), *quaternion(at.turn).tolist()), (0.0,) * 6
-        if (dynamics := node.one("dynamics")) is not None:
+        for dynamics in node.all(*_RESISTING):
             given = Reading(dynamics)
-            joint.damping = (given.positive("damping", 0.0),)
-            given.refuse({"friction": "alfmu's dry friction follows from the reaction (`Mechanism.friction`)"})
-            given.done(("friction",))
+            joint.damping = (given.positive("damping", joint.damping[0]),)
+            joint.friction = (given.positive("friction", joint.friction[0]),)
+            given.done()
         self.joints[name] = joint
-        link.joints.append(joint)
+        link.joints += self._other_freedoms(joint, self.changed[name]) if name in self.changed else [joint]
         return [(mimic, joint)] if (mimic := node.one("mimic")) is not None else []
+
+    def _other_freedoms(self, joint: Joint, kind: str) -> list[Joint]:
+        """Return the joints that stand for one of the URDF by the file of loops."""
+        if kind == "FIXED":
+            return []
+        if kind == "SPHERICAL":
+            start = Joint(joint.name, "spherical", joint.node).zero
+            return [Joint(joint.name, "spherical", joint.node, start=start, rates=(0.0,) * 3)]
+        letters = kind.removeprefix("UJOINT_")
+        if len(letters) != 2 or set(letters) - set(_AXES):
+            joint.node.fail(f"its type in the file of loops is {shown(kind)}; alfmu takes SPHERICAL, FIXED, UJOINT_XY")
+        return [Joint(f"{joint.name}_{x}", "revolute", joint.node, np.zeros(3), (vector(_AXES[x]),)) for x in letters]
 
     # Loops ------------------------------------------------------------------------------------------------------
 
@@ -267,6 +347,11 @@ class _File:
             elif child.tag == "plugin":
                 self.linkage.warn("plugins, which are programs", child)
             else:
+                said, link = child.text.strip().lower() in ("1", "true"), node.attributes.get("reference", "")
+                if link in self.links and (child.tag, said) in (("turnGravityOff", True), ("gravity", False)):
+                    self.linkage.lifted[self.links[link]] = 1.0
+                if child.tag.lower() in _TOUCHING and said and self.contacts == "refuse":
+                    child.fail("its link can touch others; contacts do not map; --option contacts=leave leaves them")
                 if child.tag in _MOVING and child.text.strip().lower() not in ("", "0", "0.0", "false"):
                     child.fail(f"<{child.tag}> does not map: {_MOVING[child.tag]}")
                 self.linkage.leave("settings for Gazebo", child)
@@ -313,5 +398,5 @@ class _File:
             joint = self.joints[name]
             if joint.follows is None and joint.kind in ("revolute", "prismatic"):
                 unit = "N" if joint.kind == "prismatic" else "N.m"
-                if not any(motor.joint is joint for motor in self.linkage.motors):
-                    self.linkage.motors.append(Motor(f"{name}_drive", each, joint, unit))
+                if not any(motor.along[0][0] is joint for motor in self.linkage.motors):
+                    self.linkage.motors.append(Motor(f"{name}_drive", each, ((joint, 1.0),), unit))

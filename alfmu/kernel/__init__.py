@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 22
+VERSION = 23
 """Version of scene files, increased whenever their content changes meaning."""

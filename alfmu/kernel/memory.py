@@ -19,11 +19,11 @@ SETTINGS = (
     *("relative", "absolute", "absolute_length", "inverse_length", "short", "beside", "stiff"),
 )
 """Names of the first numbers of `k`. They are: degrees of freedom; logarithm of the product of the pivots contributed
-by masses; product of all pivots below which a position may be singular; margin that counts as zero; least distance of
-positions beside a singular position; whether to continue on the branch there (`method.singular`); tolerances of a step
-with error control, the second also for lengths; one over the length of the mechanism; and tolerances over that of the
-integrator: of a short step, of an explicit step on the branch that replaces an implicit one, and of an implicit step
-that replaces an explicit one."""
+by masses; logarithm of the product of all pivots below which a position may be singular; margin that counts as zero;
+least distance of positions beside a singular position; whether to continue on the branch there (`method.singular`);
+tolerances of a step with error control, the second also for lengths; one over the length of the mechanism; and
+tolerances over that of the integrator: of a short step, of an explicit step on the branch that replaces an implicit
+one, and of an implicit step that replaces an explicit one."""
 
 CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); source of steps (0 the tiers, 1 the scene's integrator

@@ -286,7 +286,7 @@ class Scene:
         changed = {
             "alpha": settings.alpha / factor,
             "masses": settings.masses + settings.freedom * ca.log(factor),
-            "regular": settings.regular * factor**settings.freedom,
+            "regular": settings.regular + settings.freedom * ca.log(factor),
             "nothing": settings.nothing * factor,
         }
         return ca.vertcat(*settings._replace(**changed), self.k[len(SETTINGS) :])
@@ -469,8 +469,8 @@ class Scene:
         if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
             return near, SX(1)
         small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
-        if self.e.turns and few:
-            irregular = _product(ratios) < self.settings.regular
+        if self.e.turns:
+            irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
         more = ca.sum1(small) - self.settings.freedom
         # the product of many could overflow

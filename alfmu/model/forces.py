@@ -240,6 +240,7 @@ class Forces(Couplings):
         length: Scalar | None = None,
         stribeck: Scalar | None = None,
         collar: Scalar | None = None,
+        load: Scalar | None = None,
     ) -> None:
         """Add friction in a revolute, prismatic or screw joint: viscous, and dry in proportion to the joint's reaction.
 
@@ -254,8 +255,11 @@ class Forces(Couplings):
         too, and a `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for
         the moment about its axis; a screw takes the `radius` of its thread. A bearing surface that is not given carries
         its load without friction.
+
+        With `load` [N.m or N], a constant, the dry friction is the coefficient times this load instead of the reaction:
+        that of a seal or a gearbox, which the reaction does not change. Such a joint takes no bearing surfaces.
         """
-        numbers = (viscous, coulomb, static, radius, length, stribeck, collar)
+        numbers = (viscous, coulomb, static, radius, length, stribeck, collar, load)
         if any(x is not None for x in numbers[1:]):
             self._slides_one_way(joint)
         along = self._free(joint, "friction()")
@@ -267,7 +271,7 @@ class Forces(Couplings):
         unit = f"{EFFORTS[along]}.s/{along}"
         viscous = self._coefficient(joint, "viscous coefficient", 0.0 if viscous is None else viscous, unit)
         dry = not symbolic(coulomb).is_zero() or static is not None
-        if not dry and (given := [x for x in (radius, length, stribeck, collar) if x is not None]):
+        if not dry and (given := [x for x in (radius, length, stribeck, collar, load) if x is not None]):
             raise DeclarationError(
                 f"{self.name}: the friction of {joint.name} has {counted(len(given), 'number')} of dry friction and no "
                 "coefficient; give coulomb"
@@ -276,7 +280,7 @@ class Forces(Couplings):
             known = replace(self.spring_damper(joint, damping=viscous), friction=True)
             Declaration.springs.of(self)[-1] = known
         if dry:
-            self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
+            self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar, load)
 
     def _coefficient(self, joint: AnyJoint, which: str, value: Any, unit: str) -> Scalar:
         """Return a coefficient of friction; a constant that is negative is refused, a variable one counts as zero when
@@ -309,12 +313,17 @@ class Forces(Couplings):
         length: Scalar | None,
         stribeck: Scalar | None,
         collar: Scalar | None,
+        load: Scalar | None,
     ) -> None:
         name = joint.name
         takes, text = _DRY_FRICTION[joint.kind, isinstance(joint, SpatialJoint)]
         given = {"radius": radius, "length": length, "collar": collar}
+        if load is not None:
+            takes, text = (), "a constant load needs no radius, length or collar; leave them out, or the load"
+            load = self._quantity(f"the load of friction of {name}", load, EFFORTS[along], CONSTANT)
+            self._not_negative(f"the load of friction of {name}", load, EFFORTS[along])
         if any(x is not None and each not in takes for each, x in given.items()) or (
-            joint.kind != "prismatic" and radius is None
+            joint.kind != "prismatic" and radius is None and load is None
         ):
             raise DeclarationError(f"{self.name}: dry friction of {name}: {text}")
         if static is None and stribeck is not None:
@@ -343,5 +352,5 @@ class Forces(Couplings):
         self._claim(f"{name}.slip", "1", "an output")
         at, slip = ca.SX.sym(f"{name}.sticks_at"), ca.SX.sym(f"{name}.slip")
         Declaration.closures.of(self).append(
-            Friction(name, joint, along, at, slip, coulomb, static, radius, length, stribeck, collar)
+            Friction(name, joint, along, at, slip, coulomb, static, radius, length, stribeck, collar, load)
         )

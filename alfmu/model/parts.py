@@ -338,7 +338,7 @@ class Motion(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Friction(Lock):
-    """Dry friction in a joint, in proportion to its own reaction: a lock that the load can break loose.
+    """Dry friction in a joint, in proportion to its reaction or to a constant load: a lock that can break loose.
 
     `slip` stands for the direction in which it slides (1 or -1), and is 0 while it sticks.
     """
@@ -351,6 +351,7 @@ class Friction(Lock):
     length: Scalar | None
     stribeck: Scalar | None
     collar: Scalar | None
+    load: Scalar | None
 
 
 @dataclass(frozen=True, repr=False)

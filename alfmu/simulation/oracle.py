@@ -15,7 +15,6 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.evaluation import DENSE
 from ..kernel.memory import GROSS
 from ..kernel.thresholds import PATIENT, REGULAR
 from ..method import formulations as method
@@ -198,7 +197,7 @@ class Instance(Stepped):
     def margin(self, q: NDArray) -> tuple[bool, float]:
         """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
         ratios = self.pivots(q)
-        if self.equations.turns and len(q) <= DENSE and np.prod(ratios) >= self.regular:
+        if self.equations.turns and np.log(ratios).sum() >= self.regular:
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
         more = len(small) - self.freedom

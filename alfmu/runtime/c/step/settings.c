@@ -50,7 +50,9 @@ int penalty_is_given(const Instance *i)
 /* Return a further remedy for a failure. */
 const char *settings_or_penalty(const Instance *i)
 {
-    return penalty_is_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
+    if (penalty_is_given(i))
+        return "; or solver.penalty 0, which scales it with the masses";
+    return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
 }
 
 /* Return a further remedy if compliances that share loads differ too much for the available iterations. */
@@ -174,7 +176,7 @@ void settings_upload(Instance *i)
     settings_set_penalties(i);
     k[SETTINGS_FREEDOM] = *i->freedom;
     k[SETTINGS_MASSES] = *i->masses;
-    k[SETTINGS_REGULAR] = exp(*i->regular);
+    k[SETTINGS_REGULAR] = *i->regular;
     k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && settings_continue(i);

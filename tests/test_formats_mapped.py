@@ -1,0 +1,427 @@
+"""What files of other programs have beside bodies and joints: tendons, actuators, limits, models in models."""
+
+import importlib.util
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.linkages import by_mujoco, moving
+
+import alfmu
+from alfmu.cli import main
+
+MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed (extra bench)")
+
+ARM = """<mujoco><compiler angle="radian"{compiler}/><option><flag contact="disable"/></option><worldbody>
+<body name="a"{a}><joint name="ja" axis="0 1 0" armature="0.02"/><geom type="box" size="0.1 0.02 0.03" pos="0.1 0 0"/>
+<body name="b" pos="0.2 0 0"><joint name="jb" axis="0 1 0" ref="0.4"{b}/><geom size="0.04" pos="0.1 0 0.02"/>
+<body name="c" pos="0.2 0 0.02"><joint name="jc" type="slide" axis="1 0 0.2"/><geom type="box" size="0.05 0.01 0.02"/>
+</body></body></body></worldbody>{after}</mujoco>"""
+"""A chain of two hinges and a slide."""
+
+TENDON = '<tendon><fixed name="t"{}><joint joint="jb" coef="2"/><joint joint="jc" coef="-3"/></fixed></tendon>'
+
+
+def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
+    return ARM.format(compiler=compiler, a=a, b=b, after=after)
+
+
+@MUJOCO
+@pytest.mark.parametrize(
+    ("text", "twin"),
+    [
+        (arm(a=' gravcomp="1.3"'), ""),
+        (arm(compiler=' boundmass="3" boundinertia="0.02" balanceinertia="true"'), ""),
+        (arm(b=' springdamper="0.3 0.7" springref="0.2"'), ""),
+        (arm(compiler=' settotalmass="7"'), ""),
+        (arm(after=TENDON.format(' stiffness="40" damping="2"')), ""),
+        (arm(after=TENDON.format(' stiffness="40" springlength="-0.5 0.3" armature="0.1"')), ""),
+        (arm(after=TENDON.format("") + '<actuator><position tendon="t" kp="20" dampratio="0.7" gear="2" '
+             'forcerange="-3 2"/><general joint="ja" gainprm="5" biastype="affine" biasprm="0.1 -5 0.4"/></actuator>'),
+         ""),
+        (arm(after='<default><general gainprm="7" biastype="affine" biasprm="0.3 -2 -0.5"/></default><actuator>'
+             '<position joint="ja"/><position joint="jb" kp="3" kv="0.2"/><velocity joint="jc"/><motor joint="ja"/>'
+             '</actuator>'), ""),
+        (arm(b=' actuatorfrcrange="-0.5 0.5"',
+             after='<actuator><motor joint="jb" gear="3"/><velocity joint="jb" kv="2"/></actuator>'), ""),
+        (arm(b=' range="-0.3 1.1"', after='<actuator><position joint="jb" inheritrange="0.9"/></actuator>'), ""),
+        (arm(after=TENDON.format("") + '<equality><tendon tendon1="t" polycoef="0.1"/></equality>'), "coupled"),
+        (arm(after='<equality><weld body1="a" body2="c" torquescale="0" anchor="0.1 0 0"/></equality>'), "connect"),
+    ],
+)  # fmt: skip
+def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
+    path = other = tmp_path / "arm.xml"
+    path.write_text(text)
+    if twin:
+        other = tmp_path / "twin.xml"
+        coupled = '<joint joint1="jb" joint2="jc" polycoef="0.05 1.5"/>'
+        connect = '<connect body1="c" body2="a" anchor="0.1 0 0"/>'
+        other.write_text(arm(after=f"<equality>{coupled if twin == 'coupled' else connect}</equality>"))
+    for seed in range(3):
+        found, reference, opens = by_mujoco(other, *moving(path, seed))
+        assert opens < 1e-11
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+def test_limits_are_stops_of_a_stiffness_that_suits(tmp_path: Path):
+    """An arm falls on its limit and comes to rest there, some hundredths beyond at most whatever its mass."""
+    for density in (10, 1000, 100000):
+        text = arm(b=' range="-0.6 0.9"', after="<keyframe/>").replace("size=", f'density="{density}" size=')
+        path = tmp_path / "arm.xml"
+        path.write_text(text)
+        run = alfmu.simulate(alfmu.imported(path).mechanism, 1.0, 0.01)
+        outside = np.maximum(run["jb.angle"] - 0.9, -0.6 - run["jb.angle"]).max()
+        assert 1e-3 < outside < 0.1
+        free = alfmu.simulate(alfmu.imported(path, limits="ignore").mechanism, 1.0, 0.01)
+        assert np.maximum(free["jb.angle"] - 0.9, -0.6 - free["jb.angle"]).max() > 0.3
+
+
+def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(b=' range="0.6 0.9"'))
+    found = alfmu.imported(path)
+    assert found.warnings == ("limits beyond which the start is (line 3, jb)",)
+    assert not found.mechanism.end_stops
+
+
+def test_friction_and_lags_of_files(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(b=' frictionloss="50"', after='<actuator><position name="u" joint="ja" kp="9" timeconst="0.2"/>'
+                                                      "</actuator>"))  # fmt: skip
+    run = alfmu.simulate(alfmu.imported(path).mechanism, 0.4, 0.1, inputs={"u": 1.0})
+    np.testing.assert_array_equal(run["jb.angle"], 0.4)  # friction holds it
+    np.testing.assert_allclose(run["u_state"], 1 - np.exp(-run.time / 0.2), atol=1e-8)
+
+
+def test_tendons_and_motors_of_ball_joints_are_left_out(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    ball = arm(after=TENDON.format(' stiffness="2"') + '<actuator><motor joint="jb"/><motor tendon="t"/></actuator>')
+    path.write_text(ball.replace('name="jb" axis="0 1 0" ref="0.4"', 'name="jb" type="ball"'))
+    with pytest.raises(alfmu.InputError, match="leave=tendons leaves it out") as told:
+        alfmu.imported(path)
+    assert "leave=actuators leaves it out" in str(told.value)
+    found = alfmu.imported(path, leave="actuators,tendons")
+    assert len(found.mechanism.coordinates) == 6
+    assert not found.mechanism.inputs
+
+
+def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    screw = "<joint name='l' type='screw'><parent>world</parent><child>l</child><axis><xyz>0 0 1</xyz></axis>{}</joint>"
+    texts = []
+    for pitch in (
+        "<screw_thread_pitch>0.002</screw_thread_pitch>",
+        f"<thread_pitch>{-2 * np.pi / 0.002}</thread_pitch>",
+    ):
+        path.write_text(sdf(LINK.format("l", "") + screw.format(pitch)))
+        found = alfmu.imported(path)
+        texts.append(found.source())
+    assert texts[0] == texts[1]
+    assert "lead=0.002" in texts[0]
+    assert "joints with the name of a link have _joint added (line 1, l_joint)" in found.notes
+    path.write_text(sdf(LINK.format("l", "") + screw.format("")))
+    assert "lead=1" in alfmu.imported(path).source()  # as libsdformat has it
+
+
+LINK = "<link name='{}'>{}<inertial><mass>2</mass></inertial></link>"
+HINGE = "<joint name='{0}' type='revolute'><parent>{1}</parent><child>{2}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+INNER = (
+    "<model name='inner'><pose>0.1 0 0.2 0 0.3 0</pose>" + LINK.format("l", "<pose>0 0 -0.1 0 0 0</pose>")
+    + LINK.format("k", "<pose relative_to='l'>0 0 -0.3 0 0 0</pose>") + HINGE.format("j", "l", "k") + "</model>"
+)  # fmt: skip
+
+
+def sdf(inside: str) -> str:
+    return f"<sdf version='1.9'><model name='m'>{inside}</model></sdf>"
+
+
+def test_models_in_models_and_included_ones_are_one(tmp_path: Path):
+    outer = LINK.format("base", "") + HINGE.format("h", "world", "base") + HINGE.format("i", "base", "inner::l")
+    path = tmp_path / "m.sdf"
+    path.write_text(sdf(outer + INNER))
+    nested = alfmu.imported(path)
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "model.sdf").write_text(f"<sdf version='1.9'>{INNER.replace('inner', 'part')}</sdf>")
+    path.write_text(sdf(outer + "<include><uri>model://part</uri><name>inner</name></include>"))
+    assert alfmu.imported(path).source() == nested.source()
+    flat = (
+        INNER.replace("<model name='inner'><pose>0.1 0 0.2 0 0.3 0</pose>", "")
+        .replace("</model>", "")
+        .replace("<pose>0 0 -0.1 0 0 0</pose>", "<pose relative_to='f'>0 0 -0.1 0 0 0</pose>")
+    )
+    path.write_text(
+        sdf(outer.replace("inner::l", "l") + "<frame name='f'><pose>0.1 0 0.2 0 0.3 0</pose></frame>" + flat)
+    )
+    runs = [
+        alfmu.simulate(found.mechanism, 0.3, 0.1, parameters={"start.h_angle": 0.5})
+        for found in (nested, alfmu.imported(path))
+    ]
+    assert np.ptp(runs[0]["h.angle"]) > 0.01
+    np.testing.assert_allclose(runs[0]["inner_j.angle"], runs[1]["j.angle"], atol=1e-9)
+
+
+def test_two_revolute_joints_in_series_are_a_universal_one(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    axes = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 1</xyz></axis2></joint>"
+    joint = "<joint name='j' type='{}'><parent>world</parent><child>k</child>" + axes
+    texts = []
+    for kind in ("universal", "revolute2"):
+        path.write_text(sdf(LINK.format("k", "") + joint.format(kind)))
+        texts.append(alfmu.imported(path).source())
+    assert texts[0] == texts[1]
+    path.write_text(sdf(LINK.format("k", "") + joint.format("revolute2").replace("1 0 0", "1 1 0")))
+    with pytest.raises(alfmu.InputError, match="its two axes are not square to each other"):
+        alfmu.imported(path)
+
+
+def test_models_of_a_world_move_together(tmp_path: Path):
+    model = "<model name='{}'><pose>{} 0 0 0 0 0</pose>" + LINK.format("l", "") + "{}</model>"
+    world = "<sdf version='1.9'><world name='w'>{}</world></sdf>".format(
+        model.format("a", 1, HINGE.format("j", "world", "l")) + model.format("b", 2, "")
+        + model.format("floor", 0, "<static>1</static>")
+    )  # fmt: skip
+    path = tmp_path / "w.sdf"
+    path.write_text(world)
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates][:3] == ["a_j_angle", "b_l_x", "b_l_y"]
+    assert "other models (line 1, floor)" in found.left_out
+    assert len(alfmu.imported(path, model="a").mechanism.coordinates) == 1
+    path.write_text(world.replace("name='b'", "name='a'"))
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates][:3] == ["a_j_angle", "a_2_l_x", "a_2_l_y"]
+    assert "models with a name that another has, or none, have a number added (line 1, a_2)" in found.notes
+
+
+def test_shapes_give_inertia_in_sdf(tmp_path: Path):
+    shape = (
+        "<collision name='c'><density>800</density><geometry><box><size>0.2 0.4 0.6</size></box></geometry></collision>"
+    )
+    path = tmp_path / "m.sdf"
+    path.write_text(sdf(f"<link name='l'><inertial auto='true'/>{shape}</link>" + HINGE.format("h", "world", "l")))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    mass = 800 * 0.2 * 0.4 * 0.6
+    assert body.mass == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.52, 0.4, 0.2]), rtol=1e-13)
+
+
+BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"
+URDF = "<robot name='r'><link name='base'/>{}{}</robot>"
+
+
+def chain(ends: str) -> str:
+    """Three bars of 0.2 m in a row, the last of which comes back to the ground; `ends` are links at both ends."""
+    links = "".join(f"<link name='l{i}'>{BAR}</link>" for i in range(3))
+    joints = "".join(
+        f"<joint name='j{i}' type='revolute'><parent link='{'base' if i == 0 else f'l{i - 1}'}'/><child link='l{i}'/>"
+        f"<origin xyz='{0.0 if i == 0 else 0.2} 0 0' rpy='0 {turn} 0'/><axis xyz='0 1 0'/>"
+        "<limit effort='1' velocity='0'/><joint_properties friction='0.0' damping='0.1'/></joint>"
+        for i, turn in enumerate((-1.3, 1.2, 1.5))
+    )
+    return URDF.format(links + joints, ends)
+
+
+@pytest.mark.parametrize(("kind", "other"), [("3D", "spherical"), ("6d", "fixed")])
+def test_loops_stand_in_a_file_beside_a_urdf(kind: str, other: str, tmp_path: Path):
+    ends = "".join(
+        f"<link name='{name}'/><joint name='f{name}' type='fixed'><parent link='{on}'/><child link='{name}'/>"
+        f"<origin xyz='{at}'/></joint>"
+        for name, on, at in (("A", "l2", "0.2 0 0"), ("B", "base", "0.2 0 0.01"))
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(chain(ends))
+    assert len(alfmu.imported(path).mechanism.coordinates) == len(alfmu.imported(path).mechanism.starts) == 3
+    (tmp_path / "r.yaml").write_text(
+        f"# loops\nclosed_loop:\n  [\n    ['A', \"B\"],  # one\n  ]\ntype: ['{kind}']\nname_mot: [j0]\nother: {{}}\n"
+    )
+    found = alfmu.imported(path)
+    assert [x.name for x in found.mechanism.inputs] == ["j0_drive"]
+    assert found.notes[0].startswith("loops, motors and freedoms of joints are those of r.yaml")
+    (tmp_path / "s.urdf").write_text(chain(ends + f"<loop_joint name='A_closed' type='{other}'><link1 link='A'/>"
+                                                        "<link2 link='B'/></loop_joint>"))  # fmt: skip
+    own = alfmu.imported(tmp_path / "s.urdf", drives="j0")
+    texts = [x.source("f").partition("def f")[2].replace("r.urdf", "s.urdf") for x in (found, own)]
+    assert texts[0].replace("# robot", "# loop_joint") == texts[1]
+    again = alfmu.imported(tmp_path / "s.urdf", loops="r.yaml")
+    assert len(again.mechanism.closures) == 2 * len(own.mechanism.closures)
+
+
+def test_a_file_of_loops_changes_freedoms(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    path.write_text(chain(""))
+    (tmp_path / "r.yaml").write_text(
+        "closed_loop: []\ntype: []\njoint_name: [j0, j1, j2]\njoint_type:\n  - SPHERICAL\n  - UJOINT_ZY\n  - FIXED\n"
+    )
+    assert [c.name for c in alfmu.imported(path).mechanism.coordinates] == [
+        "j0_e0", "j0_e1", "j0_e2", "j0_e3", "j1_Z_angle", "j1_Y_angle"
+    ]  # fmt: skip
+    for text, said in (
+        ("closed_loop: [[a, b]]\ntype: [4d]", "give 3d or 6d"),
+        ("closed_loop: [[a]]\ntype: [3d]", "no pair of links"),
+        ("closed_loop: [[a, b]\ntype: [3d]", "for a name or a list"),
+        ("closed_loop: [[a, b]]]\ntype: [3d]", "brackets that do not match"),
+        ("closed_loop: [[a, b]]\ntype: [3d]", "there is no link or joint 'a'"),
+    ):
+        (tmp_path / "r.yaml").write_text(text)
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    wrong = '<actuator><muscle name="{0}" joint="ja"/><muscle name="{0}2" joint="jb"/></actuator>'
+    path.write_text(arm(a=' pos="0 0"', b=' springdamper="1 0"', after=wrong.format("m")).replace('pos="0 0"', ""))
+    with pytest.raises(alfmu.InputError) as error:
+        alfmu.imported(path)
+    lines = str(error.value).split("\n")
+    assert lines[0].endswith("arm.xml is refused for 2 reasons:")
+    assert "actuator of kind <muscle>" in lines[1]
+    assert lines[1].endswith("--option leave=actuators leaves it out (and 1 more like it)")
+    assert "springdamper" in lines[2]
+    path.write_text(arm(after=wrong.format("m")))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert len(alfmu.load(str(path), leave="actuators").coordinates) == 3
+    assert "actuators, which the user leaves out" in str(told[0].message)
+    with pytest.raises(alfmu.InputError, match="option leave is 'tyres'; alfmu can leave out actuators"):
+        alfmu.imported(path, leave="tyres")
+
+
+def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
+    (tmp_path / "inner").mkdir()
+    path = tmp_path / "inner" / "m.sdf"
+    path.write_text(sdf(LINK.format("l", "") + "<include><uri>m.sdf</uri></include>"))
+    with pytest.raises(alfmu.InputError, match="include each other in a circle"):
+        alfmu.imported(path)
+    for uri, said in (
+        ("https://a.b/c", "on the net"),
+        ("../n.sdf", "is outside the folder"),
+        ("o.sdf", "no file 'o.sdf'"),
+    ):
+        path.write_text(sdf(LINK.format("l", "") + f"<include><uri>{uri}</uri></include>"))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+    (tmp_path / "n.sdf").write_text(f"<sdf version='1.9'>{INNER}</sdf>")
+    path.write_text(sdf(LINK.format("l", "") + "<include><uri>../n.sdf</uri></include>"))
+    assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
+
+
+def test_what_exporters_write_is_read_over(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    extras = (
+        "<contact><friction/></contact>",
+        " xmlns:xsi='http://www.w3.org/x' xsi:noNamespaceSchemaLocation='robot.xsd'",
+    )
+    path.write_text(
+        f"<!-- by an exporter --with-- options -->\n<robot name='r'{extras[1]}><link name='l0'>{BAR}{extras[0]}</link>"
+        "<joint name='j' type='revolute'><parent link='world'/><child link='l0'/><axis xyz='0 1 0' rpy='0 0 0'/>"
+        "<limit lower='-INF' upper='inf'/></joint></robot>"
+    )
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+    assert not found.mechanism.end_stops
+    path.write_text(path.read_text().replace("</robot>", "<axis/></robot>"))
+    with pytest.raises(alfmu.InputError, match=r"line 2: robot\[r\]/axis: <axis> does not map"):
+        alfmu.imported(path)
+
+
+def test_the_command_names_what_does_nothing_on_request(tmp_path: Path, capsys: pytest.CaptureFixture):
+    path, other = tmp_path / "r.urdf", tmp_path / "loops.yaml"
+    path.write_text(chain("<material name='blue'/>"))
+    other.write_text("closed_loop: [[l2, base]]\ntype: [3d]\n")
+    begin = ["import", str(path), "-o", str(tmp_path / "r.py")]
+    assert main([*begin, "--loops", str(other), "--limits", "ignore"]) == 0
+    said = capsys.readouterr().out
+    assert "freedoms of joints are those of loops.yaml" in said
+    assert "left out: " not in said
+    assert main([*begin, "--all"]) == 0
+    assert "left out: materials (line 1, blue)" in capsys.readouterr().out
+
+
+SIDES = [(0, 3, 2), (0, 1, 3), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 7, 6), (2, 3, 7), (0, 6, 4), (0, 2, 6),
+         (1, 7, 3), (1, 5, 7)]  # fmt: skip
+"""Triangles of a box, with their outer sides out."""
+
+CORNERS = np.array([(x, y, z) for x in (0.1, 0.3) for y in (-0.2, 0.2) for z in (0.0, 0.6)])
+
+
+def box_as(kind: str, folder: Path) -> str:
+    """Write a box of 0.2 x 0.4 x 0.6 m as a mesh; return the attributes that refer to it."""
+    if kind == "points":
+        return f'vertex="{" ".join(map(str, CORNERS.ravel()))}"'
+    if kind == "obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in CORNERS * 1000] + [
+            f"f {a + 1}/1/1 {b + 1} {c - 8}" for a, b, c in SIDES
+        ]
+        (folder / "box.obj").write_text("\n".join(lines))
+    elif kind == "text.stl":
+        facets = ("outer loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[list(side)] * 1000)
+                  for side in SIDES)  # fmt: skip
+        (folder / "box.stl").write_text("solid\n" + "".join(facets))
+    else:
+        records = b"".join(
+            bytes(12) + (CORNERS[list(side)] * 1000).astype("<f4").tobytes() + bytes(2) for side in SIDES
+        )
+        (folder / "box.stl").write_bytes(bytes(80) + len(SIDES).to_bytes(4, "little") + records)
+    return f'file="box.{kind[-3:]}" scale="0.001 0.001 0.001"'
+
+
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+@pytest.mark.parametrize("kind", ["points", "obj", "text.stl", "stl"])
+def test_meshes_give_inertia(kind: str, how: str, tmp_path: Path):
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f'<mujoco><asset><mesh name="box" inertia="{how}" {box_as(kind, tmp_path)}/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="box" density="800" pos="1 0 0" euler="0 0 90"/></body></worldbody></mujoco>'
+    )
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    mass = 800 * 0.2 * 0.4 * 0.6
+    assert body.mass == pytest.approx(mass, rel=1e-6)  # STL has seven digits
+    np.testing.assert_allclose(body.center, (1.0, 0.2, 0.3), atol=1e-7)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.52, 0.2]), rtol=1e-6)
+    for old, new, said in (
+        ("box.stl", "box.stp", "no file 'box.stp'"),
+        ("box.stl", "m.xml", "is no STL or OBJ file"),
+        ("box.stl", "../box.stl", "outside the folder"),
+    ):
+        if kind == "stl":
+            (tmp_path / "wrong.xml").write_text(path.read_text().replace(old, new))
+            with pytest.raises(alfmu.InputError, match=f"its mesh gives no inertia .*{said}"):
+                alfmu.imported(tmp_path / "wrong.xml")
+    if kind == "stl":
+        for content, said in (
+            (b"solid\nvertex 1 2", "no STL file that alfmu"),
+            (b"\xff" * 90, "no STL file"),
+            (b"", "no tri"),
+        ):
+            (tmp_path / "box.stl").write_bytes(content)
+            with pytest.raises(alfmu.InputError, match=said):
+                alfmu.imported(path)
+
+
+@MUJOCO
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_path: Path):
+    import mujoco
+
+    outline = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (0, 2)]) * 0.1
+    corners = np.array([(x, y, z) for z in (0.0, 0.1) for x, y in outline])
+    ends = [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4)]
+    sides = [face for i in range(6) for j in [(i + 1) % 6] for face in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
+    faces = [*ends, *((6 + a, 6 + c, 6 + b) for a, b, c in ends), *sides]
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f'<mujoco><asset><mesh name="l" inertia="{how}" refpos="0.1 0 0" scale="1 2 1" vertex="'
+        + " ".join(map(str, corners.ravel())) + '" face="' + " ".join(map(str, np.ravel(faces)))
+        + '"/></asset><worldbody><body name="b"><joint/><geom type="mesh" mesh="l" quat="1 0 0.3 0"/></body>'
+        "</worldbody></mujoco>"
+    )  # fmt: skip
+    model = mujoco.MjModel.from_xml_path(str(path))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[1])
+    turn = turn.reshape(3, 3)
+    assert body.mass == pytest.approx(model.body_mass[1], rel=1e-6)
+    np.testing.assert_allclose(body.center, model.body_ipos[1], atol=1e-7)
+    np.testing.assert_allclose(body.inertia, np.diag(turn @ np.diag(model.body_inertia[1]) @ turn.T), rtol=1e-6)
