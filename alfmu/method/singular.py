@@ -101,7 +101,7 @@ LONG_SPACING = 0.1
 """distance between positions over the step of integrators other than RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-READ_LOSS = 30.0
+READ_LOSS = 20.0
 """error of reactions at a regular position over round-off of the loads [1]: it was 0.1 to 25 in runs of slider-cranks,
 four-bars and five-bars."""
 
@@ -116,6 +116,10 @@ penalties of 100 masses, as directions of constraints may nearly be parallel the
 NEAR_LOSS = 0.05
 """error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]: in
 runs of four-bars and five-bars it was 0.00025 to 0.05."""
+
+MOVED_LOSS = 0.15
+"""error of reactions near a singular position over the relative error of positions and velocities and the third power
+of the distance [1]: it was 0.001 to 0.3 in runs of five-bars."""
 
 LIMIT_LOSS = 3.0
 """error of a limit over round-off of its nearest positions [1]: in runs of four-bars and five-bars it was 0.05 to 5."""
@@ -191,7 +195,7 @@ def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Seque
     loads = (F * F + carried * carried) ** 0.5
     moved = off[0] * loads + off[1] * of_speed
     regular = READ_LOSS * eps * loads + NEAR_LOSS * direct_error(margin, eps * loads)
-    off_constraints = moved * (OFF_LOSS + 1 / margin**1.5) + off[2] * inertia * (BENT_LOSS + 1 / margin)
+    off_constraints = moved * (OFF_LOSS + MOVED_LOSS / margin**1.5) + off[2] * inertia * (BENT_LOSS + 1 / margin)
     return regular + off_constraints + imbalance / margin**0.5
 
 
