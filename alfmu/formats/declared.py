@@ -144,7 +144,7 @@ class _Declaring:
         for link in linkage.links:
             self._link(link)
         for closure in linkage.closures:
-            with self._of(closure.node):
+            with self._of(closure.joint.node):
                 self._closure(closure)
         for coupling in linkage.couplings:
             with self._of(coupling.node):
@@ -396,7 +396,7 @@ class _Declaring:
                 restitution=_RESTITUTION, creep=_CREEP, unit=unit,
             )  # fmt: skip
 
-    def _spring(self, joint: Joint | Closure, made: Named) -> None:
+    def _spring(self, joint: Joint, made: Named) -> None:
         freedoms = _FREEDOMS.get(joint.kind, ("",))
         for which, k, d, rest in zip(freedoms, joint.stiffness, joint.damping, joint.rest, strict=False):
             every = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
@@ -410,20 +410,20 @@ class _Declaring:
 
     def _closure(self, closure: Closure) -> None:
         (first, frame1), (second, frame2) = closure.first, closure.second
-        axes = closure.axes
+        joint, axes = closure.joint, closure.joint.axes
         if second is None:
             # Free motions of this body relative to the other have the same values, about opposite axes.
             (first, frame1), (second, frame2) = (second, frame2), (first, frame1)
             axes = tuple(-axis for axis in reversed(axes))
         if first is second:
-            closure.node.fail("it joins a body to itself; name two bodies")
-        self.script.remark(f"{closure.node.tag} that closes a loop")
+            joint.node.fail("it joins a body to itself; name two bodies")
+        self.script.remark(f"{joint.node.tag} that closes a loop")
         zero1, zero2 = self._zero(first) @ frame1, self._zero(second) @ frame2
-        name = self._name(closure.name, "joint", ["_frame"])
+        name = self._name(joint.name, "joint", ["_frame"])
         markers = [self.bodies[b].at(self._point(b, zero.place)) for b, zero in ((first, zero1), (second, zero2))]
         apart = cleaned(zero1.turn @ zero2.turn.T)
         differ = float(np.abs(apart - np.eye(3)).max()) > _PARALLEL
-        if differ and closure.kind in ("weld", "prismatic", "universal", "screw"):
+        if differ and joint.kind in ("weld", "prismatic", "universal", "screw"):
             markers[0] = self._turned(f"{name}_frame", markers[0], quaternion(zero1.turn @ zero2.turn.T))
             zero1, differ = zero2, False
         given: dict[str, Any] = {}
@@ -432,19 +432,19 @@ class _Declaring:
                 cleaned(zero.turn @ (x / np.linalg.norm(x))) for zero, x in ((zero1, axes[0]), (zero2, axes[-1]))
             )
             given["axis"] = tuple(one.tolist())
-            if closure.kind == "universal" or differ:
+            if joint.kind == "universal" or differ:
                 given["second_axis"] = tuple(two.tolist())
-        if any(closure.stiffness) and differ and closure.kind == "revolute":
-            closure.node.fail(
+        if any(joint.stiffness) and differ and joint.kind == "revolute":
+            joint.node.fail(
                 "its spring is measured from where its two frames coincide, which they do not at zero; give both "
                 "frames the same directions there"
             )
-        if closure.kind == "screw":
-            given["lead"] = closure.lead
-        springs = any(map(any, (closure.damping, closure.stiffness, closure.friction)))
-        method = _METHODS.get(closure.kind, closure.kind)
+        if joint.kind == "screw":
+            given["lead"] = joint.lead
+        springs = any(map(any, (joint.damping, joint.stiffness, joint.friction)))
+        method = _METHODS.get(joint.kind, joint.kind)
         made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
-        self._spring(closure, made)
+        self._spring(joint, made)
 
     def _turned(self, name: str, marker: Named, e: Array) -> Named:
         """Return a massless frame at a point of a body, with a constant rotation."""

@@ -125,8 +125,8 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if unknown := [each for each in leaves if each not in LEAVES]:
         raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
     limits, drives = given.pop("limits"), given.pop("drives")
-    readers: dict[str, Callable[..., Linkage]] = {"mujoco": mjcf.read, "sdf": sdf.read, "robot": urdf.read}
-    linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders)
+    readers: dict[str, Callable[..., Any]] = {"mujoco": mjcf.File, "sdf": sdf.File, "robot": urdf.File}
+    linkage: Linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders).linkage
     linkage.stops = limits == "stop"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
@@ -139,7 +139,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
     script, renamed, remarks, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
-    warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
+    warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items() if nodes)
     notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *remarks)
     script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
     doc = "\n".join(

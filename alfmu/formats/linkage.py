@@ -7,7 +7,7 @@ frame, about points and axes of that frame: a link with several joints is a chai
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -39,7 +39,8 @@ Values = Mapping["Joint", Sequence[float]]
 class Joint:
     """A joint with coordinates.
 
-    `kind` is the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), or free for a floating link.
+    `kind` is the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), free for a floating link,
+    or weld for one without a motion.
     """
 
     name: str
@@ -121,20 +122,12 @@ def place(link: Link | None, values: Values, known: dict[Link, Pose]) -> Pose:
 class Closure:
     """A joint that closes a loop, between frames of two links; None is the ground.
 
-    `axes` are in the first frame, that of the second link in the second frame.
+    Its axes are in the first frame, that of the second link in the second frame.
     """
 
-    name: str
-    kind: str
-    node: Node
+    joint: Joint
     first: tuple[Link | None, Pose]
     second: tuple[Link | None, Pose]
-    axes: tuple[Array, ...] = ()
-    damping: tuple[float, ...] = (0.0,)
-    stiffness: tuple[float, ...] = (0.0,)
-    rest: tuple[float, ...] = (0.0,)
-    friction: tuple[float, ...] = (0.0,)
-    lead: float = 0.0
 
 
 Sum = tuple[tuple["Joint", float], ...]
@@ -234,6 +227,19 @@ class Linkage:
     def warn(self, what: str, *nodes: Node) -> None:
         """Record ignored elements that may affect the motion."""
         self.warned.setdefault(what, []).extend(nodes)
+
+    def pass_over(self, node: Node, left: Mapping[str, str], *harmless: str) -> None:
+        """Record children that have no effect, and plugins; those that nobody reads besides are refused in the end."""
+        for child in node.all(*left):
+            self.leave(left[child.tag], child)
+        self.warn("plugins, which are programs", *node.all("plugin"))
+        node.all(*harmless)
+
+    def every(self, nodes: Iterable[Node], read: Callable[[Node], object]) -> None:
+        """Read elements, each of which may be refused."""
+        for node in nodes:
+            with self.trying(node):
+                read(node)
 
     @contextmanager
     def trying(self, node: Node | None = None) -> Iterator[None]:

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
-from typing import Never
+from typing import Never, TypeVar
 from xml.parsers import expat
 
 from ..model.errors import InputError
 from ..model.words import shown, there_is
 
-__all__ = ["Node", "Reading", "parsed"]
+__all__ = ["Includes", "Node", "Reading", "parsed"]
 
 LARGEST = 20_000_000
 """Largest size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
@@ -35,6 +35,11 @@ _NAMESPACES = ("xmlns", "xsi:", "xml:")
 
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
+
+_INCLUDED, _FILES = 8, 100
+"""Largest depth of nested includes, and largest number of included files."""
+
+T = TypeVar("T")
 
 _FLAGS = {"true": True, "1": True, "false": False, "0": False}
 
@@ -130,6 +135,15 @@ class Node:
         if len(found) > 1:
             found[1].fail(f"<{tag}> stands here a second time; give one")
         return found[0] if found else None
+
+    def need(self, tag: str) -> Node:
+        """Return the only child with a tag; raise InputError if there is none."""
+        return self.one(tag) or self.fail(f"it has no <{tag}>; give one")
+
+    def add(self, tag: str, given: Mapping[str, str] | None = None, text: str = "") -> Node:
+        """Add a child, as if it stood in the file."""
+        self.children.append(Node(tag, given or {}, self.file, self.line, self, text=text, taken=True))
+        return self.children[-1]
 
     def below(self) -> Iterator[Node]:
         """Yield it and all elements in it."""
@@ -293,6 +307,43 @@ def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[P
     return found
 
 
+class Includes:
+    """Replaces <include> elements by those of other files; for each such element, `elements` returns these."""
+
+    def __init__(self, node: Node, elements: Callable[[Includes, Node], Sequence[Node]]):
+        self.elements = elements
+        self._within: list[Path] = [node.file.resolve()]
+        self._count = 0
+        self.replace(node)
+
+    def replace(self, node: Node) -> None:
+        """Replace those in an element."""
+        children: list[Node] = []
+        for child in node.children:
+            if child.tag == "include":
+                child.taken = True
+                children += self.elements(self, child)
+            else:
+                children.append(child)
+                if child.tag != "plugin":
+                    self.replace(child)
+        node.children = children
+
+    def root(self, node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Node:
+        """Return the root of the file that an element names, itself with what it includes."""
+        path = found_file(node, name, where, allowed)
+        self._count += 1
+        if path in self._within or len(self._within) > _INCLUDED or self._count > _FILES:
+            node.fail(
+                f"files include each other in a circle, more than {_INCLUDED} deep, or there are more than {_FILES}"
+            )
+        root = parsed(path)
+        self._within.append(path)
+        self.replace(root)
+        self._within.pop()
+        return root
+
+
 class _Tree:
     """Builds a tree from events of expat."""
 
@@ -346,7 +397,8 @@ class _Tree:
             self.open[-1].text += text
 
 
-def known(node: Node, name: str, there: Mapping[str, object], what: str) -> None:
-    """Reject a name without a definition."""
+def known(node: Node, name: str, there: Mapping[str, T], what: str) -> T:
+    """Return what a name stands for; reject one without a definition."""
     if name not in there:
         raise UnknownName(f"{node.where}: there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")
+    return there[name]

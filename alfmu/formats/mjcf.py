@@ -17,12 +17,12 @@ from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
-from .markup import Node, Reading, found_file, known, parsed
+from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
-__all__ = ["read"]
+__all__ = ["File"]
 
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
 """Sections without effect on the motion."""
@@ -66,11 +66,6 @@ _FLAGS = {
     "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
     "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
 }  # fmt: skip
-_DEEPEST = 8
-"""Largest depth of nested includes."""
-
-_FILES = 100
-"""Largest number of included files."""
 
 
 @dataclass
@@ -105,17 +100,16 @@ def _is_scalar(joint: Joint) -> bool:
     return joint.kind in ("revolute", "prismatic")
 
 
-def read(
-    root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (), folders: Sequence[Path] = ()
-) -> Linkage:
-    """Return the linkage of an MJCF file; see `imported` for the options."""
-    return _File(root, key, contacts, leaves, folders).linkage
+class File:
+    """Reads an MJCF file into `linkage`; see `imported` for the options."""
 
-
-class _File:
-    def __init__(self, root: Node, key: str, contacts: str, leaves: Sequence[str], folders: Sequence[Path]):
+    def __init__(
+        self, root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (),
+        folders: Sequence[Path] = (),
+    ):  # fmt: skip
         self.root = root
-        _include(root, [root.file.resolve().parent, *folders], 0, [])
+        self.folders = [root.file.resolve().parent, *folders]
+        Includes(root, self._included)
         model = Reading(root)
         self.linkage = Linkage(model.text("model", ""), "MJCF", root, leaves=leaves)
         trying = self.linkage.trying
@@ -132,7 +126,6 @@ class _File:
             with trying(node):
                 self._default(node, None)
         self.tendons: dict[str, Sum | None] = {}
-        self.folders = folders
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
             for section in root.all("asset")
@@ -174,6 +167,14 @@ class _File:
             self.linkage.leave("contacts", *root.all("contact"))
         with trying():
             self._start(key)
+
+    def _included(self, includes: Includes, node: Node) -> list[Node]:
+        """Return the elements of the file that an <include> names."""
+        where = [self.folders[0], node.file.resolve().parent, *self.folders[1:]]
+        root = includes.root(node, Reading(node).text("file"), where, self.folders)
+        for each in root.each():
+            each.parent = node.parent
+        return root.children
 
     def _section(self, section: Node) -> None:
         tag = section.tag
@@ -550,10 +551,9 @@ class _File:
             node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
         try:
             if given.has("file"):
-                folder = self.root.file.resolve().parent
                 path = Path(given.text("file"))
                 path = Path(self.settings.meshes) / (path.name if self.settings.strips else path)
-                corners = triangles(found_file(node, str(path), [folder, *self.folders], [folder, *self.folders]))
+                corners = triangles(found_file(node, str(path), self.folders, self.folders))
             else:
                 points = vector(given.numbers("vertex", range(12, 100_001))).reshape(-1, 3)
                 faces = np.array(given.numbers("face", range(3, 100_001), ()), dtype=int).reshape(-1, 3)
@@ -689,37 +689,27 @@ class _File:
     def _equality(self, given: Reading, name: str) -> Closure:
         node = given.node
         turns = node.tag == "connect" or given.positive("torquescale", 1.0) == 0
-        kind = "spherical" if turns else "weld"
+        joint = Joint(name, "spherical" if turns else "weld", node)
         if given.has("site1"):
-            places = []
-            for which in ("site1", "site2"):
-                site = given.text(which)
-                known(node, site, self.sites, "site")
-                places.append(self.sites[site])
-            return Closure(name, kind, node, places[0], places[1])
+            one, two = (known(node, given.text(which), self.sites, "site") for which in ("site1", "site2"))
+            return Closure(joint, one, two)
         first, second = self._link(given, "body1"), self._link(given, "body2", "world")
         apart = self._at_reference(first).inverse @ self._at_reference(second)
         if node.tag == "connect":
             anchor = vector(given.numbers("anchor", 3))
-            return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
-        # The anchor is given in the frame of the second body.
+            return Closure(joint, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
+        # The anchor is given in the frame of the second body; MuJoCo fixes it at the position of relpose, if given.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
-        if any(posed[3:]):
-            # MuJoCo fixes the anchor at the position of relpose.
-            here = Pose(vector(posed[:3]), of_quaternion(posed[3:]))
-            return Closure(name, kind, node, (first, here), (second, Pose(anchor)))
-        return Closure(name, kind, node, (first, apart @ Pose(anchor)), (second, Pose(anchor)))
+        here = Pose(vector(posed[:3]), of_quaternion(posed[3:])) if any(posed[3:]) else apart @ Pose(anchor)
+        return Closure(joint, (first, here), (second, Pose(anchor)))
 
     def _at_reference(self, link: Link | None) -> Pose:
         return place(link, self.linkage.references, self.zero)
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
-        if name == "world":
-            return None
-        known(given.node, name, self.links, "body")
-        return self.links[name]
+        return None if name == "world" else known(given.node, name, self.links, "body")
 
     # Actuators --------------------------------------------------------------------------------------------------
 
@@ -890,28 +880,3 @@ def _holder(node: Node) -> Node:
         found = found.parent
     assert found is not None
     return found
-
-
-def _include(node: Node, folders: Sequence[Path], depth: int, read: list[Path]) -> None:
-    """Replace <include> elements by the elements of the included files."""
-    children = []
-    for child in node.children:
-        if child.tag != "include":
-            _include(child, folders, depth, read)
-            children.append(child)
-            continue
-        given = Reading(child)
-        name = given.text("file")
-        given.done()
-        if depth >= _DEEPEST:
-            child.fail(f"files include each other more than {_DEEPEST} deep")
-        path = found_file(child, name, [folders[0], child.file.resolve().parent, *folders[1:]], folders)
-        read.append(path)
-        if len(read) > _FILES:
-            child.fail(f"more than {_FILES} files are included")
-        root = parsed(path)
-        _include(root, folders, depth + 1, read)
-        for each in root.each():
-            each.parent = node
-        children += root.children
-    node.children = children
