@@ -112,24 +112,11 @@ class File:
         Includes(root, self._included)
         model = Reading(root)
         self.linkage = Linkage(model.text("model", ""), "MJCF", root, leaves=leaves)
-        trying = self.linkage.trying
         self.settings = _Settings()
-        for node in root.all("compiler"):
-            with trying(node):
-                self._compiler(node)
-        for node in root.all("option"):
-            with trying(node):
-                self._option(node)
-        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
-        for node in root.all("default"):
-            with trying(node):
-                self._default(node, None)
-        self.tendons: dict[str, Sum | None] = {}
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
-            for section in root.all("asset")
-            for x in section.all("mesh")
+            for x in self._parts("asset", "mesh")
         }
         self.inertias: dict[str, Inertial] = {}
         """Inertias of meshes that were read, of unit density."""
@@ -139,34 +126,39 @@ class File:
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
-        self.free: set[Link] = set()
-        for section in root.each():
-            with trying(section):
-                self._section(section)
+        self.masses: dict[Link, list[Inertial]] = {}
+        """What geoms give bodies."""
+        self.tendons: dict[str, Sum | None] = {}
+        self.zero: dict[Link, Pose] = {}
+        every = self.linkage.every
+        every(root.all("compiler"), self._compiler)
+        every(root.all("option"), self._option)
+        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
+        every(root.all("default"), self._default)
+        every(root.each(), self._section)
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
             joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
-        self.zero: dict[Link, Pose] = {}
-        for node in root.all("tendon"):
-            for each in node.each():
-                with trying(each):
-                    self._tendon(each)
-        for node in root.all("equality"):
-            self._equalities(node)
-        for node in root.all("actuator"):
-            for each in node.each():
-                with trying(each):
-                    self._actuator(each)
+        every(self._parts("tendon"), self._tendon)
+        if self.settings.off & {"equality", "constraint"}:
+            self.linkage.leave("equality constraints, which the options disable", *root.all("equality"))
+        else:
+            every(self._parts("equality"), self._closing)
+        every(self._parts("actuator"), self._actuator)
         if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
-            with trying():
+            with self.linkage.trying():
                 self._contacts()
         else:
             self.linkage.leave("contacts", *root.all("contact"))
-        with trying():
+        with self.linkage.trying():
             self._start(key)
+
+    def _parts(self, section: str, *tags: str) -> list[Node]:
+        """Return the elements in all sections of a name."""
+        return [x for each in self.root.all(section) for x in (each.all(*tags) if tags else each.each())]
 
     def _included(self, includes: Includes, node: Node) -> list[Node]:
         """Return the elements of the file that an <include> names."""
@@ -181,13 +173,12 @@ class File:
         if tag in _VISUAL:
             what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
             self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
-        elif tag in ("deformable", "extension"):
-            for child in section.each():
-                if tag == "deformable" and child.tag == "skin":
-                    self.linkage.leave("skins", child)
-                elif tag == "extension":
-                    self.linkage.warn("plugins, which are programs", child)
-                else:
+        elif tag == "extension":
+            self.linkage.warn("plugins, which are programs", *section.each())
+        elif tag == "deformable":
+            self.linkage.leave("skins", *section.all("skin"))
+            for child in section.children:
+                if not child.taken:
                     self.linkage.without("flexible", child, f"a <{child.tag}> does not map; alfmu takes rigid bodies")
         elif tag not in (
             "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe", "tendon",
@@ -206,9 +197,7 @@ class File:
         found.from_geoms = given.choice("inertiafromgeom", ("auto", "true", "false"), found.from_geoms)
         low, high = given.numbers("inertiagrouprange", 2, (0, 5))
         found.groups = range(int(low), int(high) + 1)
-        found.bounds = tuple(
-            given.positive(f"bound{each}", x) for each, x in zip(("mass", "inertia"), found.bounds, strict=True)
-        )  # type: ignore[assignment]
+        found.bounds = given.positive("boundmass", found.bounds[0]), given.positive("boundinertia", found.bounds[1])
         found.meshes = given.text("meshdir", given.text("assetdir", found.meshes))
         found.strips = given.flag("strippath", found.strips)
         found.balance = given.flag("balanceinertia", found.balance)
@@ -253,14 +242,12 @@ class File:
             if name not in _FLAGS:
                 given.fail(name, f"alfmu does not know the flag {name}; leave it out if it does nothing to the motion")
 
-    def _default(self, node: Node, parent: str | None) -> None:
+    def _default(self, node: Node, parent: str = "") -> None:
         given = Reading(node)
-        name = given.text("class", "main" if parent is None else None)
-        if parent is None and name != "main":
+        name = given.text("class", None if parent else "main")
+        if not parent and name != "main":
             given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
-        given.done()
-        known_before = self.defaults.get(name, {}) if parent is None else {}
-        self.defaults[name] = {tag: dict(x) for tag, x in (self.defaults[parent] if parent else known_before).items()}
+        self.defaults[name] = dict(self.defaults[parent or "main"])
         for child in node.each():
             if child.tag != "default":
                 child.attributes.taken.update(child.attributes)
@@ -271,96 +258,78 @@ class File:
     def _reading(self, node: Node, childclass: str | None, *tags: str) -> Reading:
         """Return the attributes of an element with the defaults of its class."""
         name = node.attributes.get("class") or childclass or "main"
-        known(node, name, self.defaults, "default class")
+        defaults = known(node, name, self.defaults, "default class")
         inherited: Inherited = {}
         for tag in tags or (node.tag,):
-            inherited |= self.defaults[name].get(tag, {})
+            inherited |= defaults.get(tag, {})
         inherited.pop("class", None)
         return Reading(node, _over(inherited, node))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
-    def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
-        """Read a body, or a frame in a body at a pose; return the masses of its geoms."""
-        parts: list[Inertial] = []
-        for child in node.each():
-            with self.linkage.trying(child):
-                parts += self._branch(child, link, pose, childclass) or []
-        return parts
+    def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
+        """Read what is in a body, or in a frame in a body at a pose."""
+        self.linkage.every(node.each(), lambda child: self._branch(child, link, pose, childclass))
 
-    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial] | None:
-        """Read a child of a body or a frame; return the masses of its geoms."""
+    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
+        """Read a child of a body or a frame."""
         if child.tag == "body":
             self._body(child, link, pose, childclass)
         elif child.tag == "frame":
             given = Reading(child)
-            inner = pose @ self._pose(given)
-            given.done(("name", "childclass"))
-            own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
-            return self._tree(child, link, inner, own)
+            own = given.text("childclass", "") or childclass
+            self._tree(child, link, pose @ self._pose(given), own)
         elif child.tag in ("joint", "freejoint"):
             if link is None:
                 child.fail("the world has no joints; put the joint into a body")
             self._joint(child, link, pose, childclass)
         elif child.tag == "geom":
-            return self._geom(child, link, pose, childclass)
+            self._geom(child, link, pose, childclass)
         elif child.tag == "site":
             given = self._reading(child, childclass)
-            if given.has("fromto"):
-                start, end = np.split(vector(given.numbers("fromto", 6)), 2)
-                at = Pose((start + end) / 2, self._along(child, start - end))
-            else:
-                at = self._pose(given)
+            at = self._between(given)[0] if given.has("fromto") else self._pose(given)
             if name := given.text("name", ""):
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
-        elif child.tag in _IN_BODIES:
-            self.linkage.leave(f"{child.tag}s", child)
         elif child.tag in ("flexcomp", "composite"):
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
+        elif child.tag in _IN_BODIES:
+            self.linkage.leave(f"{child.tag}s", child)
         elif child.tag == "plugin":
             self.linkage.warn("plugins, which are programs", child)
-        elif child.tag not in ("inertial",):
+        elif child.tag != "inertial":
             child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
-        return None
 
     def _body(self, node: Node, parent: Link | None, pose: Pose, childclass: str | None) -> None:
         given = Reading(node)
         name = given.text("name", f"body{len(self.links) + 1}")
-        childclass = given.text("childclass", childclass or "main")
-        own = self._pose(given)
-        if given.flag("mocap", False):
-            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
-        lifted = given.number("gravcomp", 0.0)
-        given.done(("user", "sleep"))
         if name in self.links:
             node.fail(f"there is a body {shown(name[:60])} already; names are used once")
-        nothing = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
-        link = Link(name, node, parent, pose @ own, nothing)
+        link = Link(name, node, parent, pose @ self._pose(given), Inertial())
+        childclass = given.text("childclass", childclass or "main")
+        if given.flag("mocap", False):
+            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
+        if lifted := given.number("gravcomp", 0.0):
+            self.linkage.lifted[link] = lifted
+        given.done(("user", "sleep"))
         self.links[name] = link
         self.linkage.links.append(link)
-        if lifted:
-            self.linkage.lifted[link] = lifted
-        parts = self._tree(node, link, Pose(), childclass)
-        inertial = node.one("inertial")
-        if inertial is not None:
+        self._tree(node, link, Pose(), childclass)
+        if (inertial := node.one("inertial")) is not None:
             link.inertial = self._inertial(Reading(inertial))
-        if parts:  # geoms define the inertia without an inertial, or if the compiler setting demands it
-            link.inertial = solids.together(parts)
+        if link in self.masses:  # geoms define the inertia without an inertial, or if the compiler setting demands it
+            link.inertial = solids.together(self.masses[link])
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
             node.fail("a free joint stands alone, in a body of the world")
 
     def _inertial(self, given: Reading) -> Inertial:
-        at = self._pose(given)
-        mass = given.positive("mass")
+        at, mass, products = self._pose(given), given.positive("mass"), [0.0, 0.0, 0.0]
+        moments = given.numbers("diaginertia", 3, (0.0, 0.0, 0.0))
         if given.has("fullinertia"):
-            xx, yy, zz, xy, xz, yz = given.numbers("fullinertia", 6)
-            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        else:
-            matrix = np.diag(given.numbers("diaginertia", 3, (0.0, 0.0, 0.0)))
-        given.done()
-        return Inertial(mass, at.place, at.turn @ matrix @ at.turn.T)
+            full = given.numbers("fullinertia", 6)
+            moments, products = full[:3], full[3:]
+        return Inertial.of(mass, at, moments, products)
 
     def _balanced(self) -> None:
         """Change masses and inertias as the compiler is told to."""
@@ -373,9 +342,8 @@ class File:
             moments = np.maximum(moments, least)
             if given.balance and moments[0] + moments[1] < moments[2]:
                 moments = np.full(3, moments.mean())
-            link.inertial = Inertial(
-                max(link.inertial.mass, mass), link.inertial.center, axes @ np.diag(moments) @ axes.T
-            )
+            at = Pose(link.inertial.center, axes)
+            link.inertial = Inertial.of(max(link.inertial.mass, mass), at, moments.tolist())
             whole += link.inertial.mass
         factor = given.total / whole if given.total and whole else 1.0
         for link in self.linkage.links:
@@ -408,12 +376,16 @@ class File:
         two = two / np.linalg.norm(two)
         return np.column_stack((one, two, np.cross(one, two)))
 
+    def _between(self, given: Reading) -> tuple[Pose, float]:
+        """Return the pose of the middle between the two ends of an element, with z along it, and half its length."""
+        start, end = np.split(vector(given.numbers("fromto", 6)), 2)
+        return Pose((start + end) / 2, self._along(given.node, start - end)), float(np.linalg.norm(end - start)) / 2
+
     def _along(self, node: Node, direction: Array) -> Array:
         """Return the smallest rotation of the z axis to a direction."""
-        size = float(np.linalg.norm(direction))
-        if not size > 0:
+        if not np.linalg.norm(direction) > 0:
             node.fail("its two ends are one point")
-        z = direction / size
+        z = direction / np.linalg.norm(direction)
         across = np.cross((0.0, 0.0, 1.0), z)
         sine = float(np.linalg.norm(across))
         if sine < 1e-15:
@@ -430,25 +402,19 @@ class File:
         name = given.text("name", f"{link.name}_joint{len(link.joints) + 1 if link.joints else ''}")
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
-        hinge = kind == "hinge"
-        angle = self.settings.angle if hinge else float
+        scalar = kind in ("hinge", "slide")
+        angle = self.settings.angle if kind == "hinge" else float
         point, axis = vector(given.numbers("pos", 3, (0, 0, 0))), vector(given.numbers("axis", 3, (0, 0, 1)))
         if not np.linalg.norm(axis) > 0:
             given.fail("axis", "the axis has no direction")
         first = "alfmu takes linear ones; give one number"
         stiffness, damping = (self._linear(given, each, first) for each in ("stiffness", "damping"))
-        joint = Joint(
-            name,
-            {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "free"}[kind],
-            node,
-            frame.at(point),
-            (frame.turn @ axis,) if kind in ("hinge", "slide") else (),
-            reference=angle(given.number("ref", 0.0)) if kind in ("hinge", "slide") else 0.0,
-            stiffness=(stiffness,),
-            damping=(damping,),
-            rest=(angle(given.number("springref", 0.0)),) if kind in ("hinge", "slide") else (0.0,),
-            armature=given.positive("armature", 0.0),
-        )
+        said = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "free"}[kind]
+        joint = Joint(name, said, node, frame.at(point), stiffness=(stiffness,), damping=(damping,))
+        joint.armature = given.positive("armature", 0.0)
+        if scalar:
+            joint.axes, joint.reference = (frame.turn @ axis,), angle(given.number("ref", 0.0))
+            joint.rest = (angle(given.number("springref", 0.0)),)
         joint.start = {"ball": (1.0, 0.0, 0.0, 0.0), "free": ()}.get(kind, (joint.reference,))
         joint.rates = {"ball": (0.0,) * 3, "free": (0.0,) * 6}.get(kind, (0.0,))
         if kind == "free" and not free:
@@ -459,26 +425,21 @@ class File:
         if kind == "ball" and stiffness:
             given.fail("stiffness", "the spring of a ball joint does not map; use three hinges")
         loss = given.positive("frictionloss", 0.0)
-        if loss and kind in ("hinge", "slide") and not self.settings.off & {"frictionloss", "constraint"}:
+        if loss and scalar and not self.settings.off & {"frictionloss", "constraint"}:
             joint.friction = (loss,)
         elif loss and kind == "ball":
             given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
-        given.refuse(
-            {
-                "actuatorgravcomp": "alfmu's gravity acts on all bodies",
-                "align": "it moves frames, not bodies; leave it out",
-            }
-        )
+        given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
+        given.refuse({"align": "it moves frames, not bodies; leave it out"})
         joint.effort = self._range(given, "actuatorfrc")
         time, ratio = given.numbers("springdamper", 2, (0.0, 0.0))
-        if time > 0 and ratio > 0 and kind in ("hinge", "slide"):
+        if time > 0 and ratio > 0 and scalar:
             self.tuned.append((joint, time, ratio))
         elif time or ratio:
-            given.fail(
-                "springdamper", "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
-            )
+            what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
+            given.fail("springdamper", what)
         limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
-        if limits and kind in ("hinge", "slide"):
+        if limits and scalar:
             joint.limits = ((angle(limits[0]), angle(limits[1])),)
             self.linkage.limited.append(node)
         elif limits and kind == "ball":
@@ -501,7 +462,7 @@ class File:
 
     # Geoms ------------------------------------------------------------------------------------------------------
 
-    def _geom(self, node: Node, link: Link | None, frame: Pose, childclass: str | None) -> list[Inertial]:
+    def _geom(self, node: Node, link: Link | None, frame: Pose, childclass: str | None) -> None:
         given = self._reading(node, childclass)
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
@@ -510,41 +471,33 @@ class File:
             self.linkage.without("medium", node, f"fluidshape does not map: {_MEDIUM}")
         given.done((*_HARMLESS_GEOM, "fluidcoef"))
         self.linkage.leave("shapes of geoms", node)
-        if link is None or kind in ("plane", "hfield"):
-            return []
-        needed = self.settings.from_geoms != "false" and not (
-            self.settings.from_geoms == "auto" and _holder(node).one("inertial") is not None
-        )
-        if not needed or int(given.number("group", 0)) not in self.settings.groups:
-            return []
+        if link is None or kind in ("plane", "hfield") or int(given.number("group", 0)) not in self.settings.groups:
+            return
+        how = self.settings.from_geoms
+        if how == "false" or (how == "auto" and link.node.one("inertial") is not None):
+            return
         mass = given.positive("mass") if given.has("mass") else None
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
-            return []
+            return
         if given.flag("shellinertia", False):
             node.fail("the inertia of shells does not map; give the body an <inertial>")
         if kind == "mesh":
             whole, pose = self._mesh(given), frame @ self._pose(given)
             factor = density if mass is None else mass / whole.mass
             inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
-            return [Inertial(factor * whole.mass, pose.at(whole.center), inertia)]
-        if kind not in _SIZES:
-            node.fail(
-                f"a geom of type {shown(kind[:40])} gives no inertia here; give its body an <inertial>, or the geom "
-                'mass="0"'
-            )
-        if given.has("mesh"):
-            node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
-        solid, at = self._solid(given, kind)
-        return [solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)]
+            found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
+        else:
+            solid, at = self._solid(given, kind)
+            found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
+        self.masses.setdefault(link, []).append(found)
 
     def _mesh(self, geom: Reading) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
         name = geom.text("mesh")
         if name in self.inertias:
             return self.inertias[name]
-        known(geom.node, name, self.meshes, "mesh")
-        node = self.meshes[name]
+        node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
         kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
         if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
@@ -567,52 +520,42 @@ class File:
         return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
+        if kind not in _SIZES:
+            what = f"a geom of type {shown(kind[:40])} gives no inertia here"
+            given.node.fail(f'{what}; give its body an <inertial>, or the geom mass="0"')
+        if given.has("mesh"):
+            given.node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
         count = _SIZES[kind]
-        if given.has("fromto") and kind in ("capsule", "cylinder", "box", "ellipsoid"):
-            start, end = np.split(vector(given.numbers("fromto", 6)), 2)
-            size = given.numbers("size", range(1, 4))
-            half = float(np.linalg.norm(end - start)) / 2
-            sizes = [size[0], half] if count == 2 else [size[0], size[0], half]
-            at = Pose((start + end) / 2, self._along(given.node, start - end))
+        if given.has("fromto") and kind != "sphere":
+            at, half = self._between(given)
+            sizes = [given.numbers("size", range(1, 4))[0]] * (count - 1) + [half]
         else:
-            sizes = given.numbers("size", range(count, 4))[:count]
-            at = self._pose(given)
+            at, sizes = self._pose(given), given.numbers("size", range(count, 4))[:count]
         if min(sizes) <= 0:
             given.fail("size", f"a {kind} has sizes above zero")
-        make = getattr(solids, kind)
-        return make(*sizes), at
+        return getattr(solids, kind)(*sizes), at
 
     # Closures of loops ------------------------------------------------------------------------------------------
 
-    def _equalities(self, section: Node) -> None:
-        if self.settings.off & {"equality", "constraint"}:
-            self.linkage.leave("equality constraints, which the options disable", section)
-            return
-        for i, node in enumerate(section.each()):
-            with self.linkage.trying(node):
-                self._closing(i, node)
-
-    def _closing(self, i: int, node: Node) -> None:
+    def _closing(self, node: Node) -> None:
         if node.tag in ("flex", "flexvert", "flexstrain", "distance"):
             self.linkage.without("flexible", node, f"an equality of kind <{node.tag}> does not map")
             return
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
-        name = given.text("name", f"{node.tag}{i + 1}")
+        name = given.text("name", f"{node.tag}{self._parts('equality').index(node) + 1}")
         if not given.flag("active", True):
             self.linkage.leave("equality constraints that are not active", node)
             return
         if node.tag in ("joint", "tendon"):
-            of, by = (
-                self._summed(given, f"{node.tag}{k}", node.tag) if k == 1 or given.has(f"{node.tag}2") else ()
-                for k in (1, 2)
-            )
-            given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
-            if not of or (not by and given.has(f"{node.tag}2")):
+            of = self._summed(given, f"{node.tag}1", node.tag)
+            second = f"{node.tag}2"
+            by = self._summed(given, second, node.tag) if given.has(second) else ()
+            numbers = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
+            if not of or (not by and given.has(second)):
                 return
-            coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
-            self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
+            self.linkage.couplings.append(Coupling(name, node, of, by, [*numbers, *_POLYNOMIAL[len(numbers) :]]))
         else:
             self.linkage.closures.append(self._equality(given, name))
         if given.has("solref") or given.has("solimp"):
@@ -621,8 +564,7 @@ class File:
 
     def _scalar(self, given: Reading, which: str) -> Joint:
         name = given.text(which)
-        known(given.node, name, self.joints, "joint")
-        joint = self.joints[name]
+        joint = known(given.node, name, self.joints, "joint")
         if not _is_scalar(joint):
             given.fail(which, f"{which} {shown(name)} is no hinge and no slide")
         return joint
@@ -636,8 +578,7 @@ class File:
             return ()
         if what == "joint":
             return ((self._scalar(given, which), 1.0),)
-        known(given.node, name, self.tendons, "tendon")
-        found = self.tendons[name]
+        found = known(given.node, name, self.tendons, "tendon")
         if found is None:
             word = "tendons" if given.node.tag == "tendon" else "actuators"
             what = f"{which} {shown(name)} is no fixed tendon of hinges and slides; alfmu takes these"
@@ -791,13 +732,10 @@ class File:
 
     def _contacts(self) -> None:
         """Reject a file whose bodies could touch each other."""
-        excluded = set()
-        for section in self.root.all("contact"):
-            for pair in section.all("pair"):
-                pair.fail(f"contacts do not map; {_CONTACTS}")
-            for each in section.all("exclude"):
-                given = Reading(each)
-                excluded.add(frozenset((given.text("body1"), given.text("body2"))))
+        for pair in self._parts("contact", "pair"):
+            pair.fail(f"contacts do not map; {_CONTACTS}")
+        excludes = [Reading(each) for each in self._parts("contact", "exclude")]
+        excluded = {frozenset((each.text("body1"), each.text("body2"))) for each in excludes}
         for i, (one, node, type1, affinity1) in enumerate(self.geoms):
             for two, other, type2, affinity2 in self.geoms[:i]:
                 a, b = _moving(one), _moving(two)
@@ -817,8 +755,7 @@ class File:
     # Start ------------------------------------------------------------------------------------------------------
 
     def _start(self, key: str) -> None:
-        keys = [each for section in self.root.all("keyframe") for each in section.all("key")]
-        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(keys)}
+        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(self._parts("keyframe", "key"))}
         for joint in self.linkage.joints:
             if joint.kind == "free":
                 pose = self._at_reference(next(link for link in self.linkage.links if joint in link.joints))
@@ -827,8 +764,7 @@ class File:
         self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *rest)
         if not key:
             return
-        known(self.root, key, named, "keyframe")
-        given = Reading(named[key])
+        given = Reading(known(self.root, key, named, "keyframe"))
         widths = {"spherical": (4, 3), "free": (7, 6)}
         sizes = [widths.get(joint.kind, (1, 1)) for joint in self.linkage.joints]
         positions = given.numbers("qpos", sum(a for a, _ in sizes)) if given.has("qpos") else None
@@ -871,12 +807,3 @@ def _moving(link: Link | None) -> Link | None:
     while link is not None and not link.joints:
         link = link.parent
     return link
-
-
-def _holder(node: Node) -> Node:
-    """Return the body of a geom, skipping frames."""
-    found = node.parent
-    while found is not None and found.tag == "frame":
-        found = found.parent
-    assert found is not None
-    return found
