@@ -265,10 +265,8 @@ class Linkage:
         for cause in self.causes:
             why = cause.split(": ", 2)[-1]
             kinds.setdefault(re.sub(_PARTICULAR, "#", why), []).append(cause)
-        said = [
-            each[0] + (f" (and {len(each) - 1} more like it)" if len(each) > 1 else "")
-            for each in sorted(kinds.values(), key=len, reverse=True)
-        ]
+        sorted_kinds = sorted(kinds.values(), key=len, reverse=True)
+        said = [x[0] + (f" (and {len(x) - 1} more like it)" if len(x) > 1 else "") for x in sorted_kinds]
         if len(said) == 1:
             raise InputError(said[0])
         if said:

@@ -6,6 +6,7 @@ attributes were read, so that none is ignored silently.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
@@ -222,11 +223,9 @@ class Reading:
     def refuse(self, reasons: Mapping[str, str]) -> None:
         """Reject attributes by name, each with the alternative; zero and false are allowed."""
         for name, instead in reasons.items():
-            if self.has(name):
-                value = self.text(name)
-                words = value.split()
-                if words and not all(word in ("0", "false", "auto", "none") or _zero(word) for word in words):
-                    self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
+            value = self.text(name, "")
+            if any(word not in ("false", "auto", "none") and _value(word) != 0 for word in value.split()):
+                self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
 
     def done(self, harmless: Sequence[str] = ()) -> None:
         """Reject attributes that were neither read nor harmless."""
@@ -241,26 +240,21 @@ def numbers(node: Node, what: str, text: str, count: int | range, finite: bool =
     words = text.split()
     if len(words) > _LONGEST:
         node.fail(f"{what} has {len(words)} numbers; alfmu reads {_LONGEST}")
-    found = []
-    for word in words:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
+    found = [_value(word) for word in words]
+    for word, value in zip(words, found, strict=True):
         if math.isnan(value) or (finite and math.isinf(value)) or "_" in word:
             node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
-        found.append(value)
     if not (len(found) in count if isinstance(count, range) else len(found) == count):
         wanted = f"{count.start} to {count.stop - 1}" if isinstance(count, range) else str(count)
         node.fail(f"{what} has {len(found)} numbers; give {wanted}")
     return found
 
 
-def _zero(word: str) -> bool:
+def _value(word: str) -> float:
     try:
-        return float(word) == 0
+        return float(word)
     except ValueError:
-        return False
+        return math.nan
 
 
 def parsed(path: str | Path) -> Node:
@@ -269,13 +263,13 @@ def parsed(path: str | Path) -> Node:
     path = Path(path)
     content = content_of(path, LARGEST)
     try:
-        return _Tree(path).of(content)
+        return _tree(path, content)
     except InputError:
         # Exporters write comments with two dashes in them, which XML does not allow.
         plain = re.sub(rb"<!--.*?-->", lambda each: b"\n" * each[0].count(b"\n"), content, flags=re.DOTALL)
         if plain == content:
             raise
-    return _Tree(path).of(plain)
+    return _tree(path, plain)
 
 
 def content_of(path: Path, largest: int) -> bytes:
@@ -344,57 +338,41 @@ class Includes:
         return root
 
 
-class _Tree:
-    """Builds a tree from events of expat."""
+def _tree(path: Path, content: bytes) -> Node:
+    """Return the root element of a text."""
+    parser, above, count = expat.ParserCreate(), Node("", {}, path, 0), itertools.count(1)
+    path_to = [above]
 
-    def __init__(self, path: Path):
-        self.path = path
-        self.open: list[Node] = []
-        self.root: Node | None = None
-        self.count = 0
-        self.parser = expat.ParserCreate()
-        self.parser.buffer_text = True
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self._text
-        self.parser.StartDoctypeDeclHandler = lambda *_: self._refuse("a document type (<!DOCTYPE>)")
-        self.parser.EntityDeclHandler = lambda *_: self._refuse("an entity")
+    def refuse(what: str) -> Never:
+        line = parser.CurrentLineNumber
+        raise InputError(f"{path}, line {line}: the file has {what}, which alfmu does not read; leave it out")
 
-    def of(self, content: bytes) -> Node:
-        try:
-            self.parser.Parse(content, True)
-        except expat.ExpatError as error:
-            said = expat.errors.messages.get(error.code, "not well-formed")
-            raise InputError(f"{self.path}, line {error.lineno}: this is no XML ({said})") from None
-        except (ValueError, LookupError) as error:  # errors of encodings
-            raise InputError(f"{self.path}: this is no XML that alfmu can read ({error})") from None
-        assert self.root is not None
-        return self.root
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(path_to) > DEEPEST:
+            refuse(f"elements more than {DEEPEST} deep")
+        if next(count) > MOST:
+            refuse(f"more than {MOST} elements")
+        parent = path_to[-1] if path_to[-1] is not above else None
+        path_to.append(Node(tag, attributes, path, parser.CurrentLineNumber, parent))
+        path_to[-2].children.append(path_to[-1])
 
-    def _refuse(self, what: str) -> Never:
-        line = self.parser.CurrentLineNumber
-        raise InputError(f"{self.path}, line {line}: the file has {what}, which alfmu does not read; leave it out")
+    def add(text: str) -> None:
+        path_to[-1].text += text
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.count += 1
-        if len(self.open) >= DEEPEST:
-            self._refuse(f"elements more than {DEEPEST} deep")
-        if self.count > MOST:
-            self._refuse(f"more than {MOST} elements")
-        parent = self.open[-1] if self.open else None
-        node = Node(tag, attributes, self.path, self.parser.CurrentLineNumber, parent)
-        if parent is None:
-            self.root = node
-        else:
-            parent.children.append(node)
-        self.open.append(node)
-
-    def _end(self, _: str) -> None:
-        self.open.pop()
-
-    def _text(self, text: str) -> None:
-        if self.open:
-            self.open[-1].text += text
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: path_to.pop()
+    parser.CharacterDataHandler = add
+    parser.StartDoctypeDeclHandler = lambda *_: refuse("a document type (<!DOCTYPE>)")
+    parser.EntityDeclHandler = lambda *_: refuse("an entity")
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        said = expat.errors.messages.get(error.code, "not well-formed")
+        raise InputError(f"{path}, line {error.lineno}: this is no XML ({said})") from None
+    except (ValueError, LookupError) as error:  # errors of encodings
+        raise InputError(f"{path}: this is no XML that alfmu can read ({error})") from None
+    return above.children[0]
 
 
 def known(node: Node, name: str, there: Mapping[str, T], what: str) -> T:
