@@ -131,7 +131,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
-    linkage.drive(drives)
+    linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
     linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Never
 
 import numpy as np
 
 from ..model.errors import InputError
-from ..model.words import there_is
-from .markup import Node, UnknownName
+from .markup import Node, UnknownName, known
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
 
@@ -183,6 +183,10 @@ class Motor:
     start: float = 0.0
 
 
+class LeftOut(InputError):
+    """What the user leaves out."""
+
+
 @dataclass(eq=False)
 class Linkage:
     """The contents of a file. Links are in the order of the tree, parents first."""
@@ -246,6 +250,8 @@ class Linkage:
         """Keep the refusal of an element, so that all are told at once; what was not read of it is not judged."""
         try:
             yield
+        except LeftOut:
+            pass
         except InputError as error:
             if node is not None:
                 node.take()
@@ -258,6 +264,11 @@ class Linkage:
             node.fail(f"{why}; --option leave={word} leaves it out")
         node.take()
         self.warn(f"{word}, which the user leaves out", node)
+
+    def skip(self, word: str, node: Node, why: str) -> Never:
+        """The same, of an element of which nothing more is read."""
+        self.without(word, node, why)
+        raise LeftOut(why)
 
     def judge(self) -> None:
         """Raise InputError with all that was refused, the most frequent first."""
@@ -321,13 +332,13 @@ class Linkage:
             J[columns[joint]] = factor
         return float(1 / (J @ np.linalg.solve(M, J)))
 
-    def drive(self, wanted: str) -> None:
-        """Add a motor to joints by their names, `all` for every joint with one coordinate."""
+    def drive(self, names: Iterable[str], strict: bool = True) -> None:
+        """Add a motor to joints by their names, `all` for every joint with one coordinate; others are refused."""
         able = {j.name: j for j in self.joints if j.kind in ("revolute", "prismatic", "screw") and not j.follows}
         driven = {motor.along[0][0] for motor in self.motors}
-        for name in able if wanted == "all" else [each.strip() for each in wanted.split(",") if each.strip()]:
-            if name not in able:
-                self.node.fail(f"there is no joint {name!r} to drive; {there_is(name, list(able))}")
-            if (joint := able[name]) not in driven:
+        for name in able if list(names) == ["all"] else names:
+            if strict:
+                known(self.node, name, able, "joint to drive")
+            if name in able and (joint := able[name]) not in driven:
                 unit = "N" if joint.kind == "prismatic" else "N.m"
                 self.motors.append(Motor(f"{name}_drive", joint.node, ((joint, 1.0),), unit))

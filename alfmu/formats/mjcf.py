@@ -6,6 +6,7 @@ ignored.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -539,8 +540,7 @@ class File:
 
     def _closing(self, node: Node) -> None:
         if node.tag in ("flex", "flexvert", "flexstrain", "distance"):
-            self.linkage.without("flexible", node, f"an equality of kind <{node.tag}> does not map")
-            return
+            self.linkage.skip("flexible", node, f"an equality of kind <{node.tag}> does not map")
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
@@ -553,8 +553,6 @@ class File:
             second = f"{node.tag}2"
             by = self._summed(given, second, node.tag) if given.has(second) else ()
             numbers = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
-            if not of or (not by and given.has(second)):
-                return
             self.linkage.couplings.append(Coupling(name, node, of, by, [*numbers, *_POLYNOMIAL[len(numbers) :]]))
         else:
             self.linkage.closures.append(self._equality(given, name))
@@ -562,28 +560,22 @@ class File:
             self.linkage.leave(_SOLVER, node)
         given.done(("class", "solref", "solimp", "user", "anchor", "relpose", "torquescale"))
 
-    def _scalar(self, given: Reading, which: str) -> Joint:
-        name = given.text(which)
-        joint = known(given.node, name, self.joints, "joint")
-        if not _is_scalar(joint):
-            given.fail(which, f"{which} {shown(name)} is no hinge and no slide")
-        return joint
-
-    def _summed(self, given: Reading, which: str, what: str) -> Sum:
+    def _summed(self, given: Reading, which: str, what: str = "joint") -> Sum:
         """Return a joint, or the joints of a fixed tendon with their factors, by its name in an attribute."""
-        name = given.text(which)
-        joint = self.joints.get(name)
-        if what == "joint" and given.node.tag in _ACTUATORS and joint and not _is_scalar(joint):
-            self.linkage.without("actuators", given.node, f"{which} {shown(name)} is no hinge and no slide")
-            return ()
+        name, tag = given.text(which), given.node.tag
         if what == "joint":
-            return ((self._scalar(given, which), 1.0),)
+            joint = known(given.node, name, self.joints, "joint")
+            said = f"{which} {shown(name)} is no hinge and no slide"
+            if not _is_scalar(joint) and tag in _ACTUATORS:
+                self.linkage.skip("actuators", given.node, said)
+            if not _is_scalar(joint):
+                given.fail(which, said)
+            return ((joint, 1.0),)
         found = known(given.node, name, self.tendons, "tendon")
         if found is None:
-            word = "tendons" if given.node.tag == "tendon" else "actuators"
             what = f"{which} {shown(name)} is no fixed tendon of hinges and slides; alfmu takes these"
-            self.linkage.without(word, given.node, what)
-        return found or ()
+            self.linkage.skip("tendons" if tag == "tendon" else "actuators", given.node, what)
+        return found
 
     # Tendons ----------------------------------------------------------------------------------------------------
 
@@ -601,15 +593,10 @@ class File:
             self.tendons[name] = None
             if acts:
                 what = f"{acts[0]} of a <{node.tag}> tendon does not map; alfmu takes sums of hinges and slides"
-                self.linkage.without("tendons", node, what)
-            else:
-                self.linkage.leave("tendons without forces", node)
+                self.linkage.skip("tendons", node, what)
+            self.linkage.leave("tendons without forces", node)
             return
-        terms = []
-        for child in node.each():
-            each = Reading(child)
-            terms.append((self._scalar(each, "joint"), each.number("coef")))
-            each.done()
+        terms = [(self._summed(each, "joint")[0][0], each.number("coef")) for each in map(Reading, node.each())]
         if not terms:
             node.fail("it has no joint; give one")
         self.tendons[name] = along = tuple(terms)
@@ -621,10 +608,9 @@ class File:
         if low == -1 and not rest:
             low = sum(factor * joint.rest[0] for joint, factor in along)
         stiffness, damping = (self._linear(given, each, "give one number") for each in ("stiffness", "damping"))
-        made = Tendon(name, node, along, stiffness, damping, (low, *(rest or [low])), given.positive("armature", 0.0))  # type: ignore[arg-type]
-        if limits:
-            made.limits = limits
-            self.linkage.limited.append(node)
+        rest = low, *(rest or [low])  # type: ignore[assignment]
+        made = Tendon(name, node, along, stiffness, damping, rest, given.positive("armature", 0.0), limits)  # type: ignore[arg-type]
+        self.linkage.limited += [node] * bool(limits)
         self.linkage.tendons.append(made)
 
     def _equality(self, given: Reading, name: str) -> Closure:
@@ -658,8 +644,7 @@ class File:
         kind = node.tag
         if kind not in _ACTUATORS:
             what = f"an actuator of kind <{kind}> does not map; alfmu takes {', '.join(_ACTUATORS)}"
-            self.linkage.without("actuators", node, what)
-            return
+            self.linkage.skip("actuators", node, what)
         given = self._reading(node, None, *(t for t in _ACTUATORS if t != kind), kind)
         for name, (_, origin) in given._given.items():
             implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
@@ -668,13 +653,9 @@ class File:
         for each in ("site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
                 what = f"{each} does not map: alfmu takes motors on joints and on fixed tendons"
-                self.linkage.without("actuators", node, what)
-                given.done(tuple(given._given))
-                return
+                self.linkage.skip("actuators", node, what)
         which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
         along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
-        if not along:
-            return
         name = given.text("name", f"{given.text(which)}_{kind}")
         rotary = along[0][0].kind == "revolute"
         gear = given.numbers("gear", range(1, 7), (1.0,))[0]
@@ -700,8 +681,7 @@ class File:
                 motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
         if dynamics not in ("none", *_LAGS) and not given.has("timeconst"):
             what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
-            self.linkage.without("actuators", node, what)
-            return
+            self.linkage.skip("actuators", node, what)
         motor.lag = lag
         motor.control = self._range(given, "ctrl")
         inherit = given.positive("inheritrange", 0.0)
@@ -747,10 +727,8 @@ class File:
                     continue
                 names = [link.name if link is not None else "world" for link in (two, one)]
                 if frozenset(names) not in excluded:
-                    node.fail(
-                        f"this geom and that in line {other.line} could touch, of {names[0]} and {names[1]}; contacts "
-                        f"do not map; {_CONTACTS}"
-                    )
+                    what = f"this geom and that in line {other.line} could touch, of {' and '.join(names)}"
+                    node.fail(f"{what}; contacts do not map; {_CONTACTS}")
 
     # Start ------------------------------------------------------------------------------------------------------
 
@@ -767,23 +745,19 @@ class File:
         given = Reading(known(self.root, key, named, "keyframe"))
         widths = {"spherical": (4, 3), "free": (7, 6)}
         sizes = [widths.get(joint.kind, (1, 1)) for joint in self.linkage.joints]
-        positions = given.numbers("qpos", sum(a for a, _ in sizes)) if given.has("qpos") else None
-        rates = given.numbers("qvel", sum(b for _, b in sizes)) if given.has("qvel") else None
+        for name, attribute, which in (("qpos", "start", 0), ("qvel", "rates", 1)):
+            values = iter(given.numbers(name, sum(x[which] for x in sizes)) if given.has(name) else ())
+            for joint, size in zip(self.linkage.joints, sizes, strict=True) if given.has(name) else ():
+                setattr(joint, attribute, tuple(itertools.islice(values, size[which])))
+                if size[0] > 1 and not any(joint.start[-4:]):
+                    given.fail("qpos", f"the quaternion of {joint.name} is zero")
+        self.linkage.posed = given.has("qpos")
         given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
         if given.has("ctrl"):
             motors = self.linkage.motors
             for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
                 motor.start = x
         given.done(("name", "time"))
-        for joint, (a, b) in zip(self.linkage.joints, sizes, strict=True):
-            if positions is not None:
-                self.linkage.posed = True
-                joint.start, positions = tuple(positions[:a]), positions[a:]
-                e = joint.start[-4:]
-                if a > 1 and not any(e):
-                    given.fail("qpos", f"the quaternion of {joint.name} is zero")
-            if rates is not None:
-                joint.rates, rates = tuple(rates[:b]), rates[b:]
 
 
 def _over(inherited: Inherited, node: Node) -> Inherited:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..model.errors import InputError
 from ..model.words import shown
-from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, Motor, place
+from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, place
 from .loops import listed
 from .markup import Node, Reading, known, numbers
 from .poses import Array, Pose, quaternion, turned, vector
@@ -104,8 +104,7 @@ class File:
             first, second = ((known(node, name, frames, "link or joint"), Pose()) for name in (one, two))
             joint = Joint(f"{one}_closed", "spherical" if kind.lower() == "3d" else "weld", node)
             self.linkage.closures.append(Closure(joint, first, second))
-        able = {j.name for j in self.linkage.joints if len(j.zero) == 1 and not j.follows}
-        self.linkage.drive(",".join(name for name in self.other.get("name_mot", []) if name in able))
+        self.linkage.drive(self.other.get("name_mot", []), strict=False)
 
     def _section(self, child: Node) -> None:
         if child.tag.startswith("xacro:"):
@@ -120,16 +119,13 @@ class File:
         for joint in joints:
             parent, child = (self._end(joint, each, nodes) for each in ("parent", "child"))
             if child in ends:
-                joint.fail(
-                    f"{child} has two parents, by the joint in line {ends[child][1].line} too; close the loop by a "
-                    "<loop_joint>"
-                )
+                said = f"{child} has two parents, by the joint in line {ends[child][1].line} too"
+                joint.fail(f"{said}; close the loop by a <loop_joint>")
             ends[child] = parent, joint
         roots = [name for name in nodes if name not in ends]
         if len(roots) != 1:
-            self.linkage.node.fail(
-                f"it has {len(roots)} links without a parent ({', '.join(roots[:4])}); a URDF is one tree with one root"
-            )
+            said = f"it has {len(roots)} links without a parent ({', '.join(roots[:4])})"
+            self.linkage.node.fail(f"{said}; a URDF is one tree with one root")
         node = nodes[roots[0]]
         link = self._link(node, None, Pose())
         if base == "floating":
@@ -190,9 +186,7 @@ class File:
         return Pose(vector(given.numbers("xyz", 3, (0, 0, 0))), turned("XYZ", given.numbers("rpy", 3, (0, 0, 0))))
 
     def _axis(self, node: Node) -> Array:
-        child = node.one("axis")
-        if child is None:
-            return np.array((1.0, 0.0, 0.0))
+        child = node.one("axis") or node.add("axis")
         given = Reading(child)
         axis = vector(given.numbers("xyz", 3, (1, 0, 0)))
         given.done(("rpy",))
@@ -205,10 +199,7 @@ class File:
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
         if kind not in _KINDS:
-            node.fail(
-                f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
-                "and floating ones"
-            )
+            node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
         left = {each: each for each in ("safety_controller", "calibration")}
         if kind in ("fixed", "floating"):
             for child in node.all("mimic", *(_RESISTING if kind == "floating" else ())):
@@ -332,8 +323,6 @@ class File:
             if each.tag == "mechanicalReduction":
                 self.linkage.note("inputs of transmissions are efforts of the joints, not of the actuators", node)
         for each in node.all("joint"):
-            joint = known(each, name := Reading(each).text("name"), self.joints, "joint that moves")
-            if joint.follows is None and joint.kind in ("revolute", "prismatic"):
-                unit = "N" if joint.kind == "prismatic" else "N.m"
-                if not any(motor.along[0][0] is joint for motor in self.linkage.motors):
-                    self.linkage.motors.append(Motor(f"{name}_drive", each, ((joint, 1.0),), unit))
+            name = Reading(each).text("name")
+            known(each, name, self.joints, "joint that moves")
+            self.linkage.drive([name], strict=False)
