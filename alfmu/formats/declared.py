@@ -202,9 +202,7 @@ class _Declaring:
             with self._of(joint.node):
                 pose = link.before(j, {}, self.zeros)
                 self.origins[between] = pose.at(joint.point)
-                self.bodies[between] = self.script.do(
-                    "spatial_body", called, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=called
-                )
+                self.bodies[between] = self._frame(called)
                 self._joint(joint, before, between, pose)
             before = between
         self.origins[link] = zero.place
@@ -223,6 +221,10 @@ class _Declaring:
         elif not free:
             with self._of(link.joints[-1].node):
                 self._joint(link.joints[-1], before, link, link.before(len(link.joints) - 1, {}, self.zeros))
+
+    def _frame(self, name: str) -> Named:
+        """Return a body without mass."""
+        return self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
 
     def _body(self, link: Link, name: str, zero: Pose, free: bool) -> Named:
         inertial = link.inertial
@@ -298,11 +300,7 @@ class _Declaring:
         self.coordinates[joint] = coordinates
         at = pose.at(joint.point)
         markers = [self.bodies[b].at(self._point(b, at)) for b in (first, second)]
-        given: dict[str, Any] = {}
-        if axes:
-            given["axis"] = tuple(axes[0].tolist())
-        if joint.kind == "universal":
-            given["second_axis"] = tuple(axes[1].tolist())
+        given = dict[str, Any](zip(("axis", "second_axis"), (tuple(x.tolist()) for x in axes), strict=False))
         if joint.kind == "screw":
             given["lead"] = joint.lead
         given |= {"coordinate": coordinates[0]} if len(units) == 1 else {"coordinates": tuple(coordinates)}
@@ -369,10 +367,10 @@ class _Declaring:
     def _spring(self, joint: Joint, made: Named) -> None:
         freedoms = _FREEDOMS.get(joint.kind, ("",))
         for which, k, d, rest in zip(freedoms, joint.stiffness, joint.damping, joint.rest, strict=False):
-            every = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
-            numbers: dict[str, Any] = {name: x for name, x in every.items() if x}
-            if numbers:
-                self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
+            numbers: dict[str, Any] = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
+            if any(numbers.values()):
+                of = made.freedom(which) if which else made
+                self.script.do("spring_damper", of, **{name: x for name, x in numbers.items() if x})
         if joint.friction[0]:
             self.script.do("friction", made, coulomb=1.0, load=joint.friction[0])
 
@@ -398,17 +396,14 @@ class _Declaring:
             zero1, differ = zero2, False
         given: dict[str, Any] = {}
         if axes:
-            one, two = (
-                cleaned(zero.turn @ (x / np.linalg.norm(x))) for zero, x in ((zero1, axes[0]), (zero2, axes[-1]))
-            )
-            given["axis"] = tuple(one.tolist())
+            both = ((zero1, axes[0]), (zero2, axes[-1]))
+            one, two = (cleaned(zero.turn @ (x / np.linalg.norm(x))).tolist() for zero, x in both)
+            given["axis"] = tuple(one)
             if joint.kind == "universal" or differ:
-                given["second_axis"] = tuple(two.tolist())
+                given["second_axis"] = tuple(two)
         if any(joint.stiffness) and differ and joint.kind == "revolute":
-            joint.node.fail(
-                "its spring is measured from where its two frames coincide, which they do not at zero; give both "
-                "frames the same directions there"
-            )
+            what = "its spring is measured from where its two frames coincide, which they do not at zero"
+            joint.node.fail(f"{what}; give both frames the same directions there")
         if joint.kind == "screw":
             given["lead"] = joint.lead
         springs = any(map(any, (joint.damping, joint.stiffness, joint.friction)))
@@ -419,7 +414,7 @@ class _Declaring:
     def _turned(self, name: str, marker: Named, e: Array) -> Named:
         """Return a massless frame at a point of a body, with a constant rotation."""
         self.taken.add(f"{name}_turn")
-        frame = self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
+        frame = self._frame(name)
         angle = 2 * float(np.arctan2(np.linalg.norm(e[1:]), e[0]))
         axis = tuple(cleaned(e[1:] / np.linalg.norm(e[1:])).tolist())
         origin = frame.at((0.0, 0.0, 0.0))

@@ -170,10 +170,6 @@ class Reading:
         """Whether an attribute is given."""
         return name in self._given
 
-    def own(self, name: str) -> bool:
-        """Whether an attribute is given by the element itself."""
-        return name in self.node.attributes
-
     def text(self, name: str, default: str | None = None) -> str:
         """Return an attribute as text; raise InputError if it is missing and has no default."""
         self._taken.add(name)

@@ -25,7 +25,10 @@ from .solids import Inertial
 
 __all__ = ["File"]
 
-_VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
+_VISUAL = {
+    "asset": "assets", "visual": "visual", "statistic": "statistic", "size": "size", "sensor": "sensors",
+    "custom": "custom",
+}  # fmt: skip
 """Sections without effect on the motion."""
 
 _MEDIUM = "alfmu has no medium around bodies"
@@ -136,7 +139,7 @@ class File:
         every(root.all("option"), self._option)
         self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         every(root.all("default"), self._default)
-        every(root.each(), self._section)
+        self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
         self._balanced()
@@ -169,22 +172,16 @@ class File:
             each.parent = node.parent
         return root.children
 
-    def _section(self, section: Node) -> None:
-        tag = section.tag
-        if tag in _VISUAL:
-            what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
-            self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
-        elif tag == "extension":
-            self.linkage.warn("plugins, which are programs", *section.each())
-        elif tag == "deformable":
-            self.linkage.leave("skins", *section.all("skin"))
-            for child in section.children:
-                if not child.taken:
-                    self.linkage.without("flexible", child, f"a <{child.tag}> does not map; alfmu takes rigid bodies")
-        elif tag not in (
-            "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe", "tendon",
-        ):  # fmt: skip
-            section.fail(f"alfmu does not know <{tag}>")
+    def _sections(self) -> None:
+        """Judge sections that are not read."""
+        for section in self.root.all(*_VISUAL):
+            whole = not section.children or section.attributes
+            self.linkage.leave(_VISUAL[section.tag], *([section] if whole else section.each()))
+        self.linkage.warn("plugins, which are programs", *self._parts("extension"))
+        self.linkage.leave("skins", *self._parts("deformable", "skin"))
+        what = "a <{}> does not map; alfmu takes rigid bodies"
+        soft = [each for each in self._parts("deformable") if each.tag != "skin"]
+        self.linkage.every(soft, lambda each: self.linkage.skip("flexible", each, what.format(each.tag)))
 
     # Settings and defaults --------------------------------------------------------------------------------------
 

@@ -315,9 +315,7 @@ class File:
                 following += [(mimic, joint) for mimic in mimics(joint)]
         for name, node in self.nodes.items():
             self._pose(name, node)
-        for closing in left:
-            with self.linkage.trying(closing):
-                self.linkage.closures.append(self._closure(closing, *ends[closing]))
+        self.linkage.every(left, lambda x: self.linkage.closures.append(self._closure(x, *ends[x])))
         for mimic, joint in following:
             with self.linkage.trying(mimic):
                 self._mimic(mimic, joint)
