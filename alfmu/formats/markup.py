@@ -18,7 +18,7 @@ from xml.parsers import expat
 from ..model.errors import InputError
 from ..model.words import shown, there_is
 
-__all__ = ["Includes", "Node", "Reading", "parsed"]
+__all__ = ["Children", "Includes", "Node", "Reading", "parsed"]
 
 LARGEST = 20_000_000
 """Largest size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
@@ -163,7 +163,7 @@ class Reading:
 
     def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
-        self._given = given or {name: (value, node) for name, value in node.attributes.items()}
+        self._given = {name: (value, node) for name, value in node.attributes.items()} if given is None else given
         self._taken: set[str] = set()
 
     def has(self, name: str) -> bool:
@@ -229,6 +229,25 @@ class Reading:
         for name, (value, node) in self._given.items():
             if name not in self._taken and name not in harmless and not name.startswith(_NAMESPACES):
                 node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
+
+
+class Children(Reading):
+    """The texts of the children of an element, read as attributes are."""
+
+    def __init__(self, node: Node):
+        super().__init__(node, {child.tag: (child.text.strip(), child) for child in node.children})
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """Return the text of the only child with a tag."""
+        child = self.node.need(name) if default is None else self.node.one(name)
+        return child.text.strip() if child is not None else str(default)
+
+    def flag(self, name: str, default: bool) -> bool:
+        """Return a Boolean, in letters of either size."""
+        said = self.text(name, str(default)).lower()
+        return (
+            _FLAGS[said] if said in _FLAGS else self.fail(name, f"<{name}> is {shown(said[:40])}; give true or false")
+        )
 
 
 def numbers(node: Node, what: str, text: str, count: int | range, finite: bool = True) -> list[float]:

@@ -25,10 +25,7 @@ from .solids import Inertial
 
 __all__ = ["File"]
 
-_VISUAL = {
-    "asset": "assets", "visual": "visual", "statistic": "statistic", "size": "size", "sensor": "sensors",
-    "custom": "custom",
-}  # fmt: skip
+_VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
 
 _MEDIUM = "alfmu has no medium around bodies"

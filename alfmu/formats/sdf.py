@@ -16,7 +16,7 @@ import numpy as np
 from ..model.words import shown
 from . import solids
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage
-from .markup import Includes, Node, Reading, known, numbers
+from .markup import Children, Includes, Node, Reading, known, numbers
 from .poses import Array, Pose, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
@@ -41,37 +41,14 @@ _OF_WORLDS = (
     "actor", "road", "state", "population", "physics", "scene", "light", "gui", "magnetic_field", "audio", "frame",
     "spherical_coordinates", "atmosphere", "wind",
 )  # fmt: skip
-_SOLIDS: dict[str, tuple[tuple[str, int], ...]] = {
-    "box": (("size", 3),),
-    "sphere": (("radius", 1),),
-    "cylinder": (("radius", 1), ("length", 1)),
-    "capsule": (("radius", 1), ("length", 1)),
-    "ellipsoid": (("radii", 3),),
-}
+_SOLIDS = {
+    "box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1}, "ellipsoid": {"radii": 3},
+}  # fmt: skip
 """Solids that give inertia, with the elements of their sizes."""
 
 _REFERENCES = {"pose": "relative_to", "frame": "attached_to", "xyz": "expressed_in", "mimic": "joint"}
 """Attributes that name links, joints or frames, by elements."""
-
-
-def child_text(node: Node, tag: str, default: str | None = None) -> str:
-    """Return the text of a child."""
-    child = node.need(tag) if default is None else node.one(tag)
-    return child.text.strip() if child is not None else str(default)
-
-
-def number(node: Node, tag: str, default: float, finite: bool = True) -> float:
-    """Return the number in a child."""
-    child = node.one(tag)
-    return default if child is None else numbers(child, f"<{tag}>", child.text, 1, finite)[0]
-
-
-def flag(node: Node, tag: str, default: bool) -> bool:
-    """Return a Boolean, true or false, in a child."""
-    said = child_text(node, tag, str(default)).lower()
-    if said not in ("true", "1", "false", "0"):
-        node.fail(f"<{tag}> is {shown(said[:40])}; give true or false")
-    return said in ("true", "1")
 
 
 def _base(pose: Node) -> str:
@@ -112,7 +89,7 @@ class File:
         """Return the model that an <include> names, with the name and the pose that it gives; nothing for scenery."""
         found: list[Node] = []
         with self.linkage.trying(node):
-            uri = child_text(node, "uri")
+            uri = Children(node).text("uri")
             plain = uri.removeprefix("model://").removeprefix("file://")
             if plain.split("/")[0] in _SCENERY or plain.rstrip("/").split("/")[-1] in _SCENERY:
                 self.linkage.leave("scenery", node)
@@ -149,7 +126,7 @@ class File:
         named = {each.attributes.get("name", ""): each for each in reversed(models)}
         if wanted:
             known(root, wanted, named, "model")
-        moving = [named[wanted]] if wanted else [each for each in models if not flag(each, "static", False)]
+        moving = [named[wanted]] if wanted else [each for each in models if not Children(each).flag("static", False)]
         self.linkage.leave("other models", *(each for each in models if each not in moving))
         if not moving:
             root.fail("it has no model that moves")
@@ -249,7 +226,7 @@ class File:
             node.fail(f"frames are relative to each other in a circle ({' -> '.join([*self.pending, name])[:200]})")
         self.pending.append(name)
         posed = node.one("pose")
-        default = child_text(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
+        default = Children(node).text("child") if node.tag == "joint" else node.attributes.get("attached_to", "")
         base = (_base(posed) if posed is not None else "") or default or "__model__"
         found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ self._given(posed)
@@ -258,7 +235,7 @@ class File:
 
     def _link_of(self, node: Node, tag: str) -> str:
         """Return the link of a joint's parent or child, through frames; empty for the world."""
-        name, seen = child_text(node, tag), set()
+        name, seen = Children(node).text(tag), set()
         while name != "world":
             name = self._named(name)
             found = known(node, name, self.nodes, "link or frame")
@@ -267,7 +244,7 @@ class File:
             if name in seen:
                 node.fail(f"its <{tag}> is {shown(name[:60])}, which leads to no link")
             seen.add(name)
-            name = found.attributes.get("attached_to", "") if found.tag == "frame" else child_text(found, "child")
+            name = found.attributes.get("attached_to", "") if found.tag == "frame" else Children(found).text("child")
             if name in ("", "__model__"):
                 first = next((each.attributes["name"] for each in self.model.all("link")), "")
                 name = self.model.attributes.get("canonical_link", "") or first
@@ -277,7 +254,7 @@ class File:
 
     def _tree(self, links: list[Node], joints: list[Node]) -> None:
         """Place links from the world outwards; links that no joint reaches float."""
-        if flag(self.model, "static", False):
+        if Children(self.model).flag("static", False):
             self.model.fail("the model is static; nothing of it moves")
         ends = {each: (self._link_of(each, "parent"), self._link_of(each, "child")) for each in joints}
         self.made: dict[str, Joint] = {}
@@ -337,7 +314,7 @@ class File:
         with self.linkage.trying(node):
             self._details(node)
             link.inertial = self._inertial(node)
-            if not flag(node, "gravity", True):
+            if not Children(node).flag("gravity", True):
                 self.linkage.lifted[link] = 1.0
         return link
 
@@ -345,9 +322,9 @@ class File:
         """Reject what a link has beside pose and inertia and does not map."""
         self.linkage.pass_over(node, _LEFT, "must_be_base_link", "self_collide")
         decay = node.one("velocity_decay")
-        if decay is not None and any(number(decay, each, 0.0) for each in ("linear", "angular")):
+        if decay is not None and any(Children(decay).number(each, 0.0) for each in ("linear", "angular")):
             decay.fail("velocity_decay does not map; give joints damping")
-        if flag(node, "kinematic", False) or flag(node, "enable_wind", False):
+        if Children(node).flag("kinematic", False) or Children(node).flag("enable_wind", False):
             node.fail("a kinematic link, or one in the wind, does not map; leave <kinematic> and <enable_wind> out")
 
     def _inertial(self, link: Node) -> Inertial:
@@ -360,11 +337,10 @@ class File:
         left = ("density", "auto_inertia_params", "fluid_added_mass")
         self.linkage.pass_over(node, dict.fromkeys(left, "settings of inertia that are not in force"))
         inertia = node.one("inertia") or node.add("inertia")
-        moments = [number(inertia, each, 1.0) for each in ("ixx", "iyy", "izz")]
-        products = [number(inertia, each, 0.0) for each in ("ixy", "ixz", "iyz")]
-        mass = number(node, "mass", 1.0)
-        if mass < 0:
-            node.fail(f"the mass is {mass:g} kg; it must not be negative")
+        given = Children(inertia)
+        moments = [given.number(each, 1.0) for each in ("ixx", "iyy", "izz")]
+        products = [given.number(each, 0.0) for each in ("ixy", "ixz", "iyz")]
+        mass = Children(node).positive("mass", 1.0)
         return Inertial.of(mass, self._in_link(node, "an inertial"), moments, products)
 
     def _of_shapes(self, link: Node, inertial: Node) -> Inertial:
@@ -372,14 +348,12 @@ class File:
         parts = []
         for each in link.all("collision"):
             at = self._in_link(each, "a shape that gives inertia")
-            density = number(each, "density", number(inertial, "density", 1000.0))
+            density = Children(each).number("density", Children(inertial).number("density", 1000.0))
             shape = next((x for x in (each.one("geometry") or each).each() if x.tag in _SOLIDS), None)
             if shape is None:
                 each.fail(f"this shape gives no inertia here; alfmu takes {', '.join(_SOLIDS)}, or mass and inertia")
-            sizes = [
-                x for tag, count in _SOLIDS[shape.tag]
-                for x in numbers(shape, f"<{tag}>", child_text(shape, tag), count)
-            ]  # fmt: skip
+            given = Children(shape)
+            sizes = [x for tag, count in _SOLIDS[shape.tag].items() for x in given.numbers(tag, count)]
             if min(sizes) <= 0:
                 shape.fail(f"a {shape.tag} has sizes above zero")
             halved = shape.tag == "box", shape.tag in ("cylinder", "capsule")
@@ -387,7 +361,7 @@ class File:
             solid = getattr(solids, shape.tag)(*sizes)
             parts.append(solids.placed(solid, density * solid.volume, at))
         found = solids.together(parts)
-        mass = number(inertial, "mass", found.mass)
+        mass = Children(inertial).number("mass", found.mass)
         if not found.mass:
             inertial.fail("it has no shapes that give its inertia; give mass and inertia")
         return Inertial(mass, found.center, found.inertia * (mass / found.mass))
@@ -402,7 +376,7 @@ class File:
             xyz = axis.one("xyz")
             x = vector(numbers(xyz, "<xyz>", xyz.text, 3)) if xyz is not None else np.array((0.0, 0.0, 1.0))
             base = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
-            if flag(axis, "use_parent_model_frame", self.version < (1, 5)):
+            if Children(axis).flag("use_parent_model_frame", self.version < (1, 5)):
                 if self.version >= (1, 7):
                     axis.fail("use_parent_model_frame is not of this version; use expressed_in")
                 base = "__model__"
@@ -429,7 +403,7 @@ class File:
         other = known(node, name, self.made, "joint that places a link")
         if given.text("axis", "axis") != "axis" or len(other.zero) > 1 or len(joint.zero) > 1:
             node.fail("mimic maps between joints with one axis")
-        factor, offset, reference = (number(node, each, x) for each, x in _MIMIC.items())
+        factor, offset, reference = (Children(node).number(each, x) for each, x in _MIMIC.items())
         follow(self.linkage, node, joint, other, factor, offset - factor * reference)
 
 
@@ -446,7 +420,7 @@ def merge(outer: Node, inner: Node) -> None:
         return said if said == "world" else f"{name}::{said}"
 
     links = [each.attributes.get("name", "") for each in inner.all("link")]
-    if flag(inner, "static", False):
+    if Children(inner).flag("static", False):
         for link in links:
             held = inner.add("joint", {"name": f"{link}__held", "type": "fixed"})
             held.add("parent", text="world")
@@ -479,7 +453,7 @@ def _renamed(node: Node, own: Callable[[str], str]) -> None:
     for each in node.all("parent", "child"):
         each.text = own(each.text.strip())
     for each in node.all("axis", "axis2"):
-        if flag(each, "use_parent_model_frame", False):
+        if Children(each).flag("use_parent_model_frame", False):
             each.children = [x for x in each.children if x.tag != "use_parent_model_frame"]
             for x in each.all("xyz"):
                 x.attributes["expressed_in"] = own("__model__")
@@ -527,7 +501,7 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
         one, two = joint.axes
         if abs(one @ two) > 1e-9 * np.linalg.norm(one) * np.linalg.norm(two):
             node.fail("its two axes are not square to each other, as those of a universal joint are")
-    pitch, turns = number(node, "screw_thread_pitch", 1.0), number(node, "thread_pitch", 0.0)
+    pitch, turns = Children(node).number("screw_thread_pitch", 1.0), Children(node).number("thread_pitch", 0.0)
     # The older element is in radians per metre, with the other sign, as libsdformat converts it.
     joint.lead = -2 * math.pi / turns if turns and node.one("screw_thread_pitch") is None else pitch
     return joint
@@ -538,7 +512,7 @@ def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
     limits = -math.inf, math.inf
     for child in axis.all("limit"):
         linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))
-        low, high, effort, speed = (number(child, each, x, False) for each, x in _LIMITS.items())
+        low, high, effort, speed = (Children(child).limit(each, x) for each, x in _LIMITS.items())
         if min(abs(low), abs(high)) < ANYWHERE and low < high:
             linkage.limited.append(joint.node)
         if 0 <= speed < ANYWHERE:
@@ -547,15 +521,11 @@ def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
             joint.effort = (-effort, effort)
         limits = (low, high) if low < high else (-math.inf, math.inf)
     axis.all("xyz", "use_parent_model_frame", "mimic")
-    if number(axis, "initial_position", 0.0):
+    if Children(axis).number("initial_position", 0.0):
         axis.fail("initial_position does not map; give the start value")
-    dynamics = axis.one("dynamics") or axis.add("dynamics")
-    values = []
-    for tag in ("damping", "spring_stiffness", "spring_reference", "friction"):
-        values.append(number(dynamics, tag, 0.0))
-        if values[-1] < 0 and tag != "spring_reference":
-            dynamics.fail(f"{tag} is {values[-1]:g}; it must not be negative")
-    return limits, *values
+    given = Children(axis.one("dynamics") or axis.add("dynamics"))
+    damping, stiffness, friction = (given.positive(x, 0.0) for x in ("damping", "spring_stiffness", "friction"))
+    return limits, damping, stiffness, given.number("spring_reference", 0.0), friction
 
 
 def closing(joint: Joint, first: tuple[Link | None, Pose], second: tuple[Link | None, Pose]) -> Closure:
