@@ -706,8 +706,7 @@ class File:
 
     def _contacts(self) -> None:
         """Reject a file whose bodies could touch each other."""
-        for pair in self._parts("contact", "pair"):
-            pair.fail(f"contacts do not map; {_CONTACTS}")
+        self.linkage.every(self._parts("contact", "pair"), lambda pair: pair.fail(f"contacts do not map; {_CONTACTS}"))
         excludes = [Reading(each) for each in self._parts("contact", "exclude")]
         excluded = {frozenset((each.text("body1"), each.text("body2"))) for each in excludes}
         for i, (one, node, type1, affinity1) in enumerate(self.geoms):

@@ -321,9 +321,9 @@ class File:
     def _details(self, node: Node) -> None:
         """Reject what a link has beside pose and inertia and does not map."""
         self.linkage.pass_over(node, _LEFT, "must_be_base_link", "self_collide")
-        decay = node.one("velocity_decay")
-        if decay is not None and any(Children(decay).number(each, 0.0) for each in ("linear", "angular")):
-            decay.fail("velocity_decay does not map; give joints damping")
+        for decay in node.all("velocity_decay"):
+            if any(Children(decay).number(each, 0.0) for each in ("linear", "angular")):
+                decay.fail("velocity_decay does not map; give joints damping")
         if Children(node).flag("kinematic", False) or Children(node).flag("enable_wind", False):
             node.fail("a kinematic link, or one in the wind, does not map; leave <kinematic> and <enable_wind> out")
 
