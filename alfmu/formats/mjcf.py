@@ -598,12 +598,12 @@ class File:
             return
         if "frictionloss" in acts:
             self.linkage.without("tendons", node, "frictionloss of a tendon does not map")
-        low, *rest = given.numbers("springlength", range(1, 3), (-1.0,))
-        if low == -1 and not rest:
-            low = sum(factor * joint.rest[0] for joint, factor in along)
+        ends = given.numbers("springlength", range(1, 3), (-1.0,))
+        if ends == [-1.0]:
+            ends = [sum(factor * joint.rest[0] for joint, factor in along)]
         stiffness, damping = (self._linear(given, each, "give one number") for each in ("stiffness", "damping"))
-        rest = low, *(rest or [low])  # type: ignore[assignment]
-        made = Tendon(name, node, along, stiffness, damping, rest, given.positive("armature", 0.0), limits)  # type: ignore[arg-type]
+        armature = given.positive("armature", 0.0)
+        made = Tendon(name, node, along, stiffness, damping, (ends[0], ends[-1]), armature, limits)
         self.linkage.limited += [node] * bool(limits)
         self.linkage.tendons.append(made)
 
