@@ -94,9 +94,10 @@ class Loops:
         residuals, plain, lengths = [], [], []
         for closing in mechanism.closures:
             if isinstance(closing, SpatialJoint):
-                residuals += [closing.gap(direction) for direction in closing.directions]
-                plain += [closing.residual(direction) for direction in closing.directions]
-                lengths += [not direction.startswith("rotation") for direction in closing.directions]
+                for direction in closing.directions:
+                    residuals.append(closing.gap(direction))
+                    plain.append(closing.residual(direction))
+                    lengths.append(not direction.startswith("rotation"))
             elif isinstance(closing, Constraint):
                 residuals.append(closing.expression)
                 plain.append(closing.expression)
@@ -118,11 +119,10 @@ class Loops:
         self._ready = np.array(
             [(_GIVEN if n in given else 1.0) * (_DRIVEN if n in self.driven else 1.0) for n in self.names]
         )
-        bounds = (
-            np.array([limits.get(name, (-np.inf, np.inf)) for name in self.names]).reshape(-1, 2) / self.units[:, None]
-        )
-        start = self.given / self.units
-        self._low, self._high = np.minimum(bounds[:, 0], start), np.maximum(bounds[:, 1], start)
+        bounds = np.array([limits.get(name, (-np.inf, np.inf)) for name in self.names]).reshape(-1, 2)
+        low, high = bounds.T / self.units
+        self._start = self.given / self.units
+        self._low, self._high = np.minimum(low, self._start), np.maximum(high, self._start)
 
     def at(self, x: Array) -> tuple[Array, Array]:
         """Return gaps and their Jacobian at coordinates, in units of the mechanism's size."""
@@ -156,43 +156,40 @@ class Loops:
             x, gaps, matrix = tried, found, there
         return x, float(np.abs(gaps).max(initial=0.0))
 
-    def _near(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
+    def _near(self, x: Array, low: Array, high: Array) -> tuple[Array, float]:
         """Return the nearest closed position by weights, from a closed one near it, moving towards the given values."""
-        start, best, left = self.given / self.units, x, self._followed(x, ready, low, high)[1]
+        best, left = x, self._followed(x, self._ready, low, high)[1]
         for _ in range(_CORRECTIONS):
             along = _motions(self.at(best)[1])
-            pull, *_ = np.linalg.lstsq(along / ready[:, None], (start - best) / ready, rcond=_RANK)
+            gone = (self._start - best) / self._ready
+            pull, *_ = np.linalg.lstsq(along / self._ready[:, None], gone, rcond=_RANK)
             step = along @ pull
             step *= min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-300))
-            tried, gap = self._followed(np.clip(best + step, low, high), ready, low, high)
-            if gap > _NEARLY or self._way(tried, ready) > (1 - 1e-3) * self._way(best, ready):
+            tried, gap = self._followed(np.clip(best + step, low, high), self._ready, low, high)
+            if gap > _NEARLY or self._way(tried) > (1 - 1e-3) * self._way(best):
                 break
             best, left = tried, gap
         return best, left
 
-    def _way(self, x: Array, ready: Array) -> float:
-        return float(np.linalg.norm((x - self.given / self.units) / ready))
+    def _way(self, x: Array) -> float:
+        return float(np.linalg.norm((x - self._start) / self._ready))
 
-    def _closest(self, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
+    def _closest(self, low: Array, high: Array) -> tuple[Array, float]:
         """Return the nearest closed position found from the given one and, if that is far, from around it."""
-        start = self.given / self.units
+        start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
-        far = np.abs(best - start).max(initial=0.0) > _FAR
-        if left <= _NEARLY and not far:
+        if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:
             return best, left
         if left <= _NEARLY:
-            best, left = self._near(best, ready, low, high)
+            best, left = self._near(best, low, high)
         rng = np.random.default_rng(0)
         for k in range(_TRIES):
             beside = start + rng.normal(size=len(start)) * ready / ready.max() * (0.2 + 1.8 * k / (_TRIES - 1))
             tried, gap = self._followed(np.clip(beside, low, high), ready, low, high)
             if gap <= _NEARLY:
-                tried, gap = self._near(tried, ready, low, high)
-            if gap <= _NEARLY:
-                better = left > _NEARLY or self._way(tried, ready) < 0.99 * self._way(best, ready)
-            else:
-                better = gap < left
-            if better:
+                tried, gap = self._near(tried, low, high)
+            nearer = left > _NEARLY or self._way(tried) < 0.99 * self._way(best)
+            if nearer if gap <= _NEARLY else gap < left:
                 best, left = tried, gap
         return best, left
 
@@ -200,14 +197,14 @@ class Loops:
         """Return the nearest position that closes the loops, within limits if possible, and its independent
         coordinates."""
         anywhere = np.full(len(self.names), np.inf)
-        x, left = self._closest(self._ready, self._low, self._high)
+        x, left = self._closest(self._low, self._high)
         if left > _NEARLY and (np.isfinite(self._low) | np.isfinite(self._high)).any():
-            wide, found = self._closest(self._ready, -anywhere, anywhere)
+            wide, found = self._closest(-anywhere, anywhere)
             if found <= _NEARLY:
                 x, left = wide, found
         beyond = tuple(n for n, v, a, b in zip(self.names, x, self._low, self._high, strict=True) if not a <= v <= b)
         chosen = self._independent(x)
-        start = self.given / self.units
+        start = self._start
         gap = float(np.abs(np.array(self._plain(self.given))).max(initial=0.0))
         # Independent coordinates keep the given values exactly, if these lead to a position near this one.
         held = np.array([name in chosen for name in self.names])
@@ -235,8 +232,7 @@ class Loops:
         for _ in range(motions.shape[1]):
             size = np.linalg.norm(motions, axis=1)
             first = [i for i, name in enumerate(self.names) if name in self.driven and size[i] > _GOOD * size.max()]
-            among = first or [i for i in range(len(self.names)) if size[i] > _HALF * size.max()]
-            i = first[0] if first else among[0]
+            i = (first or np.flatnonzero(size > _HALF * size.max()).tolist())[0]
             chosen.add(self.names[i])
             along = motions[i] / size[i]
             motions = motions - np.outer(motions @ along, along)

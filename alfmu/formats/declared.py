@@ -6,6 +6,8 @@ coordinates, so every joint has one axis, the same on both bodies, and its coord
 
 from __future__ import annotations
 
+import functools
+import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -60,19 +62,10 @@ _LIGHT = 1e-7
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
 _UNITS = {
-    "revolute": ("rad",),
-    "prismatic": ("m",),
-    "screw": ("rad",),
-    "universal": ("rad", "rad"),
-    "spherical": ("1",) * 4,
-}
+    "revolute": ("rad",), "prismatic": ("m",), "screw": ("rad",), "universal": ("rad", "rad"), "spherical": ("1",) * 4,
+}  # fmt: skip
 _FREEDOMS = {"universal": ("angle1", "angle2")}
-_METHODS = {
-    "revolute": "spatial_revolute",
-    "prismatic": "spatial_prismatic",
-    "screw": "spatial_screw",
-    "weld": "spatial_weld",
-}
+_METHODS = {kind: f"spatial_{kind}" for kind in ("revolute", "prismatic", "screw", "weld")}
 """Methods of `Mechanism` whose names differ from the kind of joint."""
 
 
@@ -144,7 +137,7 @@ class _Declaring:
         for link in linkage.links:
             self._link(link)
         for closure in linkage.closures:
-            with self._of(closure.node):
+            with self._of(closure.joint.node):
                 self._closure(closure)
         for coupling in linkage.couplings:
             with self._of(coupling.node):
@@ -159,9 +152,7 @@ class _Declaring:
             with self._of(motor.node):
                 self._motor(motor, efforts)
         for joint, given in efforts.items():
-            effort = given[0]
-            for each in given[1:]:
-                effort = effort + each
+            effort = functools.reduce(operator.add, given)
             with self._of(joint.node):
                 self.script.do("drive", self.made[joint], effort.limited(*joint.effort) if joint.effort else effort)
 
@@ -180,15 +171,10 @@ class _Declaring:
     def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
         """Return an unused name: the wanted one, with `otherwise` appended, or with a number."""
         plain = plain_name(wanted)
-        tries = [plain, f"{plain}_{otherwise}"]
-        number = 2
-        while any(name + companion in self.taken for name in tries[:1] for companion in ("", *companions)):
-            tries.pop(0)
-            if not tries:
-                tries.append(f"{plain}_{otherwise}{number}")
-                number += 1
-        name = tries[0]
-        self.taken.update(name + companion for companion in ("", *companions))
+        beside = ("", *companions)
+        tries = (plain, *(f"{plain}_{otherwise}{number}" for number in ("", *range(1, len(self.taken) + 2))))
+        name = next(name for name in tries if not any(name + each in self.taken for each in beside))
+        self.taken.update(name + each for each in beside)
         if name != wanted:
             self.renamed[f"{otherwise} {wanted}"] = name
         return name
@@ -216,9 +202,7 @@ class _Declaring:
             with self._of(joint.node):
                 pose = link.before(j, {}, self.zeros)
                 self.origins[between] = pose.at(joint.point)
-                self.bodies[between] = self.script.do(
-                    "spatial_body", called, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=called
-                )
+                self.bodies[between] = self._frame(called)
                 self._joint(joint, before, between, pose)
             before = between
         self.origins[link] = zero.place
@@ -238,16 +222,18 @@ class _Declaring:
             with self._of(link.joints[-1].node):
                 self._joint(link.joints[-1], before, link, link.before(len(link.joints) - 1, {}, self.zeros))
 
+    def _frame(self, name: str) -> Named:
+        """Return a body without mass."""
+        return self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
+
     def _body(self, link: Link, name: str, zero: Pose, free: bool) -> Named:
         inertial = link.inertial
         center = cleaned(zero.turn @ inertial.center)
         matrix = cleaned(zero.turn @ inertial.inertia @ zero.turn.T)
         matrix = (matrix + matrix.T) / 2
         moments = np.diag(matrix)
-        given = {
-            "mass": float(f"{inertial.mass:.15g}"),
-            "inertia": tuple(moments.tolist()) if not np.any(matrix - np.diag(moments)) else matrix.tolist(),
-        }
+        plain = not np.any(matrix - np.diag(moments))
+        given = {"mass": _rounded(inertial.mass), "inertia": tuple(moments.tolist()) if plain else matrix.tolist()}
         if center.any():
             given["center"] = tuple(center.tolist())
         if not free:
@@ -276,28 +262,23 @@ class _Declaring:
         self.values[name] = value = self.closed.get(name, value)
         self.given.add(name)
         if self.chosen is None or name not in self.chosen:
-            return float(f"{value:.15g}")
-        speed = {"rate": float(f"{rate:.15g}")} if rate else {}
+            return _rounded(value)
+        speed = {"rate": _rounded(rate)} if rate else {}
         return self.script.do("start", name, value, unit, **speed, keep=f"{name}_start")
 
     def _coordinate(self, name: str, unit: str, value: float, rate: float) -> Named:
-        self.values[name] = value = float(f"{self.closed.get(name, value):.15g}")
-        alone = self.chosen is not None and name in self.chosen
+        self.values[name] = value = _rounded(self.closed.get(name, value))
         given: dict[str, float | bool] = {"start": value}
-        if alone and rate:
-            given["rate"] = float(f"{rate:.15g}")
-        if alone:
-            given["independent"] = True
+        if self.chosen is not None and name in self.chosen:
+            given |= {"rate": _rounded(rate), "independent": True} if rate else {"independent": True}
         return self.script.do("coordinate", name, unit, **given, keep=name)
 
     def _joint(self, joint: Joint, first: Link | None, second: Link, pose: Pose) -> None:
         """Declare a joint that places a body; `pose` is the pose of the link before it."""
         units = _UNITS[joint.kind]
-        words = (
-            [f"_e{i}" for i in range(4)]
-            if joint.kind == "spherical"
-            else [f"_{_SUFFIXES[unit]}{i + 1 if len(units) > 1 else ''}" for i, unit in enumerate(units)]
-        )
+        words = [f"_{_SUFFIXES.get(x, x)}{i + 1 if len(units) > 1 else ''}" for i, x in enumerate(units)]
+        if joint.kind == "spherical":
+            words = [f"_e{i}" for i in range(4)]
         name = self._name(joint.name, "joint", ["_attitude", *words])
         axes = [cleaned(pose.turn @ (axis / np.linalg.norm(axis))) for axis in joint.axes]
         start, rates = joint.start, joint.rates
@@ -311,20 +292,15 @@ class _Declaring:
             expression = self.coordinates[other][0] if factor == 1 else factor * self.coordinates[other][0]
             coordinates = [expression + offset if offset else expression]
         else:
-            entries = zip(words, units, start, rates, strict=True)
-            coordinates = [self._coordinate(f"{name}{word}", unit, x, rate) for word, unit, x, rate in entries]
             names = [f"{name}{word}" for word in words]
+            coordinates = [self._coordinate(*x) for x in zip(names, units, start, rates, strict=True)]
             self.limits |= dict(zip(names, joint.limits, strict=False))
             if self.linkage.posed:
                 self.given.update(names)
         self.coordinates[joint] = coordinates
         at = pose.at(joint.point)
         markers = [self.bodies[b].at(self._point(b, at)) for b in (first, second)]
-        given: dict[str, Any] = {}
-        if axes:
-            given["axis"] = tuple(axes[0].tolist())
-        if joint.kind == "universal":
-            given["second_axis"] = tuple(axes[1].tolist())
+        given = dict[str, Any](zip(("axis", "second_axis"), (tuple(x.tolist()) for x in axes), strict=False))
         if joint.kind == "screw":
             given["lead"] = joint.lead
         given |= {"coordinate": coordinates[0]} if len(units) == 1 else {"coordinates": tuple(coordinates)}
@@ -374,20 +350,12 @@ class _Declaring:
         return float(f"{found or 1.0:.3g}")
 
     def _stop(
-        self,
-        name: str,
-        node: Node,
-        of: Named,
-        limits: tuple[float, float],
-        value: float,
-        unit: str,
-        stiffness: float,
+        self, name: str, node: Node, of: Named, limits: tuple[float, float], value: float, unit: str, stiffness: float
     ) -> None:
         """Declare an end stop, unless the start is beyond it."""
         onset = _ONSET if unit == "rad" else _ONSET_M
-        given: dict[str, Any] = {
-            which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE
-        }
+        given: dict[str, Any] = {}
+        given |= {which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE}
         if not limits[0] - onset <= value <= limits[1] + onset:
             self.linkage.warn("limits beyond which the start is", node)
         elif given:
@@ -396,13 +364,13 @@ class _Declaring:
                 restitution=_RESTITUTION, creep=_CREEP, unit=unit,
             )  # fmt: skip
 
-    def _spring(self, joint: Joint | Closure, made: Named) -> None:
+    def _spring(self, joint: Joint, made: Named) -> None:
         freedoms = _FREEDOMS.get(joint.kind, ("",))
         for which, k, d, rest in zip(freedoms, joint.stiffness, joint.damping, joint.rest, strict=False):
-            every = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
-            numbers: dict[str, Any] = {name: x for name, x in every.items() if x}
-            if numbers:
-                self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
+            numbers: dict[str, Any] = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
+            if any(numbers.values()):
+                of = made.freedom(which) if which else made
+                self.script.do("spring_damper", of, **{name: x for name, x in numbers.items() if x})
         if joint.friction[0]:
             self.script.do("friction", made, coulomb=1.0, load=joint.friction[0])
 
@@ -410,46 +378,43 @@ class _Declaring:
 
     def _closure(self, closure: Closure) -> None:
         (first, frame1), (second, frame2) = closure.first, closure.second
-        axes = closure.axes
+        joint, axes = closure.joint, closure.joint.axes
         if second is None:
             # Free motions of this body relative to the other have the same values, about opposite axes.
             (first, frame1), (second, frame2) = (second, frame2), (first, frame1)
             axes = tuple(-axis for axis in reversed(axes))
         if first is second:
-            closure.node.fail("it joins a body to itself; name two bodies")
-        self.script.remark(f"{closure.node.tag} that closes a loop")
+            joint.node.fail("it joins a body to itself; name two bodies")
+        self.script.remark(f"{joint.node.tag} that closes a loop")
         zero1, zero2 = self._zero(first) @ frame1, self._zero(second) @ frame2
-        name = self._name(closure.name, "joint", ["_frame"])
+        name = self._name(joint.name, "joint", ["_frame"])
         markers = [self.bodies[b].at(self._point(b, zero.place)) for b, zero in ((first, zero1), (second, zero2))]
         apart = cleaned(zero1.turn @ zero2.turn.T)
         differ = float(np.abs(apart - np.eye(3)).max()) > _PARALLEL
-        if differ and closure.kind in ("weld", "prismatic", "universal", "screw"):
+        if differ and joint.kind in ("weld", "prismatic", "universal", "screw"):
             markers[0] = self._turned(f"{name}_frame", markers[0], quaternion(zero1.turn @ zero2.turn.T))
             zero1, differ = zero2, False
         given: dict[str, Any] = {}
         if axes:
-            one, two = (
-                cleaned(zero.turn @ (x / np.linalg.norm(x))) for zero, x in ((zero1, axes[0]), (zero2, axes[-1]))
-            )
-            given["axis"] = tuple(one.tolist())
-            if closure.kind == "universal" or differ:
-                given["second_axis"] = tuple(two.tolist())
-        if any(closure.stiffness) and differ and closure.kind == "revolute":
-            closure.node.fail(
-                "its spring is measured from where its two frames coincide, which they do not at zero; give both "
-                "frames the same directions there"
-            )
-        if closure.kind == "screw":
-            given["lead"] = closure.lead
-        springs = any(map(any, (closure.damping, closure.stiffness, closure.friction)))
-        method = _METHODS.get(closure.kind, closure.kind)
+            both = ((zero1, axes[0]), (zero2, axes[-1]))
+            one, two = (cleaned(zero.turn @ (x / np.linalg.norm(x))).tolist() for zero, x in both)
+            given["axis"] = tuple(one)
+            if joint.kind == "universal" or differ:
+                given["second_axis"] = tuple(two)
+        if any(joint.stiffness) and differ and joint.kind == "revolute":
+            what = "its spring is measured from where its two frames coincide, which they do not at zero"
+            joint.node.fail(f"{what}; give both frames the same directions there")
+        if joint.kind == "screw":
+            given["lead"] = joint.lead
+        springs = any(map(any, (joint.damping, joint.stiffness, joint.friction)))
+        method = _METHODS.get(joint.kind, joint.kind)
         made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
-        self._spring(closure, made)
+        self._spring(joint, made)
 
     def _turned(self, name: str, marker: Named, e: Array) -> Named:
         """Return a massless frame at a point of a body, with a constant rotation."""
         self.taken.add(f"{name}_turn")
-        frame = self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
+        frame = self._frame(name)
         angle = 2 * float(np.arctan2(np.linalg.norm(e[1:]), e[0]))
         axis = tuple(cleaned(e[1:] / np.linalg.norm(e[1:])).tolist())
         origin = frame.at((0.0, 0.0, 0.0))
@@ -458,18 +423,15 @@ class _Declaring:
 
     def _along(self, terms: Sum, referred: bool = False, rates: bool = False) -> Named:
         """Return a sum of coordinates or of their rates, if `referred` from the references of their joints."""
-        found: Named | None = None
+        found = []
         for joint, factor in terms:
             each = self.coordinates[joint][0]
             if rates:
                 each = self.script.rate(each)
             elif referred and joint.reference:
                 each = each - joint.reference
-            if factor != 1:
-                each = factor * each
-            found = each if found is None else found + each
-        assert found is not None
-        return found
+            found.append(each if factor == 1 else factor * each)
+        return functools.reduce(operator.add, found)
 
     def _coupling(self, coupling: Coupling) -> None:
         found = self._along(coupling.of, True)
@@ -486,16 +448,15 @@ class _Declaring:
     def _tendon(self, tendon: Tendon) -> None:
         length, rate = self._along(tendon.along), self._along(tendon.along, rates=True)
         low, high = tendon.rest
-        pull: Named | None = None
+        pulls = []
         if tendon.stiffness:
             stretch = length - low if low == high else length - length.limited(low, high)
-            pull = -tendon.stiffness * (stretch if low or high else length)
+            pulls.append(-tendon.stiffness * (stretch if low or high else length))
         if tendon.damping:
-            loss = -tendon.damping * rate
-            pull = loss if pull is None else pull + loss
-        if pull is not None:
-            for joint, factor in tendon.along:
-                self.script.do("drive", self.made[joint], pull if factor == 1 else factor * pull)
+            pulls.append(-tendon.damping * rate)
+        for joint, factor in tendon.along if pulls else ():
+            pull = functools.reduce(operator.add, pulls)
+            self.script.do("drive", self.made[joint], pull if factor == 1 else factor * pull)
         if tendon.armature:
             self.script.do("kinetic_energy", (tendon.armature / 2) * rate**2)
         if tendon.limits and self.linkage.stops and self.chosen is not None:
@@ -536,3 +497,7 @@ def _quaternion_rate(e: Array, spin: Array) -> Array:
     """Return rates of Euler parameters (4,) at an angular velocity (3,) in body axes."""
     w, p = e[0], e[1:]
     return 0.5 * np.array([-p @ spin, *(w * spin + np.cross(spin, p))])
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.15g}")

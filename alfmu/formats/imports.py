@@ -125,39 +125,35 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if unknown := [each for each in leaves if each not in LEAVES]:
         raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
     limits, drives = given.pop("limits"), given.pop("drives")
-    readers: dict[str, Callable[..., Linkage]] = {"mujoco": mjcf.read, "sdf": sdf.read, "robot": urdf.read}
-    linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders)
+    readers: dict[str, Callable[..., Any]] = {"mujoco": mjcf.File, "sdf": sdf.File, "robot": urdf.File}
+    linkage: Linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders).linkage
     linkage.stops = limits == "stop"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
-    linkage.drive(drives)
+    linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
     linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     linkage.judge()
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
     script, renamed, remarks, moved = declared(linkage, title)
-    left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
-    warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
-    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *remarks)
-    script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
-    doc = "\n".join(
-        [f"{title}.", *([""] if (warned or left or notes) else [])]
-        + [textwrap.fill(f"Left out, and may matter: {each}", _WIDTH) for each in warned]
-        + [textwrap.fill(f"Left out: {each}", _WIDTH) for each in left]
-        + [textwrap.fill(f"Note: {each}", _WIDTH) for each in notes]
+    left, warned, notes = (
+        tuple(_line(what, nodes) for what, nodes in kinds.items() if nodes)
+        for kinds in (linkage.left_out, linkage.warned, linkage.noted)
     )
-    doc = doc.replace("\\", "/").replace('"', "'")
-    return Imported(
-        script.mechanism,
-        left,
-        warned,
-        notes,
-        moved,
-        renamed,
-        lambda function: script.text(plain_name(function), doc + "\n" * ("\n" in doc)),
+    notes = (*notes, *remarks)
+    said = {"Left out, and may matter": warned, "Left out": left, "Note": notes}
+    script.mechanism.documentation = _documentation(linkage, called, said, renamed)
+    lines = [textwrap.fill(f"{what}: {each}", _WIDTH) for what, all_of in said.items() for each in all_of]
+    doc = (
+        "\n".join([f"{title}.", *[""][: len(lines)], *lines, *[""][: len(lines)]]).replace("\\", "/").replace('"', "'")
     )
+
+    def source(function: str) -> str:
+        return script.text(plain_name(function), doc)
+
+    return Imported(script.mechanism, left, warned, notes, moved, renamed, source)
 
 
 def _line(what: str, nodes: list[Node]) -> str:
@@ -169,14 +165,7 @@ def _line(what: str, nodes: list[Node]) -> str:
     return f"{what} ({', '.join([lines, *shown_names, *more])})"
 
 
-def _documentation(
-    linkage: Linkage,
-    called: str,
-    left: tuple[str, ...],
-    warned: tuple[str, ...],
-    notes: tuple[str, ...],
-    renamed: dict[str, str],
-) -> str:
+def _documentation(linkage: Linkage, called: str, told: dict[str, tuple[str, ...]], renamed: dict[str, str]) -> str:
     """Return the text for the FMU's documentation."""
     sizes = (
         counted(len(linkage.links), "body"),
@@ -184,9 +173,9 @@ def _documentation(
         f"{len(linkage.closures) + len(linkage.couplings)} more that close loops",
     )
     said = [f"# {linkage.name}", "", f"Imported from a file in {called}: {', '.join(sizes)}.", ""]
-    for title, lines in (("Left out, and may matter", warned), ("Left out", left), ("Notes", notes)):
+    for title, lines in told.items():
         if lines:
-            said += [f"## {title}", "", *(f"- {each}" for each in lines), ""]
+            said += [f"## {'Notes' if title == 'Note' else title}", "", *(f"- {each}" for each in lines), ""]
     if renamed:
         said += ["## Names", "", *(f"- {old} is called `{new}`" for old, new in renamed.items()), ""]
     return "\n".join(said)

@@ -7,16 +7,16 @@ frame, about points and axes of that frame: a link with several joints is a chai
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Never
 
 import numpy as np
 
 from ..model.errors import InputError
-from ..model.words import there_is
-from .markup import Node, UnknownName
+from .markup import Node, UnknownName, known
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
 
@@ -39,7 +39,8 @@ Values = Mapping["Joint", Sequence[float]]
 class Joint:
     """A joint with coordinates.
 
-    `kind` is the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), or free for a floating link.
+    `kind` is the method of `Mechanism` (revolute, prismatic, screw, universal, spherical), free for a floating link,
+    or weld for one without a motion.
     """
 
     name: str
@@ -121,20 +122,12 @@ def place(link: Link | None, values: Values, known: dict[Link, Pose]) -> Pose:
 class Closure:
     """A joint that closes a loop, between frames of two links; None is the ground.
 
-    `axes` are in the first frame, that of the second link in the second frame.
+    Its axes are in the first frame, that of the second link in the second frame.
     """
 
-    name: str
-    kind: str
-    node: Node
+    joint: Joint
     first: tuple[Link | None, Pose]
     second: tuple[Link | None, Pose]
-    axes: tuple[Array, ...] = ()
-    damping: tuple[float, ...] = (0.0,)
-    stiffness: tuple[float, ...] = (0.0,)
-    rest: tuple[float, ...] = (0.0,)
-    friction: tuple[float, ...] = (0.0,)
-    lead: float = 0.0
 
 
 Sum = tuple[tuple["Joint", float], ...]
@@ -190,6 +183,10 @@ class Motor:
     start: float = 0.0
 
 
+class LeftOut(InputError):
+    """What the user leaves out."""
+
+
 @dataclass(eq=False)
 class Linkage:
     """The contents of a file. Links are in the order of the tree, parents first."""
@@ -235,11 +232,26 @@ class Linkage:
         """Record ignored elements that may affect the motion."""
         self.warned.setdefault(what, []).extend(nodes)
 
+    def pass_over(self, node: Node, left: Mapping[str, str], *harmless: str) -> None:
+        """Record children that have no effect, and plugins; those that nobody reads besides are refused in the end."""
+        for child in node.all(*left):
+            self.leave(left[child.tag], child)
+        self.warn("plugins, which are programs", *node.all("plugin"))
+        node.all(*harmless)
+
+    def every(self, nodes: Iterable[Node], read: Callable[[Node], object]) -> None:
+        """Read elements, each of which may be refused."""
+        for node in nodes:
+            with self.trying(node):
+                read(node)
+
     @contextmanager
     def trying(self, node: Node | None = None) -> Iterator[None]:
         """Keep the refusal of an element, so that all are told at once; what was not read of it is not judged."""
         try:
             yield
+        except LeftOut:
+            pass
         except InputError as error:
             if node is not None:
                 node.take()
@@ -253,16 +265,19 @@ class Linkage:
         node.take()
         self.warn(f"{word}, which the user leaves out", node)
 
+    def skip(self, word: str, node: Node, why: str) -> Never:
+        """The same, of an element of which nothing more is read."""
+        self.without(word, node, why)
+        raise LeftOut(why)
+
     def judge(self) -> None:
         """Raise InputError with all that was refused, the most frequent first."""
         kinds: dict[str, list[str]] = {}
         for cause in self.causes:
             why = cause.split(": ", 2)[-1]
             kinds.setdefault(re.sub(_PARTICULAR, "#", why), []).append(cause)
-        said = [
-            each[0] + (f" (and {len(each) - 1} more like it)" if len(each) > 1 else "")
-            for each in sorted(kinds.values(), key=len, reverse=True)
-        ]
+        sorted_kinds = sorted(kinds.values(), key=len, reverse=True)
+        said = [x[0] + (f" (and {len(x) - 1} more like it)" if len(x) > 1 else "") for x in sorted_kinds]
         if len(said) == 1:
             raise InputError(said[0])
         if said:
@@ -317,13 +332,13 @@ class Linkage:
             J[columns[joint]] = factor
         return float(1 / (J @ np.linalg.solve(M, J)))
 
-    def drive(self, wanted: str) -> None:
-        """Add a motor to joints by their names, `all` for every joint with one coordinate."""
+    def drive(self, names: Iterable[str], strict: bool = True) -> None:
+        """Add a motor to joints by their names, `all` for every joint with one coordinate; others are refused."""
         able = {j.name: j for j in self.joints if j.kind in ("revolute", "prismatic", "screw") and not j.follows}
         driven = {motor.along[0][0] for motor in self.motors}
-        for name in able if wanted == "all" else [each.strip() for each in wanted.split(",") if each.strip()]:
-            if name not in able:
-                self.node.fail(f"there is no joint {name!r} to drive; {there_is(name, list(able))}")
-            if (joint := able[name]) not in driven:
+        for name in able if list(names) == ["all"] else names:
+            if strict:
+                known(self.node, name, able, "joint to drive")
+            if name in able and (joint := able[name]) not in driven:
                 unit = "N" if joint.kind == "prismatic" else "N.m"
                 self.motors.append(Motor(f"{name}_drive", joint.node, ((joint, 1.0),), unit))

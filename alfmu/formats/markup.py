@@ -6,18 +6,19 @@ attributes were read, so that none is ignored silently.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
-from typing import Never
+from typing import Never, TypeVar
 from xml.parsers import expat
 
 from ..model.errors import InputError
 from ..model.words import shown, there_is
 
-__all__ = ["Node", "Reading", "parsed"]
+__all__ = ["Children", "Includes", "Node", "Reading", "parsed"]
 
 LARGEST = 20_000_000
 """Largest size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
@@ -35,6 +36,11 @@ _NAMESPACES = ("xmlns", "xsi:", "xml:")
 
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
+
+_INCLUDED, _FILES = 8, 100
+"""Largest depth of nested includes, and largest number of included files."""
+
+T = TypeVar("T")
 
 _FLAGS = {"true": True, "1": True, "false": False, "0": False}
 
@@ -131,6 +137,15 @@ class Node:
             found[1].fail(f"<{tag}> stands here a second time; give one")
         return found[0] if found else None
 
+    def need(self, tag: str) -> Node:
+        """Return the only child with a tag; raise InputError if there is none."""
+        return self.one(tag) or self.fail(f"it has no <{tag}>; give one")
+
+    def add(self, tag: str, given: Mapping[str, str] | None = None, text: str = "") -> Node:
+        """Add a child, as if it stood in the file."""
+        self.children.append(Node(tag, given or {}, self.file, self.line, self, text=text, taken=True))
+        return self.children[-1]
+
     def below(self) -> Iterator[Node]:
         """Yield it and all elements in it."""
         yield self
@@ -148,16 +163,12 @@ class Reading:
 
     def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
-        self._given = given or {name: (value, node) for name, value in node.attributes.items()}
+        self._given = {name: (value, node) for name, value in node.attributes.items()} if given is None else given
         self._taken: set[str] = set()
 
     def has(self, name: str) -> bool:
         """Whether an attribute is given."""
         return name in self._given
-
-    def own(self, name: str) -> bool:
-        """Whether an attribute is given by the element itself."""
-        return name in self.node.attributes
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return an attribute as text; raise InputError if it is missing and has no default."""
@@ -208,11 +219,9 @@ class Reading:
     def refuse(self, reasons: Mapping[str, str]) -> None:
         """Reject attributes by name, each with the alternative; zero and false are allowed."""
         for name, instead in reasons.items():
-            if self.has(name):
-                value = self.text(name)
-                words = value.split()
-                if words and not all(word in ("0", "false", "auto", "none") or _zero(word) for word in words):
-                    self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
+            value = self.text(name, "")
+            if any(word not in ("false", "auto", "none") and _value(word) != 0 for word in value.split()):
+                self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
 
     def done(self, harmless: Sequence[str] = ()) -> None:
         """Reject attributes that were neither read nor harmless."""
@@ -222,31 +231,45 @@ class Reading:
                 node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
 
 
+class Children(Reading):
+    """The texts of the children of an element, read as attributes are."""
+
+    def __init__(self, node: Node):
+        super().__init__(node, {child.tag: (child.text.strip(), child) for child in node.children})
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """Return the text of the only child with a tag."""
+        child = self.node.need(name) if default is None else self.node.one(name)
+        return child.text.strip() if child is not None else str(default)
+
+    def flag(self, name: str, default: bool) -> bool:
+        """Return a Boolean, in letters of either size."""
+        said = self.text(name, str(default)).lower()
+        return (
+            _FLAGS[said] if said in _FLAGS else self.fail(name, f"<{name}> is {shown(said[:40])}; give true or false")
+        )
+
+
 def numbers(node: Node, what: str, text: str, count: int | range, finite: bool = True) -> list[float]:
     """Return this number of values from a text, by default finite ones; raise InputError with the line otherwise."""
     words = text.split()
     if len(words) > _LONGEST:
         node.fail(f"{what} has {len(words)} numbers; alfmu reads {_LONGEST}")
-    found = []
-    for word in words:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
+    found = [_value(word) for word in words]
+    for word, value in zip(words, found, strict=True):
         if math.isnan(value) or (finite and math.isinf(value)) or "_" in word:
             node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
-        found.append(value)
     if not (len(found) in count if isinstance(count, range) else len(found) == count):
         wanted = f"{count.start} to {count.stop - 1}" if isinstance(count, range) else str(count)
         node.fail(f"{what} has {len(found)} numbers; give {wanted}")
     return found
 
 
-def _zero(word: str) -> bool:
+def _value(word: str) -> float:
     try:
-        return float(word) == 0
+        return float(word)
     except ValueError:
-        return False
+        return math.nan
 
 
 def parsed(path: str | Path) -> Node:
@@ -255,13 +278,13 @@ def parsed(path: str | Path) -> Node:
     path = Path(path)
     content = content_of(path, LARGEST)
     try:
-        return _Tree(path).of(content)
+        return _tree(path, content)
     except InputError:
         # Exporters write comments with two dashes in them, which XML does not allow.
         plain = re.sub(rb"<!--.*?-->", lambda each: b"\n" * each[0].count(b"\n"), content, flags=re.DOTALL)
         if plain == content:
             raise
-    return _Tree(path).of(plain)
+    return _tree(path, plain)
 
 
 def content_of(path: Path, largest: int) -> bytes:
@@ -293,60 +316,82 @@ def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[P
     return found
 
 
-class _Tree:
-    """Builds a tree from events of expat."""
+class Includes:
+    """Replaces <include> elements by those of other files; for each such element, `elements` returns these."""
 
-    def __init__(self, path: Path):
-        self.path = path
-        self.open: list[Node] = []
-        self.root: Node | None = None
-        self.count = 0
-        self.parser = expat.ParserCreate()
-        self.parser.buffer_text = True
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self._text
-        self.parser.StartDoctypeDeclHandler = lambda *_: self._refuse("a document type (<!DOCTYPE>)")
-        self.parser.EntityDeclHandler = lambda *_: self._refuse("an entity")
+    def __init__(self, node: Node, elements: Callable[[Includes, Node], Sequence[Node]]):
+        self.elements = elements
+        self._within: list[Path] = [node.file.resolve()]
+        self._count = 0
+        self.replace(node)
 
-    def of(self, content: bytes) -> Node:
-        try:
-            self.parser.Parse(content, True)
-        except expat.ExpatError as error:
-            said = expat.errors.messages.get(error.code, "not well-formed")
-            raise InputError(f"{self.path}, line {error.lineno}: this is no XML ({said})") from None
-        except (ValueError, LookupError) as error:  # errors of encodings
-            raise InputError(f"{self.path}: this is no XML that alfmu can read ({error})") from None
-        assert self.root is not None
-        return self.root
+    def replace(self, node: Node) -> None:
+        """Replace those in an element."""
+        children: list[Node] = []
+        for child in node.children:
+            if child.tag == "include":
+                child.taken = True
+                children += self.elements(self, child)
+            else:
+                children.append(child)
+                if child.tag != "plugin":
+                    self.replace(child)
+        node.children = children
 
-    def _refuse(self, what: str) -> Never:
-        line = self.parser.CurrentLineNumber
-        raise InputError(f"{self.path}, line {line}: the file has {what}, which alfmu does not read; leave it out")
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.count += 1
-        if len(self.open) >= DEEPEST:
-            self._refuse(f"elements more than {DEEPEST} deep")
-        if self.count > MOST:
-            self._refuse(f"more than {MOST} elements")
-        parent = self.open[-1] if self.open else None
-        node = Node(tag, attributes, self.path, self.parser.CurrentLineNumber, parent)
-        if parent is None:
-            self.root = node
-        else:
-            parent.children.append(node)
-        self.open.append(node)
-
-    def _end(self, _: str) -> None:
-        self.open.pop()
-
-    def _text(self, text: str) -> None:
-        if self.open:
-            self.open[-1].text += text
+    def root(self, node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Node:
+        """Return the root of the file that an element names, itself with what it includes."""
+        path = found_file(node, name, where, allowed)
+        self._count += 1
+        if path in self._within or len(self._within) > _INCLUDED or self._count > _FILES:
+            node.fail(
+                f"files include each other in a circle, more than {_INCLUDED} deep, or there are more than {_FILES}"
+            )
+        root = parsed(path)
+        self._within.append(path)
+        self.replace(root)
+        self._within.pop()
+        return root
 
 
-def known(node: Node, name: str, there: Mapping[str, object], what: str) -> None:
-    """Reject a name without a definition."""
+def _tree(path: Path, content: bytes) -> Node:
+    """Return the root element of a text."""
+    parser, above, count = expat.ParserCreate(), Node("", {}, path, 0), itertools.count(1)
+    path_to = [above]
+
+    def refuse(what: str) -> Never:
+        line = parser.CurrentLineNumber
+        raise InputError(f"{path}, line {line}: the file has {what}, which alfmu does not read; leave it out")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(path_to) > DEEPEST:
+            refuse(f"elements more than {DEEPEST} deep")
+        if next(count) > MOST:
+            refuse(f"more than {MOST} elements")
+        parent = path_to[-1] if path_to[-1] is not above else None
+        path_to.append(Node(tag, attributes, path, parser.CurrentLineNumber, parent))
+        path_to[-2].children.append(path_to[-1])
+
+    def add(text: str) -> None:
+        path_to[-1].text += text
+
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: path_to.pop()
+    parser.CharacterDataHandler = add
+    parser.StartDoctypeDeclHandler = lambda *_: refuse("a document type (<!DOCTYPE>)")
+    parser.EntityDeclHandler = lambda *_: refuse("an entity")
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        said = expat.errors.messages.get(error.code, "not well-formed")
+        raise InputError(f"{path}, line {error.lineno}: this is no XML ({said})") from None
+    except (ValueError, LookupError) as error:  # errors of encodings
+        raise InputError(f"{path}: this is no XML that alfmu can read ({error})") from None
+    return above.children[0]
+
+
+def known(node: Node, name: str, there: Mapping[str, T], what: str) -> T:
+    """Return what a name stands for; reject one without a definition."""
     if name not in there:
         raise UnknownName(f"{node.where}: there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")
+    return there[name]

@@ -6,6 +6,7 @@ ignored.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,14 +18,14 @@ from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
-from .markup import Node, Reading, found_file, known, parsed
+from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
-__all__ = ["read"]
+__all__ = ["File"]
 
-_VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
+_VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
 
 _MEDIUM = "alfmu has no medium around bodies"
@@ -66,11 +67,6 @@ _FLAGS = {
     "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
     "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
 }  # fmt: skip
-_DEEPEST = 8
-"""Largest depth of nested includes."""
-
-_FILES = 100
-"""Largest number of included files."""
 
 
 @dataclass
@@ -105,38 +101,23 @@ def _is_scalar(joint: Joint) -> bool:
     return joint.kind in ("revolute", "prismatic")
 
 
-def read(
-    root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (), folders: Sequence[Path] = ()
-) -> Linkage:
-    """Return the linkage of an MJCF file; see `imported` for the options."""
-    return _File(root, key, contacts, leaves, folders).linkage
+class File:
+    """Reads an MJCF file into `linkage`; see `imported` for the options."""
 
-
-class _File:
-    def __init__(self, root: Node, key: str, contacts: str, leaves: Sequence[str], folders: Sequence[Path]):
+    def __init__(
+        self, root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (),
+        folders: Sequence[Path] = (),
+    ):  # fmt: skip
         self.root = root
-        _include(root, [root.file.resolve().parent, *folders], 0, [])
+        self.folders = [root.file.resolve().parent, *folders]
+        Includes(root, self._included)
         model = Reading(root)
         self.linkage = Linkage(model.text("model", ""), "MJCF", root, leaves=leaves)
-        trying = self.linkage.trying
         self.settings = _Settings()
-        for node in root.all("compiler"):
-            with trying(node):
-                self._compiler(node)
-        for node in root.all("option"):
-            with trying(node):
-                self._option(node)
-        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
-        for node in root.all("default"):
-            with trying(node):
-                self._default(node, None)
-        self.tendons: dict[str, Sum | None] = {}
-        self.folders = folders
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
-            for section in root.all("asset")
-            for x in section.all("mesh")
+            for x in self._parts("asset", "mesh")
         }
         self.inertias: dict[str, Inertial] = {}
         """Inertias of meshes that were read, of unit density."""
@@ -146,52 +127,58 @@ class _File:
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
-        self.free: set[Link] = set()
-        for section in root.each():
-            with trying(section):
-                self._section(section)
+        self.masses: dict[Link, list[Inertial]] = {}
+        """What geoms give bodies."""
+        self.tendons: dict[str, Sum | None] = {}
+        self.zero: dict[Link, Pose] = {}
+        every = self.linkage.every
+        every(root.all("compiler"), self._compiler)
+        every(root.all("option"), self._option)
+        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
+        every(root.all("default"), self._default)
+        self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
             joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
-        self.zero: dict[Link, Pose] = {}
-        for node in root.all("tendon"):
-            for each in node.each():
-                with trying(each):
-                    self._tendon(each)
-        for node in root.all("equality"):
-            self._equalities(node)
-        for node in root.all("actuator"):
-            for each in node.each():
-                with trying(each):
-                    self._actuator(each)
+        every(self._parts("tendon"), self._tendon)
+        if self.settings.off & {"equality", "constraint"}:
+            self.linkage.leave("equality constraints, which the options disable", *root.all("equality"))
+        else:
+            every(self._parts("equality"), self._closing)
+        every(self._parts("actuator"), self._actuator)
         if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
-            with trying():
+            with self.linkage.trying():
                 self._contacts()
         else:
             self.linkage.leave("contacts", *root.all("contact"))
-        with trying():
+        with self.linkage.trying():
             self._start(key)
 
-    def _section(self, section: Node) -> None:
-        tag = section.tag
-        if tag in _VISUAL:
-            what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
-            self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
-        elif tag in ("deformable", "extension"):
-            for child in section.each():
-                if tag == "deformable" and child.tag == "skin":
-                    self.linkage.leave("skins", child)
-                elif tag == "extension":
-                    self.linkage.warn("plugins, which are programs", child)
-                else:
-                    self.linkage.without("flexible", child, f"a <{child.tag}> does not map; alfmu takes rigid bodies")
-        elif tag not in (
-            "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe", "tendon",
-        ):  # fmt: skip
-            section.fail(f"alfmu does not know <{tag}>")
+    def _parts(self, section: str, *tags: str) -> list[Node]:
+        """Return the elements in all sections of a name."""
+        return [x for each in self.root.all(section) for x in (each.all(*tags) if tags else each.each())]
+
+    def _included(self, includes: Includes, node: Node) -> list[Node]:
+        """Return the elements of the file that an <include> names."""
+        where = [self.folders[0], node.file.resolve().parent, *self.folders[1:]]
+        root = includes.root(node, Reading(node).text("file"), where, self.folders)
+        for each in root.each():
+            each.parent = node.parent
+        return root.children
+
+    def _sections(self) -> None:
+        """Judge sections that are not read."""
+        for section in self.root.all(*_VISUAL):
+            whole = not section.children or section.attributes
+            self.linkage.leave(_VISUAL[section.tag], *([section] if whole else section.each()))
+        self.linkage.warn("plugins, which are programs", *self._parts("extension"))
+        self.linkage.leave("skins", *self._parts("deformable", "skin"))
+        what = "a <{}> does not map; alfmu takes rigid bodies"
+        soft = [each for each in self._parts("deformable") if each.tag != "skin"]
+        self.linkage.every(soft, lambda each: self.linkage.skip("flexible", each, what.format(each.tag)))
 
     # Settings and defaults --------------------------------------------------------------------------------------
 
@@ -205,9 +192,7 @@ class _File:
         found.from_geoms = given.choice("inertiafromgeom", ("auto", "true", "false"), found.from_geoms)
         low, high = given.numbers("inertiagrouprange", 2, (0, 5))
         found.groups = range(int(low), int(high) + 1)
-        found.bounds = tuple(
-            given.positive(f"bound{each}", x) for each, x in zip(("mass", "inertia"), found.bounds, strict=True)
-        )  # type: ignore[assignment]
+        found.bounds = given.positive("boundmass", found.bounds[0]), given.positive("boundinertia", found.bounds[1])
         found.meshes = given.text("meshdir", given.text("assetdir", found.meshes))
         found.strips = given.flag("strippath", found.strips)
         found.balance = given.flag("balanceinertia", found.balance)
@@ -252,14 +237,12 @@ class _File:
             if name not in _FLAGS:
                 given.fail(name, f"alfmu does not know the flag {name}; leave it out if it does nothing to the motion")
 
-    def _default(self, node: Node, parent: str | None) -> None:
+    def _default(self, node: Node, parent: str = "") -> None:
         given = Reading(node)
-        name = given.text("class", "main" if parent is None else None)
-        if parent is None and name != "main":
+        name = given.text("class", None if parent else "main")
+        if not parent and name != "main":
             given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
-        given.done()
-        known_before = self.defaults.get(name, {}) if parent is None else {}
-        self.defaults[name] = {tag: dict(x) for tag, x in (self.defaults[parent] if parent else known_before).items()}
+        self.defaults[name] = dict(self.defaults[parent or "main"])
         for child in node.each():
             if child.tag != "default":
                 child.attributes.taken.update(child.attributes)
@@ -270,96 +253,78 @@ class _File:
     def _reading(self, node: Node, childclass: str | None, *tags: str) -> Reading:
         """Return the attributes of an element with the defaults of its class."""
         name = node.attributes.get("class") or childclass or "main"
-        known(node, name, self.defaults, "default class")
+        defaults = known(node, name, self.defaults, "default class")
         inherited: Inherited = {}
         for tag in tags or (node.tag,):
-            inherited |= self.defaults[name].get(tag, {})
+            inherited |= defaults.get(tag, {})
         inherited.pop("class", None)
         return Reading(node, _over(inherited, node))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
-    def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
-        """Read a body, or a frame in a body at a pose; return the masses of its geoms."""
-        parts: list[Inertial] = []
-        for child in node.each():
-            with self.linkage.trying(child):
-                parts += self._branch(child, link, pose, childclass) or []
-        return parts
+    def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
+        """Read what is in a body, or in a frame in a body at a pose."""
+        self.linkage.every(node.each(), lambda child: self._branch(child, link, pose, childclass))
 
-    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial] | None:
-        """Read a child of a body or a frame; return the masses of its geoms."""
+    def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
+        """Read a child of a body or a frame."""
         if child.tag == "body":
             self._body(child, link, pose, childclass)
         elif child.tag == "frame":
             given = Reading(child)
-            inner = pose @ self._pose(given)
-            given.done(("name", "childclass"))
-            own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
-            return self._tree(child, link, inner, own)
+            own = given.text("childclass", "") or childclass
+            self._tree(child, link, pose @ self._pose(given), own)
         elif child.tag in ("joint", "freejoint"):
             if link is None:
                 child.fail("the world has no joints; put the joint into a body")
             self._joint(child, link, pose, childclass)
         elif child.tag == "geom":
-            return self._geom(child, link, pose, childclass)
+            self._geom(child, link, pose, childclass)
         elif child.tag == "site":
             given = self._reading(child, childclass)
-            if given.has("fromto"):
-                start, end = np.split(vector(given.numbers("fromto", 6)), 2)
-                at = Pose((start + end) / 2, self._along(child, start - end))
-            else:
-                at = self._pose(given)
+            at = self._between(given)[0] if given.has("fromto") else self._pose(given)
             if name := given.text("name", ""):
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
-        elif child.tag in _IN_BODIES:
-            self.linkage.leave(f"{child.tag}s", child)
         elif child.tag in ("flexcomp", "composite"):
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
+        elif child.tag in _IN_BODIES:
+            self.linkage.leave(f"{child.tag}s", child)
         elif child.tag == "plugin":
             self.linkage.warn("plugins, which are programs", child)
-        elif child.tag not in ("inertial",):
+        elif child.tag != "inertial":
             child.fail(f"<{child.tag}> does not map; alfmu takes {', '.join(_TREE)}")
-        return None
 
     def _body(self, node: Node, parent: Link | None, pose: Pose, childclass: str | None) -> None:
         given = Reading(node)
         name = given.text("name", f"body{len(self.links) + 1}")
-        childclass = given.text("childclass", childclass or "main")
-        own = self._pose(given)
-        if given.flag("mocap", False):
-            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
-        lifted = given.number("gravcomp", 0.0)
-        given.done(("user", "sleep"))
         if name in self.links:
             node.fail(f"there is a body {shown(name[:60])} already; names are used once")
-        nothing = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
-        link = Link(name, node, parent, pose @ own, nothing)
+        link = Link(name, node, parent, pose @ self._pose(given), Inertial())
+        childclass = given.text("childclass", childclass or "main")
+        if given.flag("mocap", False):
+            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
+        if lifted := given.number("gravcomp", 0.0):
+            self.linkage.lifted[link] = lifted
+        given.done(("user", "sleep"))
         self.links[name] = link
         self.linkage.links.append(link)
-        if lifted:
-            self.linkage.lifted[link] = lifted
-        parts = self._tree(node, link, Pose(), childclass)
-        inertial = node.one("inertial")
-        if inertial is not None:
+        self._tree(node, link, Pose(), childclass)
+        if (inertial := node.one("inertial")) is not None:
             link.inertial = self._inertial(Reading(inertial))
-        if parts:  # geoms define the inertia without an inertial, or if the compiler setting demands it
-            link.inertial = solids.together(parts)
+        if link in self.masses:  # geoms define the inertia without an inertial, or if the compiler setting demands it
+            link.inertial = solids.together(self.masses[link])
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
             node.fail("a free joint stands alone, in a body of the world")
 
     def _inertial(self, given: Reading) -> Inertial:
-        at = self._pose(given)
-        mass = given.positive("mass")
+        at, mass, products = self._pose(given), given.positive("mass"), [0.0, 0.0, 0.0]
+        moments = given.numbers("diaginertia", 3, (0.0, 0.0, 0.0))
         if given.has("fullinertia"):
-            xx, yy, zz, xy, xz, yz = given.numbers("fullinertia", 6)
-            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        else:
-            matrix = np.diag(given.numbers("diaginertia", 3, (0.0, 0.0, 0.0)))
-        given.done()
-        return Inertial(mass, at.place, at.turn @ matrix @ at.turn.T)
+            full = given.numbers("fullinertia", 6)
+            moments, products = full[:3], full[3:]
+        return Inertial.of(mass, at, moments, products)
 
     def _balanced(self) -> None:
         """Change masses and inertias as the compiler is told to."""
@@ -372,9 +337,8 @@ class _File:
             moments = np.maximum(moments, least)
             if given.balance and moments[0] + moments[1] < moments[2]:
                 moments = np.full(3, moments.mean())
-            link.inertial = Inertial(
-                max(link.inertial.mass, mass), link.inertial.center, axes @ np.diag(moments) @ axes.T
-            )
+            at = Pose(link.inertial.center, axes)
+            link.inertial = Inertial.of(max(link.inertial.mass, mass), at, moments.tolist())
             whole += link.inertial.mass
         factor = given.total / whole if given.total and whole else 1.0
         for link in self.linkage.links:
@@ -407,12 +371,16 @@ class _File:
         two = two / np.linalg.norm(two)
         return np.column_stack((one, two, np.cross(one, two)))
 
+    def _between(self, given: Reading) -> tuple[Pose, float]:
+        """Return the pose of the middle between the two ends of an element, with z along it, and half its length."""
+        start, end = np.split(vector(given.numbers("fromto", 6)), 2)
+        return Pose((start + end) / 2, self._along(given.node, start - end)), float(np.linalg.norm(end - start)) / 2
+
     def _along(self, node: Node, direction: Array) -> Array:
         """Return the smallest rotation of the z axis to a direction."""
-        size = float(np.linalg.norm(direction))
-        if not size > 0:
+        if not np.linalg.norm(direction) > 0:
             node.fail("its two ends are one point")
-        z = direction / size
+        z = direction / np.linalg.norm(direction)
         across = np.cross((0.0, 0.0, 1.0), z)
         sine = float(np.linalg.norm(across))
         if sine < 1e-15:
@@ -429,25 +397,19 @@ class _File:
         name = given.text("name", f"{link.name}_joint{len(link.joints) + 1 if link.joints else ''}")
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
-        hinge = kind == "hinge"
-        angle = self.settings.angle if hinge else float
+        scalar = kind in ("hinge", "slide")
+        angle = self.settings.angle if kind == "hinge" else float
         point, axis = vector(given.numbers("pos", 3, (0, 0, 0))), vector(given.numbers("axis", 3, (0, 0, 1)))
         if not np.linalg.norm(axis) > 0:
             given.fail("axis", "the axis has no direction")
         first = "alfmu takes linear ones; give one number"
         stiffness, damping = (self._linear(given, each, first) for each in ("stiffness", "damping"))
-        joint = Joint(
-            name,
-            {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "free"}[kind],
-            node,
-            frame.at(point),
-            (frame.turn @ axis,) if kind in ("hinge", "slide") else (),
-            reference=angle(given.number("ref", 0.0)) if kind in ("hinge", "slide") else 0.0,
-            stiffness=(stiffness,),
-            damping=(damping,),
-            rest=(angle(given.number("springref", 0.0)),) if kind in ("hinge", "slide") else (0.0,),
-            armature=given.positive("armature", 0.0),
-        )
+        said = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical", "free": "free"}[kind]
+        joint = Joint(name, said, node, frame.at(point), stiffness=(stiffness,), damping=(damping,))
+        joint.armature = given.positive("armature", 0.0)
+        if scalar:
+            joint.axes, joint.reference = (frame.turn @ axis,), angle(given.number("ref", 0.0))
+            joint.rest = (angle(given.number("springref", 0.0)),)
         joint.start = {"ball": (1.0, 0.0, 0.0, 0.0), "free": ()}.get(kind, (joint.reference,))
         joint.rates = {"ball": (0.0,) * 3, "free": (0.0,) * 6}.get(kind, (0.0,))
         if kind == "free" and not free:
@@ -458,26 +420,21 @@ class _File:
         if kind == "ball" and stiffness:
             given.fail("stiffness", "the spring of a ball joint does not map; use three hinges")
         loss = given.positive("frictionloss", 0.0)
-        if loss and kind in ("hinge", "slide") and not self.settings.off & {"frictionloss", "constraint"}:
+        if loss and scalar and not self.settings.off & {"frictionloss", "constraint"}:
             joint.friction = (loss,)
         elif loss and kind == "ball":
             given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
-        given.refuse(
-            {
-                "actuatorgravcomp": "alfmu's gravity acts on all bodies",
-                "align": "it moves frames, not bodies; leave it out",
-            }
-        )
+        given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
+        given.refuse({"align": "it moves frames, not bodies; leave it out"})
         joint.effort = self._range(given, "actuatorfrc")
         time, ratio = given.numbers("springdamper", 2, (0.0, 0.0))
-        if time > 0 and ratio > 0 and kind in ("hinge", "slide"):
+        if time > 0 and ratio > 0 and scalar:
             self.tuned.append((joint, time, ratio))
         elif time or ratio:
-            given.fail(
-                "springdamper", "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
-            )
+            what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
+            given.fail("springdamper", what)
         limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
-        if limits and kind in ("hinge", "slide"):
+        if limits and scalar:
             joint.limits = ((angle(limits[0]), angle(limits[1])),)
             self.linkage.limited.append(node)
         elif limits and kind == "ball":
@@ -500,7 +457,7 @@ class _File:
 
     # Geoms ------------------------------------------------------------------------------------------------------
 
-    def _geom(self, node: Node, link: Link | None, frame: Pose, childclass: str | None) -> list[Inertial]:
+    def _geom(self, node: Node, link: Link | None, frame: Pose, childclass: str | None) -> None:
         given = self._reading(node, childclass)
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
@@ -509,51 +466,42 @@ class _File:
             self.linkage.without("medium", node, f"fluidshape does not map: {_MEDIUM}")
         given.done((*_HARMLESS_GEOM, "fluidcoef"))
         self.linkage.leave("shapes of geoms", node)
-        if link is None or kind in ("plane", "hfield"):
-            return []
-        needed = self.settings.from_geoms != "false" and not (
-            self.settings.from_geoms == "auto" and _holder(node).one("inertial") is not None
-        )
-        if not needed or int(given.number("group", 0)) not in self.settings.groups:
-            return []
+        if link is None or kind in ("plane", "hfield") or int(given.number("group", 0)) not in self.settings.groups:
+            return
+        how = self.settings.from_geoms
+        if how == "false" or (how == "auto" and link.node.one("inertial") is not None):
+            return
         mass = given.positive("mass") if given.has("mass") else None
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
-            return []
+            return
         if given.flag("shellinertia", False):
             node.fail("the inertia of shells does not map; give the body an <inertial>")
         if kind == "mesh":
             whole, pose = self._mesh(given), frame @ self._pose(given)
             factor = density if mass is None else mass / whole.mass
             inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
-            return [Inertial(factor * whole.mass, pose.at(whole.center), inertia)]
-        if kind not in _SIZES:
-            node.fail(
-                f"a geom of type {shown(kind[:40])} gives no inertia here; give its body an <inertial>, or the geom "
-                'mass="0"'
-            )
-        if given.has("mesh"):
-            node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
-        solid, at = self._solid(given, kind)
-        return [solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)]
+            found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
+        else:
+            solid, at = self._solid(given, kind)
+            found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
+        self.masses.setdefault(link, []).append(found)
 
     def _mesh(self, geom: Reading) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
         name = geom.text("mesh")
         if name in self.inertias:
             return self.inertias[name]
-        known(geom.node, name, self.meshes, "mesh")
-        node = self.meshes[name]
+        node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
         kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
         if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
             node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
         try:
             if given.has("file"):
-                folder = self.root.file.resolve().parent
                 path = Path(given.text("file"))
                 path = Path(self.settings.meshes) / (path.name if self.settings.strips else path)
-                corners = triangles(found_file(node, str(path), [folder, *self.folders], [folder, *self.folders]))
+                corners = triangles(found_file(node, str(path), self.folders, self.folders))
             else:
                 points = vector(given.numbers("vertex", range(12, 100_001))).reshape(-1, 3)
                 faces = np.array(given.numbers("face", range(3, 100_001), ()), dtype=int).reshape(-1, 3)
@@ -567,82 +515,61 @@ class _File:
         return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
+        if kind not in _SIZES:
+            what = f"a geom of type {shown(kind[:40])} gives no inertia here"
+            given.node.fail(f'{what}; give its body an <inertial>, or the geom mass="0"')
+        if given.has("mesh"):
+            given.node.fail("a geom fitted to a mesh has a size that alfmu does not know; give the body an <inertial>")
         count = _SIZES[kind]
-        if given.has("fromto") and kind in ("capsule", "cylinder", "box", "ellipsoid"):
-            start, end = np.split(vector(given.numbers("fromto", 6)), 2)
-            size = given.numbers("size", range(1, 4))
-            half = float(np.linalg.norm(end - start)) / 2
-            sizes = [size[0], half] if count == 2 else [size[0], size[0], half]
-            at = Pose((start + end) / 2, self._along(given.node, start - end))
+        if given.has("fromto") and kind != "sphere":
+            at, half = self._between(given)
+            sizes = [given.numbers("size", range(1, 4))[0]] * (count - 1) + [half]
         else:
-            sizes = given.numbers("size", range(count, 4))[:count]
-            at = self._pose(given)
+            at, sizes = self._pose(given), given.numbers("size", range(count, 4))[:count]
         if min(sizes) <= 0:
             given.fail("size", f"a {kind} has sizes above zero")
-        make = getattr(solids, kind)
-        return make(*sizes), at
+        return getattr(solids, kind)(*sizes), at
 
     # Closures of loops ------------------------------------------------------------------------------------------
 
-    def _equalities(self, section: Node) -> None:
-        if self.settings.off & {"equality", "constraint"}:
-            self.linkage.leave("equality constraints, which the options disable", section)
-            return
-        for i, node in enumerate(section.each()):
-            with self.linkage.trying(node):
-                self._closing(i, node)
-
-    def _closing(self, i: int, node: Node) -> None:
+    def _closing(self, node: Node) -> None:
         if node.tag in ("flex", "flexvert", "flexstrain", "distance"):
-            self.linkage.without("flexible", node, f"an equality of kind <{node.tag}> does not map")
-            return
+            self.linkage.skip("flexible", node, f"an equality of kind <{node.tag}> does not map")
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
-        name = given.text("name", f"{node.tag}{i + 1}")
+        name = given.text("name", f"{node.tag}{self._parts('equality').index(node) + 1}")
         if not given.flag("active", True):
             self.linkage.leave("equality constraints that are not active", node)
             return
         if node.tag in ("joint", "tendon"):
-            of, by = (
-                self._summed(given, f"{node.tag}{k}", node.tag) if k == 1 or given.has(f"{node.tag}2") else ()
-                for k in (1, 2)
-            )
-            given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
-            if not of or (not by and given.has(f"{node.tag}2")):
-                return
-            coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
-            self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
+            of = self._summed(given, f"{node.tag}1", node.tag)
+            second = f"{node.tag}2"
+            by = self._summed(given, second, node.tag) if given.has(second) else ()
+            numbers = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
+            self.linkage.couplings.append(Coupling(name, node, of, by, [*numbers, *_POLYNOMIAL[len(numbers) :]]))
         else:
             self.linkage.closures.append(self._equality(given, name))
         if given.has("solref") or given.has("solimp"):
             self.linkage.leave(_SOLVER, node)
         given.done(("class", "solref", "solimp", "user", "anchor", "relpose", "torquescale"))
 
-    def _scalar(self, given: Reading, which: str) -> Joint:
-        name = given.text(which)
-        known(given.node, name, self.joints, "joint")
-        joint = self.joints[name]
-        if not _is_scalar(joint):
-            given.fail(which, f"{which} {shown(name)} is no hinge and no slide")
-        return joint
-
-    def _summed(self, given: Reading, which: str, what: str) -> Sum:
+    def _summed(self, given: Reading, which: str, what: str = "joint") -> Sum:
         """Return a joint, or the joints of a fixed tendon with their factors, by its name in an attribute."""
-        name = given.text(which)
-        joint = self.joints.get(name)
-        if what == "joint" and given.node.tag in _ACTUATORS and joint and not _is_scalar(joint):
-            self.linkage.without("actuators", given.node, f"{which} {shown(name)} is no hinge and no slide")
-            return ()
+        name, tag = given.text(which), given.node.tag
         if what == "joint":
-            return ((self._scalar(given, which), 1.0),)
-        known(given.node, name, self.tendons, "tendon")
-        found = self.tendons[name]
+            joint = known(given.node, name, self.joints, "joint")
+            said = f"{which} {shown(name)} is no hinge and no slide"
+            if not _is_scalar(joint) and tag in _ACTUATORS:
+                self.linkage.skip("actuators", given.node, said)
+            if not _is_scalar(joint):
+                given.fail(which, said)
+            return ((joint, 1.0),)
+        found = known(given.node, name, self.tendons, "tendon")
         if found is None:
-            word = "tendons" if given.node.tag == "tendon" else "actuators"
             what = f"{which} {shown(name)} is no fixed tendon of hinges and slides; alfmu takes these"
-            self.linkage.without(word, given.node, what)
-        return found or ()
+            self.linkage.skip("tendons" if tag == "tendon" else "actuators", given.node, what)
+        return found
 
     # Tendons ----------------------------------------------------------------------------------------------------
 
@@ -660,15 +587,10 @@ class _File:
             self.tendons[name] = None
             if acts:
                 what = f"{acts[0]} of a <{node.tag}> tendon does not map; alfmu takes sums of hinges and slides"
-                self.linkage.without("tendons", node, what)
-            else:
-                self.linkage.leave("tendons without forces", node)
+                self.linkage.skip("tendons", node, what)
+            self.linkage.leave("tendons without forces", node)
             return
-        terms = []
-        for child in node.each():
-            each = Reading(child)
-            terms.append((self._scalar(each, "joint"), each.number("coef")))
-            each.done()
+        terms = [(self._summed(each, "joint")[0][0], each.number("coef")) for each in map(Reading, node.each())]
         if not terms:
             node.fail("it has no joint; give one")
         self.tendons[name] = along = tuple(terms)
@@ -676,50 +598,39 @@ class _File:
             return
         if "frictionloss" in acts:
             self.linkage.without("tendons", node, "frictionloss of a tendon does not map")
-        low, *rest = given.numbers("springlength", range(1, 3), (-1.0,))
-        if low == -1 and not rest:
-            low = sum(factor * joint.rest[0] for joint, factor in along)
+        ends = given.numbers("springlength", range(1, 3), (-1.0,))
+        if ends == [-1.0]:
+            ends = [sum(factor * joint.rest[0] for joint, factor in along)]
         stiffness, damping = (self._linear(given, each, "give one number") for each in ("stiffness", "damping"))
-        made = Tendon(name, node, along, stiffness, damping, (low, *(rest or [low])), given.positive("armature", 0.0))  # type: ignore[arg-type]
-        if limits:
-            made.limits = limits
-            self.linkage.limited.append(node)
+        armature = given.positive("armature", 0.0)
+        made = Tendon(name, node, along, stiffness, damping, (ends[0], ends[-1]), armature, limits)
+        self.linkage.limited += [node] * bool(limits)
         self.linkage.tendons.append(made)
 
     def _equality(self, given: Reading, name: str) -> Closure:
         node = given.node
         turns = node.tag == "connect" or given.positive("torquescale", 1.0) == 0
-        kind = "spherical" if turns else "weld"
+        joint = Joint(name, "spherical" if turns else "weld", node)
         if given.has("site1"):
-            places = []
-            for which in ("site1", "site2"):
-                site = given.text(which)
-                known(node, site, self.sites, "site")
-                places.append(self.sites[site])
-            return Closure(name, kind, node, places[0], places[1])
+            one, two = (known(node, given.text(which), self.sites, "site") for which in ("site1", "site2"))
+            return Closure(joint, one, two)
         first, second = self._link(given, "body1"), self._link(given, "body2", "world")
         apart = self._at_reference(first).inverse @ self._at_reference(second)
         if node.tag == "connect":
             anchor = vector(given.numbers("anchor", 3))
-            return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
-        # The anchor is given in the frame of the second body.
+            return Closure(joint, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
+        # The anchor is given in the frame of the second body; MuJoCo fixes it at the position of relpose, if given.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
-        if any(posed[3:]):
-            # MuJoCo fixes the anchor at the position of relpose.
-            here = Pose(vector(posed[:3]), of_quaternion(posed[3:]))
-            return Closure(name, kind, node, (first, here), (second, Pose(anchor)))
-        return Closure(name, kind, node, (first, apart @ Pose(anchor)), (second, Pose(anchor)))
+        here = Pose(vector(posed[:3]), of_quaternion(posed[3:])) if any(posed[3:]) else apart @ Pose(anchor)
+        return Closure(joint, (first, here), (second, Pose(anchor)))
 
     def _at_reference(self, link: Link | None) -> Pose:
         return place(link, self.linkage.references, self.zero)
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
-        if name == "world":
-            return None
-        known(given.node, name, self.links, "body")
-        return self.links[name]
+        return None if name == "world" else known(given.node, name, self.links, "body")
 
     # Actuators --------------------------------------------------------------------------------------------------
 
@@ -727,8 +638,7 @@ class _File:
         kind = node.tag
         if kind not in _ACTUATORS:
             what = f"an actuator of kind <{kind}> does not map; alfmu takes {', '.join(_ACTUATORS)}"
-            self.linkage.without("actuators", node, what)
-            return
+            self.linkage.skip("actuators", node, what)
         given = self._reading(node, None, *(t for t in _ACTUATORS if t != kind), kind)
         for name, (_, origin) in given._given.items():
             implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
@@ -737,13 +647,9 @@ class _File:
         for each in ("site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
                 what = f"{each} does not map: alfmu takes motors on joints and on fixed tendons"
-                self.linkage.without("actuators", node, what)
-                given.done(tuple(given._given))
-                return
+                self.linkage.skip("actuators", node, what)
         which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
         along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
-        if not along:
-            return
         name = given.text("name", f"{given.text(which)}_{kind}")
         rotary = along[0][0].kind == "revolute"
         gear = given.numbers("gear", range(1, 7), (1.0,))[0]
@@ -769,8 +675,7 @@ class _File:
                 motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
         if dynamics not in ("none", *_LAGS) and not given.has("timeconst"):
             what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
-            self.linkage.without("actuators", node, what)
-            return
+            self.linkage.skip("actuators", node, what)
         motor.lag = lag
         motor.control = self._range(given, "ctrl")
         inherit = given.positive("inheritrange", 0.0)
@@ -801,13 +706,9 @@ class _File:
 
     def _contacts(self) -> None:
         """Reject a file whose bodies could touch each other."""
-        excluded = set()
-        for section in self.root.all("contact"):
-            for pair in section.all("pair"):
-                pair.fail(f"contacts do not map; {_CONTACTS}")
-            for each in section.all("exclude"):
-                given = Reading(each)
-                excluded.add(frozenset((given.text("body1"), given.text("body2"))))
+        self.linkage.every(self._parts("contact", "pair"), lambda pair: pair.fail(f"contacts do not map; {_CONTACTS}"))
+        excludes = [Reading(each) for each in self._parts("contact", "exclude")]
+        excluded = {frozenset((each.text("body1"), each.text("body2"))) for each in excludes}
         for i, (one, node, type1, affinity1) in enumerate(self.geoms):
             for two, other, type2, affinity2 in self.geoms[:i]:
                 a, b = _moving(one), _moving(two)
@@ -819,16 +720,13 @@ class _File:
                     continue
                 names = [link.name if link is not None else "world" for link in (two, one)]
                 if frozenset(names) not in excluded:
-                    node.fail(
-                        f"this geom and that in line {other.line} could touch, of {names[0]} and {names[1]}; contacts "
-                        f"do not map; {_CONTACTS}"
-                    )
+                    what = f"this geom and that in line {other.line} could touch, of {' and '.join(names)}"
+                    node.fail(f"{what}; contacts do not map; {_CONTACTS}")
 
     # Start ------------------------------------------------------------------------------------------------------
 
     def _start(self, key: str) -> None:
-        keys = [each for section in self.root.all("keyframe") for each in section.all("key")]
-        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(keys)}
+        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(self._parts("keyframe", "key"))}
         for joint in self.linkage.joints:
             if joint.kind == "free":
                 pose = self._at_reference(next(link for link in self.linkage.links if joint in link.joints))
@@ -837,27 +735,22 @@ class _File:
         self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *rest)
         if not key:
             return
-        known(self.root, key, named, "keyframe")
-        given = Reading(named[key])
+        given = Reading(known(self.root, key, named, "keyframe"))
         widths = {"spherical": (4, 3), "free": (7, 6)}
         sizes = [widths.get(joint.kind, (1, 1)) for joint in self.linkage.joints]
-        positions = given.numbers("qpos", sum(a for a, _ in sizes)) if given.has("qpos") else None
-        rates = given.numbers("qvel", sum(b for _, b in sizes)) if given.has("qvel") else None
+        for name, attribute, which in (("qpos", "start", 0), ("qvel", "rates", 1)):
+            values = iter(given.numbers(name, sum(x[which] for x in sizes)) if given.has(name) else ())
+            for joint, size in zip(self.linkage.joints, sizes, strict=True) if given.has(name) else ():
+                setattr(joint, attribute, tuple(itertools.islice(values, size[which])))
+                if size[0] > 1 and not any(joint.start[-4:]):
+                    given.fail("qpos", f"the quaternion of {joint.name} is zero")
+        self.linkage.posed = given.has("qpos")
         given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
         if given.has("ctrl"):
             motors = self.linkage.motors
             for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
                 motor.start = x
         given.done(("name", "time"))
-        for joint, (a, b) in zip(self.linkage.joints, sizes, strict=True):
-            if positions is not None:
-                self.linkage.posed = True
-                joint.start, positions = tuple(positions[:a]), positions[a:]
-                e = joint.start[-4:]
-                if a > 1 and not any(e):
-                    given.fail("qpos", f"the quaternion of {joint.name} is zero")
-            if rates is not None:
-                joint.rates, rates = tuple(rates[:b]), rates[b:]
 
 
 def _over(inherited: Inherited, node: Node) -> Inherited:
@@ -881,37 +774,3 @@ def _moving(link: Link | None) -> Link | None:
     while link is not None and not link.joints:
         link = link.parent
     return link
-
-
-def _holder(node: Node) -> Node:
-    """Return the body of a geom, skipping frames."""
-    found = node.parent
-    while found is not None and found.tag == "frame":
-        found = found.parent
-    assert found is not None
-    return found
-
-
-def _include(node: Node, folders: Sequence[Path], depth: int, read: list[Path]) -> None:
-    """Replace <include> elements by the elements of the included files."""
-    children = []
-    for child in node.children:
-        if child.tag != "include":
-            _include(child, folders, depth, read)
-            children.append(child)
-            continue
-        given = Reading(child)
-        name = given.text("file")
-        given.done()
-        if depth >= _DEEPEST:
-            child.fail(f"files include each other more than {_DEEPEST} deep")
-        path = found_file(child, name, [folders[0], child.file.resolve().parent, *folders[1:]], folders)
-        read.append(path)
-        if len(read) > _FILES:
-            child.fail(f"more than {_FILES} files are included")
-        root = parsed(path)
-        _include(root, folders, depth + 1, read)
-        for each in root.each():
-            each.parent = node
-        children += root.children
-    node.children = children

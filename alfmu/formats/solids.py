@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,9 +25,16 @@ class Solid:
 class Inertial:
     """Mass [kg], centre of mass (3,) [m] and matrix of inertia (3, 3) [kg.m2] about it, in the axes of a link."""
 
-    mass: float
-    center: Array
-    inertia: Array
+    mass: float = 0.0
+    center: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @staticmethod
+    def of(mass: float, pose: Pose, moments: Sequence[float], products: Sequence[float] = (0.0, 0.0, 0.0)) -> Inertial:
+        """Return the inertia of moments (xx, yy, zz) and products (xy, xz, yz) in the axes of a pose."""
+        matrix = np.diag(np.asarray(moments, dtype=float))
+        matrix[np.triu_indices(3, 1)] = matrix.T[np.triu_indices(3, 1)] = products
+        return Inertial(mass, pose.place, pose.turn @ matrix @ pose.turn.T)
 
 
 def ellipsoid(a: float, b: float, c: float) -> Solid:
@@ -64,8 +71,8 @@ def capsule(radius: float, half: float) -> Solid:
 
 def placed(solid: Solid, mass: float, pose: Pose) -> Inertial:
     """Return the inertia of a solid of a mass [kg] at a pose of its centre."""
-    moments = np.diag(solid.moments) * (mass / solid.volume if solid.volume else 0.0)
-    return Inertial(mass, pose.place, pose.turn @ moments @ pose.turn.T)
+    factor = mass / solid.volume if solid.volume else 0.0
+    return Inertial.of(mass, pose, [factor * x for x in solid.moments])
 
 
 def together(parts: Iterable[Inertial]) -> Inertial:
@@ -73,7 +80,7 @@ def together(parts: Iterable[Inertial]) -> Inertial:
     parts = list(parts)
     mass = math.fsum(part.mass for part in parts)
     if not mass:
-        return Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+        return Inertial()
     center = sum((part.mass * part.center for part in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for part in parts:

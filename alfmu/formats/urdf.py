@@ -13,23 +13,23 @@ import numpy as np
 
 from ..model.errors import InputError
 from ..model.words import shown
-from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, Motor, place
+from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, place
 from .loops import listed
 from .markup import Node, Reading, known, numbers
 from .poses import Array, Pose, quaternion, turned, vector
-from .sdf import ball_constraint, follow, joint_closure, joint_details
+from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
 
-__all__ = ["read"]
+__all__ = ["File"]
 
 _KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free"}
 _LOOPS = {
-    "revolute": "revolute",
-    "continuous": "revolute",
-    "spherical": "spherical",
-    "ball": "spherical",
-    "fixed": "weld",
+    "revolute": "revolute", "continuous": "revolute", "spherical": "spherical", "ball": "spherical", "fixed": "weld",
     "prismatic": "prismatic",
+}  # fmt: skip
+_SECTIONS = {"material": "materials", "sensor": "sensors"} | {
+    tag: f"settings for other programs (<{tag}>)"
+    for tag in ("mujoco", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
 }
 _LEFT = {
     "visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors", "contact": "settings of contacts",
@@ -39,7 +39,6 @@ _TOUCHING = ("selfcollide", "self_collide")
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 _RESISTING = ("dynamics", "joint_properties")
-_MOVED = ("axis", "mimic", "limit", *_RESISTING)
 _MOVING = {
     "dampingFactor": "give joints damping",
     "springStiffness": "declare the spring in the file that `alfmu import` writes",
@@ -47,54 +46,38 @@ _MOVING = {
 """Settings for Gazebo that change the motion, with the alternative."""
 
 
-def read(
-    root: Node,
-    base: str = "fixed",
-    loops: str = "",
-    contacts: str = "refuse",
-    leaves: Sequence[str] = (),
-    folders: Sequence[Path] = (),
-) -> Linkage:
-    """The linkage of a URDF file; see `imported` for the options."""
-    return _File(root, base, loops, contacts, leaves).linkage
+class File:
+    """Reads a URDF file into `linkage`; see `imported` for the options."""
 
-
-class _File:
-    def __init__(self, root: Node, base: str, loops: str, contacts: str, leaves: Sequence[str]):
+    def __init__(
+        self, root: Node, base: str = "fixed", loops: str = "", contacts: str = "refuse", leaves: Sequence[str] = (),
+        folders: Sequence[Path] = (),
+    ):  # fmt: skip
         given = Reading(root)
         self.linkage = Linkage(given.text("name", ""), "URDF", root, leaves=leaves)
-        trying = self.linkage.trying
-        given.done([name for name in root.attributes if name.startswith(("xmlns", "version"))])
+        given.done([name for name in root.attributes if name.startswith("version")])
         self.contacts = contacts
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
         self.other = self._other(root.file, loops)
         self.changed = dict(zip(self.other.get("joint_name", []), self.other.get("joint_type", []), strict=False))
-        nodes = {each.attributes.get("name", ""): each for each in root.all("link")}
-        if len(nodes) < len(root.all("link")) or "" in nodes:
+        links, joints = root.all("link"), root.all("joint")
+        nodes = {each.attributes.get("name", ""): each for each in links}
+        if len(nodes) < len(links) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
-        if "world" not in nodes and any(
-            x.attributes.get("link") == "world" for j in root.all("joint") for x in j.children
-        ):
+        if "world" not in nodes and any(x.attributes.get("link") == "world" for j in joints for x in j.children):
             nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
-        for child in root.each():
-            with trying(child):
-                self._section(child)
-        with trying(root):
-            self._tree(nodes, root.all("joint"), base)
-        for child in root.all("loop_joint", "drake:loop_joint"):
-            with trying(child):
-                self.linkage.closures.append(self._loop(child))
-        for child in root.all("drake:ball_constraint"):
-            with trying(child):
-                self.linkage.closures.append(ball_constraint(child, self.links, len(self.linkage.closures)))
-        for child in root.all("gazebo"):
-            with trying(child):
-                self._gazebo(child)
-        for child in root.all("transmission"):
-            with trying(child):
-                self._transmission(child)
-        with trying():
+        self.linkage.pass_over(root, _SECTIONS)
+        every, closures = self.linkage.every, self.linkage.closures
+        every([each for each in root.children if not each.taken], self._section)
+        with self.linkage.trying(root):
+            self._tree(nodes, joints, base)
+        every(root.all("loop_joint", "drake:loop_joint"), lambda x: closures.append(self._loop(x)))
+        every(root.all("drake:ball_constraint"),
+              lambda x: closures.append(ball_constraint(x, self.links, len(closures))))  # fmt: skip
+        every(root.all("gazebo"), self._gazebo)
+        every(root.all("transmission"), self._transmission)
+        with self.linkage.trying():
             self._closed()
 
     def _other(self, file: Path, loops: str) -> dict[str, list]:
@@ -118,26 +101,16 @@ class _File:
         node = self.linkage.node
         frames = {joint.name: link for link in self.linkage.links for joint in link.joints} | self.links
         for (one, two), kind in zip(self.other.get("closed_loop", []), self.other.get("type", []), strict=True):
-            for name in (one, two):
-                known(node, name, frames, "link or joint")
-            ends = [(frames[name], Pose()) for name in (one, two)]
-            how = "spherical" if kind.lower() == "3d" else "weld"
-            self.linkage.closures.append(Closure(f"{one}_closed", how, node, ends[0], ends[1]))
-        able = {j.name for j in self.linkage.joints if len(j.zero) == 1 and not j.follows}
-        self.linkage.drive(",".join(name for name in self.other.get("name_mot", []) if name in able))
+            first, second = ((known(node, name, frames, "link or joint"), Pose()) for name in (one, two))
+            joint = Joint(f"{one}_closed", "spherical" if kind.lower() == "3d" else "weld", node)
+            self.linkage.closures.append(Closure(joint, first, second))
+        self.linkage.drive(self.other.get("name_mot", []), strict=False)
 
     def _section(self, child: Node) -> None:
-        tag = child.tag
-        if tag.startswith("xacro:"):
+        if child.tag.startswith("xacro:"):
             child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
-        if tag in ("material", "sensor"):
-            self.linkage.leave(f"{tag}s", child)
-        elif tag in ("mujoco", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group"):
-            self.linkage.leave(f"settings for other programs (<{tag}>)", child)
-        elif tag not in (
-            "link", "joint", "loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission",
-        ):  # fmt: skip
-            child.fail(f"<{tag}> does not map; alfmu takes links, joints, loop joints and transmissions")
+        if child.tag not in ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission"):
+            child.fail(f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions")
 
     # The tree ---------------------------------------------------------------------------------------------------
 
@@ -146,16 +119,13 @@ class _File:
         for joint in joints:
             parent, child = (self._end(joint, each, nodes) for each in ("parent", "child"))
             if child in ends:
-                joint.fail(
-                    f"{child} has two parents, by the joint in line {ends[child][1].line} too; close the loop by a "
-                    "<loop_joint>"
-                )
+                said = f"{child} has two parents, by the joint in line {ends[child][1].line} too"
+                joint.fail(f"{said}; close the loop by a <loop_joint>")
             ends[child] = parent, joint
         roots = [name for name in nodes if name not in ends]
         if len(roots) != 1:
-            self.linkage.node.fail(
-                f"it has {len(roots)} links without a parent ({', '.join(roots[:4])}); a URDF is one tree with one root"
-            )
+            said = f"it has {len(roots)} links without a parent ({', '.join(roots[:4])})"
+            self.linkage.node.fail(f"{said}; a URDF is one tree with one root")
         node = nodes[roots[0]]
         link = self._link(node, None, Pose())
         if base == "floating":
@@ -174,33 +144,22 @@ class _File:
                 mimics += self._joint(joint, link)
         for mimic, follower in mimics:
             given = Reading(mimic)
-            leader = given.text("joint")
-            known(mimic, leader, self.joints, "joint that moves")
+            leader = known(mimic, given.text("joint"), self.joints, "joint that moves")
             factor, offset = given.number("multiplier", 1.0), given.number("offset", 0.0)
-            given.done()
-            follow(self.linkage, mimic, follower, self.joints[leader], factor, offset)
+            follow(self.linkage, mimic, follower, leader, factor, offset)
 
     def _end(self, joint: Node, which: str, nodes: dict[str, Node]) -> str:
-        child = joint.one(which)
-        if child is None:
-            joint.fail(f"it has no <{which}>; give one")
-        given = Reading(child)
-        name = given.text("link")
-        given.done()
+        name = Reading(child := joint.need(which)).text("link")
         known(child, name, nodes, "link")
         return name
 
     def _link(self, node: Node, parent: Link | None, pose: Pose) -> Link:
         given = Reading(node)
         name = given.text("name")
-        link = Link(name, node, parent, pose, Inertial(0.0, np.zeros(3), np.zeros((3, 3))))
+        link = Link(name, node, parent, pose, Inertial())
         with self.linkage.trying(node):
             given.done(("type", "drake_ignore"))
-            for child in node.each():
-                if child.tag in _LEFT:
-                    self.linkage.leave(_LEFT[child.tag], child)
-                elif child.tag != "inertial":
-                    child.fail(f"<{child.tag}> of a link does not map; alfmu takes its inertial")
+            self.linkage.pass_over(node, _LEFT)
             link.inertial = self._inertial(node)
         self.links[name] = link
         self.linkage.links.append(link)
@@ -209,41 +168,25 @@ class _File:
     def _inertial(self, link: Node) -> Inertial:
         node = link.one("inertial")
         if node is None:
-            return Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
-        at = self._origin(node)
-        mass, inertia = node.one("mass"), node.one("inertia")
-        if mass is None:
-            node.fail("it has no <mass>; give one")
-        given = Reading(mass)
-        value = given.positive("value")
-        given.done()
-        matrix = np.zeros((3, 3))
-        if inertia is not None:
+            return Inertial()
+        mass = Reading(node.need("mass")).positive("value")
+        moments, products = [0.0] * 3, [0.0] * 3
+        if (inertia := node.one("inertia")) is not None:
             given = Reading(inertia)
-            xx, yy, zz = (given.number(each) for each in ("ixx", "iyy", "izz"))
-            xy, xz, yz = (given.number(each, 0.0) for each in ("ixy", "ixz", "iyz"))
-            given.done()
-            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return Inertial(value, at.place, at.turn @ matrix @ at.turn.T)
+            moments = [given.number(each) for each in ("ixx", "iyy", "izz")]
+            products = [given.number(each, 0.0) for each in ("ixy", "ixz", "iyz")]
+        return Inertial.of(mass, self._origin(node), moments, products)
 
-    def _origin(self, node: Node, tag: str = "origin") -> Pose:
-        child = node.one(tag)
-        if child is None:
-            return Pose()
-        given = Reading(child)
-        found = self._posed(given)
-        given.done()
-        return found
+    def _origin(self, node: Node) -> Pose:
+        child = node.one("origin")
+        return self._posed(Reading(child)) if child is not None else Pose()
 
     def _posed(self, given: Reading) -> Pose:
         """Return the pose from xyz and rpy of an element."""
-        found = vector(given.numbers("xyz", 3, (0, 0, 0))), given.numbers("rpy", 3, (0, 0, 0))
-        return Pose(found[0], turned("XYZ", found[1]))
+        return Pose(vector(given.numbers("xyz", 3, (0, 0, 0))), turned("XYZ", given.numbers("rpy", 3, (0, 0, 0))))
 
     def _axis(self, node: Node) -> Array:
-        child = node.one("axis")
-        if child is None:
-            return np.array((1.0, 0.0, 0.0))
+        child = node.one("axis") or node.add("axis")
         given = Reading(child)
         axis = vector(given.numbers("xyz", 3, (1, 0, 0)))
         given.done(("rpy",))
@@ -255,62 +198,55 @@ class _File:
         """Return the joint that places a link, with its mimic element."""
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
-        given.done()
         if kind not in _KINDS:
-            node.fail(
-                f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
-                "and floating ones"
-            )
-        limits: tuple[tuple[float, float], ...] = ()
-        most: tuple[float, float] | None = None
-        for child in node.each():
-            if child.tag in ("safety_controller", "calibration"):
-                self.linkage.leave(child.tag, child)
-            elif child.tag == "limit" and kind not in ("fixed", "floating"):
-                x = Reading(child)
-                low, high, effort, speed = (x.limit(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
-                x.done()
-                if 0 < effort < ANYWHERE:
-                    most = (-effort, effort)
-                if 0 < speed < ANYWHERE:
-                    self.linkage.warn("limits of the speed of joints", node)
-                if kind != "continuous" and low < high:
-                    limits = ((low, high),)
-                    self.linkage.limited.append(node)
-            elif child.tag not in ("origin", "parent", "child", "axis", "mimic", "limit", *_RESISTING):
-                child.fail(f"<{child.tag}> of a joint does not map")
-            elif child.tag in _MOVED and kind in ("fixed", "floating"):
-                if child.tag == "mimic" or (child.tag in _RESISTING and kind == "floating"):
-                    child.fail(f"<{child.tag}> of a {kind} joint does not map")
-                self.linkage.leave("what joints without an axis say of one", child)
+            node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
+        left = {each: each for each in ("safety_controller", "calibration")}
+        if kind in ("fixed", "floating"):
+            for child in node.all("mimic", *(_RESISTING if kind == "floating" else ())):
+                child.fail(f"<{child.tag}> of a {kind} joint does not map")
+            left |= dict.fromkeys(("axis", "limit", *_RESISTING), "what joints without an axis say of one")
+        self.linkage.pass_over(node, left)
         if kind == "fixed":
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
             node.fail("a floating joint maps on the root of the tree alone")
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
-        axes = () if kind == "floating" else (self._axis(node),)
-        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes, limits=limits, effort=most)
+        joint = Joint(name, _KINDS[kind], node)
         if kind == "floating":
             at = place(link.parent, {}, {}) @ link.pose
             link.parent, link.pose = None, at
             joint.start, joint.rates = (*at.place.tolist(), *quaternion(at.turn).tolist()), (0.0,) * 6
-        for dynamics in node.all(*_RESISTING):
+        else:
+            joint.axes = (self._axis(node),)
+            self._limits(joint, kind)
+        for dynamics in node.all(*_RESISTING) if kind != "floating" else ():
             given = Reading(dynamics)
             joint.damping = (given.positive("damping", joint.damping[0]),)
             joint.friction = (given.positive("friction", joint.friction[0]),)
-            given.done()
         self.joints[name] = joint
         link.joints += self._other_freedoms(joint, self.changed[name]) if name in self.changed else [joint]
         return [(mimic, joint)] if (mimic := node.one("mimic")) is not None else []
+
+    def _limits(self, joint: Joint, kind: str) -> None:
+        """Read limits of the coordinate, the rate and the effort of a joint."""
+        for child in joint.node.all("limit"):
+            given = Reading(child)
+            low, high, effort, speed = (given.limit(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
+            if 0 < effort < ANYWHERE:
+                joint.effort = (-effort, effort)
+            if 0 < speed < ANYWHERE:
+                self.linkage.warn("limits of the speed of joints", joint.node)
+            if kind != "continuous" and low < high:
+                joint.limits = ((low, high),)
+                self.linkage.limited.append(joint.node)
 
     def _other_freedoms(self, joint: Joint, kind: str) -> list[Joint]:
         """Return the joints that stand for one of the URDF by the file of loops."""
         if kind == "FIXED":
             return []
         if kind == "SPHERICAL":
-            start = Joint(joint.name, "spherical", joint.node).zero
-            return [Joint(joint.name, "spherical", joint.node, start=start, rates=(0.0,) * 3)]
+            return [Joint(joint.name, "spherical", joint.node, start=(1.0, 0.0, 0.0, 0.0), rates=(0.0,) * 3)]
         letters = kind.removeprefix("UJOINT_")
         if len(letters) != 2 or set(letters) - set(_AXES):
             joint.node.fail(f"its type in the file of loops is {shown(kind)}; alfmu takes SPHERICAL, FIXED, UJOINT_XY")
@@ -321,7 +257,6 @@ class _File:
     def _loop(self, node: Node) -> Closure:
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
-        given.done()
         if kind not in _LOOPS:
             node.fail(f"a loop joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_LOOPS)}")
         ends = []
@@ -330,14 +265,11 @@ class _File:
             node.fail("it joins two links; give <link1> and <link2>")
         for each in both:
             given = Reading(each)
-            link = given.text("link")
-            known(each, link, self.links, "link")
-            ends.append((self.links[link], self._posed(given)))
-            given.done()
+            ends.append((known(each, given.text("link"), self.links, "link"), self._posed(given)))
         axes = (self._axis(node),) if kind in ("revolute", "continuous", "prismatic") else ()
         if not axes:
             self.linkage.leave("what joints without an axis say of one", *node.all("axis"))
-        return Closure(name, _LOOPS[kind], node, ends[0], ends[1], axes)
+        return Closure(Joint(name, _LOOPS[kind], node, axes=axes), ends[0], ends[1])
 
     def _gazebo(self, node: Node) -> None:
         refers = "reference" in node.attributes
@@ -360,9 +292,7 @@ class _File:
         """Return an SDF joint: its pose and its axes are in the frame of the child."""
         ends = {}
         for tag in ("parent", "child"):
-            child = node.one(tag)
-            if child is None:
-                node.fail(f"it has no <{tag}>; give one")
+            child = node.need(tag)
             name = child.attributes.get("link", child.text.strip())
             if name != "world":
                 known(child, name, self.links, "link")
@@ -381,9 +311,9 @@ class _File:
         own = Pose(vector(x[:3]), turned("XYZ", x[3:]))
         zeros: dict[Link, Pose] = {}
         frame = place(ends["child"], {}, zeros) @ own
-        kind, details = joint_details(self.linkage, node, frame, axis_in)
+        joint = jointed(self.linkage, node, axis_in)
         places = [(link, place(link, {}, zeros).inverse @ frame) for link in (ends["parent"], ends["child"])]
-        return joint_closure(node, kind, details, places[0], places[1])
+        return closing(joint, places[0], places[1])
 
     def _transmission(self, node: Node) -> None:
         self.linkage.leave("what transmissions say beside their joints", node)
@@ -395,8 +325,4 @@ class _File:
         for each in node.all("joint"):
             name = Reading(each).text("name")
             known(each, name, self.joints, "joint that moves")
-            joint = self.joints[name]
-            if joint.follows is None and joint.kind in ("revolute", "prismatic"):
-                unit = "N" if joint.kind == "prismatic" else "N.m"
-                if not any(motor.along[0][0] is joint for motor in self.linkage.motors):
-                    self.linkage.motors.append(Motor(f"{name}_drive", each, ((joint, 1.0),), unit))
+            self.linkage.drive([name], strict=False)
