@@ -174,6 +174,7 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
         ("<mujoco><body></mujoco>", r"line 1: this is no XML \(mismatched tag\)"),
         ("<html/>", "alfmu reads <mujoco>"),
         ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", "nothing in it moves"),
+        (SDF.format("<joint type='revolute'/>"), "joint: it has no name; give one"),
         ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='gearbox'><parent>world</parent>"
          "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'gearbox' joint does not map"),
         ("<sdf version='1.9'><model name='m'><link name='l'><pose relative_to='f'/></link><frame name='f'><pose "

@@ -173,8 +173,10 @@ class File:
                 each.attributes["name"] += "_joint"
                 self.linkage.note("joints with the name of a link have _joint added", each)
         self.nodes = {each.attributes.get("name", ""): each for each in node.all("link", "joint", "frame")}
+        if "" in self.nodes:
+            self.nodes[""].fail("it has no name; give one")
         if len(self.nodes) < len(node.all("link", "joint", "frame")):
-            node.fail("two of its links, joints and frames have the same name, or none; names are used once")
+            node.fail("two of its links, joints and frames have the same name; names are used once")
         if node.attributes.get("placement_frame"):
             node.fail("placement_frame does not map; give the pose of the model itself")
         own = node.one("pose")
