@@ -128,15 +128,15 @@ def test_options_parameters_and_inputs_reach_the_run(here):
 @pytest.mark.slow
 def test_info_of_many_bodies_stays_short(capsys):
     """One line for all that differ in numbers of names alone; every number of a few."""
-    assert main(["info", "n_four_bar", "--option", "loops=20", "--all"]) == 0
+    assert main(["info", "n_four_bar", "--option", "loops=40", "--all"]) == 0
     text = capsys.readouterr().out
     assert len(text.splitlines()) < 120
-    assert "option loops = 20 (whole number)" in text
-    assert "coordinates (42): x1 [m], y1 [m], x2 [m]" in text
+    assert "option loops = 40 (whole number)" in text
+    assert "coordinates (82): x1 [m], y1 [m], x2 [m]" in text
     for line in (
-        r"coupler\{1\.\.20\}\.x +m +position of the centre of mass of coupler\{1\.\.20\} along x",
-        r"C\{1\.\.20\}\.force\.y +N +force along y on coupler\{1\.\.20\} from crank\{2\.\.21\}",
-        r"multiplier\[\{22\.\.41\}\] +N +multiplier of coupler\{1\.\.20\}\.length, length",
+        r"coupler\{1\.\.40\}\.x +m +position of the centre of mass of coupler\{1\.\.40\} along x",
+        r"C\{1\.\.40\}\.force\.y +N +force along y on coupler\{1\.\.40\} from crank\{2\.\.41\}",
+        r"multiplier\[\{42\.\.81\}\] +N +multiplier of coupler\{1\.\.40\}\.length, length",
     ):
         assert re.search(f"^  {line}$", text, re.M)
 
@@ -379,14 +379,14 @@ def test_info_fits_on_a_screen(name, capsys):
 
 @pytest.mark.slow
 def test_info_in_short_says_what_was_left_out_of_its_lists(capsys):
-    assert main(["info", "n_four_bar", "--option", "loops=20"]) == 0
+    assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 20
     assert max(map(len, out.splitlines())) < 130
-    assert "constraints (41): crank1.length length" in out
-    shown = re.search(r"constraints \(41\): (.*) and (\d+) more", out)
-    assert len(shown[1].split(", ")) + int(shown[2]) == 41
-    assert "crank{1..21}, coupler{1..20} (9 each)" in out
+    assert "constraints (81): crank1.length length" in out
+    shown = re.search(r"constraints \(81\): (.*) and (\d+) more", out)
+    assert len(shown[1].split(", ")) + int(shown[2]) == 81
+    assert "crank{1..41}, coupler{1..40} (9 each)" in out
 
 
 def test_info_counts_the_outputs_that_it_leaves_out(capsys):
