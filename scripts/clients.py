@@ -1,0 +1,330 @@
+"""Runs of alfmu's FMUs in other simulators, as the table of docs/howto/simulators.md: `python scripts/clients.py`.
+
+Each client is installed by pip into a virtual environment of its own, and makes each run in a process of its own. A
+cell is the largest difference from the library's own run. `--write` puts the table into the page; `--installed` takes
+the clients that this Python finds, and installs nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+import zipfile
+from collections.abc import Iterable, Sequence
+from datetime import date
+from functools import partialmethod
+from pathlib import Path
+from typing import Any
+
+PAGE = Path(__file__).parents[1] / "docs" / "howto" / "simulators.md"
+BEGIN, END = "<!-- clients: written by scripts/clients.py -->", "<!-- end of clients -->"
+"""Between these lines the page has the table."""
+
+COLUMNS = {
+    "co-simulation, FMI 2": "single2",
+    "co-simulation, FMI 3": "single3",
+    "Model Exchange, FMI 2": "exchange2",
+    "Model Exchange, FMI 3": "exchange3",
+    "connected": "connected",
+    "SSP": "ssp",
+    "state": "state",
+    "derivatives": "derivatives",
+}
+"""Heads of columns, and methods of drivers that make their runs."""
+
+NONE = "–"
+"""A cell of what the client has no function for."""
+
+STEP, STEPS, HALF = 0.02, 50, 25
+OUTPUTS, TORQUE = ("link1.angle", "A.force.x"), "A.torque"
+FINE, ROUNDS = 1e-3, 200
+WATCHED, VOLTAGE = ("motor.speed", "load.speed"), "motor.voltage"
+LINKS = {
+    "motor.speed": "gearbox.motor_speed",
+    "load.speed": "gearbox.load_speed",
+    "gearbox.motor_torque": "motor.load",
+    "gearbox.load_torque": "load.torque",
+}
+"""All connected signals begin at zero, as fmpy has zeros on them in the first step."""
+
+
+def write_files(folder: Path) -> dict[str, list[float]]:
+    """Write FMUs and an SSP; return the library's numbers for each column."""
+    import alfmu
+    from alfmu.parts import blocks
+    from alfmu.runtime.instance import Instance
+
+    for fmi in (2, 3):
+        alfmu.export("five_bar", folder / f"five_bar{fmi}.fmu", fmi=fmi)
+    components = {
+        "motor": blocks.motor(inertia=1e-3, inductance=2e-3, nominal=10.0),
+        "gearbox": blocks.gearbox(ratio=5.0, stiffness=50.0, damping=0.5),
+        "load": blocks.load(inertia=0.05, damping=0.1),
+    }
+    system = alfmu.System(
+        "spindle", components, list(LINKS.items()), {VOLTAGE: 12.0}, stop_time=ROUNDS * FINE, communication_step=FINE
+    )
+    with zipfile.ZipFile(system.export(folder / "spindle.ssp")) as archive:
+        for name in components:
+            (folder / f"{name}.fmu").write_bytes(archive.read(f"resources/{name}.fmu"))
+    run, coupled, unit = alfmu.simulate("five_bar", STEPS * STEP, STEP), system.simulate(), Instance("five_bar")
+    unit.initialize()
+    for _ in range(HALF):
+        unit.step(STEP)
+    before = [unit.get(name) for name in OUTPUTS]
+    unit.set(TORQUE, 1.0)
+    slopes = [unit.get(name) - old for name, old in zip(OUTPUTS, before, strict=True)]
+    single, several = (
+        [float(made[name][-1]) for name in names] for made, names in ((run, OUTPUTS), (coupled, WATCHED))
+    )
+    return dict.fromkeys(COLUMNS, single) | {"connected": several, "SSP": several, "derivatives": slopes}
+
+
+# Runs in clients, in processes without alfmu --------------------------------------------------------------------------
+
+
+class Fmpy:
+    def run(self, fmi: int, **choices: Any) -> list[float]:
+        import fmpy
+
+        found = fmpy.simulate_fmu(
+            f"five_bar{fmi}.fmu", stop_time=STEPS * STEP, output_interval=STEP, output=OUTPUTS, **choices
+        )
+        assert abs(found["time"][-1] - STEPS * STEP) < 1e-9, f"ends at {found['time'][-1]:g} s"
+        return [float(found[name][-1]) for name in OUTPUTS]
+
+    single2 = partialmethod(run, 2, fmi_type="CoSimulation")
+    single3 = partialmethod(run, 3, fmi_type="CoSimulation")
+    exchange2 = partialmethod(run, 2, fmi_type="ModelExchange", relative_tolerance=1e-8)
+    exchange3 = partialmethod(run, 3, fmi_type="ModelExchange", relative_tolerance=1e-8)
+
+    def ssp(self) -> list[float]:
+        from fmpy.ssp.simulation import simulate_ssp
+
+        found = simulate_ssp("spindle.ssp", stop_time=ROUNDS * FINE - 1e-9, step_size=FINE)  # rows of steps' beginnings
+        return [float(found[name][-1]) for name in WATCHED]
+
+    def half(self) -> tuple[Any, list[int], int]:
+        """Return the five-bar after half the run, with references of outputs and of the torque."""
+        import fmpy
+        from fmpy.fmi2 import FMU2Slave
+
+        text = fmpy.read_model_description("five_bar2.fmu")
+        made = FMU2Slave(
+            guid=text.guid,
+            unzipDirectory=fmpy.extract("five_bar2.fmu"),
+            modelIdentifier=text.coSimulation.modelIdentifier,
+            instanceName="it",
+        )
+        made.instantiate()
+        made.setupExperiment(startTime=0.0)
+        made.enterInitializationMode()
+        made.exitInitializationMode()
+        for k in range(HALF):
+            made.doStep(k * STEP, STEP)
+        references = {v.name: v.valueReference for v in text.modelVariables}
+        return made, [references[name] for name in OUTPUTS], references[TORQUE]
+
+    def state(self) -> list[float]:
+        """Return what follows a state that was saved as bytes, left behind, and restored."""
+        made, outputs, _ = self.half()
+        state = made.getFMUstate()
+        data = made.serializeFMUstate(state)
+        for _ in range(2):
+            made.setFMUstate(made.deSerializeFMUstate(data, state))
+            for k in range(HALF, STEPS):
+                made.doStep(k * STEP, STEP)
+        return list(made.getReal(outputs))
+
+    def derivatives(self) -> list[float]:
+        made, outputs, torque = self.half()
+        return list(made.getDirectionalDerivative(outputs, [torque], [1.0]))
+
+
+class Ecos:
+    def __init__(self) -> None:
+        import ctypes
+        import importlib.metadata as metadata
+
+        library = next(each.locate() for each in metadata.files("tbb") or () if each.name == "libtbb.so.12")
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+
+    def stepped(self, step: float, steps: int, names: Iterable[str], values: str | None = None, **made: Any) -> list:
+        from ecospy import EcosSimulation
+
+        with EcosSimulation(step_size=step, **made) as simulation:
+            simulation.init(parameter_set=values)
+            simulation.step(steps)
+            return [simulation.get_real(name.replace(".", "::", 1)) for name in names]
+
+    def structure(self, **files: str) -> Any:
+        from ecospy import EcosSimulationStructure
+
+        made = EcosSimulationStructure()
+        for name, path in files.items():
+            made.add_model(name, path)
+        return made
+
+    def single(self, fmi: int) -> list[float]:
+        with self.structure(it=f"five_bar{fmi}.fmu") as structure:
+            return self.stepped(STEP, STEPS, [f"it.{name}" for name in OUTPUTS], structure=structure)
+
+    single2, single3 = partialmethod(single, 2), partialmethod(single, 3)
+
+    def connected(self) -> list[float]:
+        with self.structure(motor="motor.fmu", gearbox="gearbox.fmu", load="load.fmu") as structure:
+            for source, target in LINKS.items():
+                structure.make_real_connection(source.replace(".", "::", 1), target.replace(".", "::", 1))
+            structure.add_parameter_set("given", {VOLTAGE.replace(".", "::"): 12.0})
+            return self.stepped(FINE, ROUNDS, WATCHED, "given", structure=structure)
+
+    def ssp(self) -> list[float]:
+        return self.stepped(FINE, ROUNDS, WATCHED, "defaults", ssp_path="spindle.ssp")
+
+
+class Libcosim:
+    def of(self, execution: Any, name: str) -> tuple[int, int]:
+        """Return the slave of a variable, and its reference."""
+        component, _, variable = name.partition(".")
+        slave = execution.slave_index_from_instance_name(component)
+        return slave, next(v.reference for v in execution.slave_variables(slave) if v.name.decode() == variable)
+
+    def stepped(self, execution: Any, steps: int, names: Iterable[str]) -> list[float]:
+        from libcosimpy.CosimObserver import CosimObserver
+
+        observer = CosimObserver.create_last_value()
+        execution.add_observer(observer)
+        execution.step(steps)
+        return [observer.last_real_values(slave, [at])[0] for slave, at in (self.of(execution, name) for name in names)]
+
+    def made(self, step: float, **files: str) -> Any:
+        from libcosimpy.CosimExecution import CosimExecution
+        from libcosimpy.CosimSlave import CosimLocalSlave
+
+        execution = CosimExecution.from_step_size(step_size=round(step * 1e9))
+        for name, path in files.items():
+            execution.add_local_slave(CosimLocalSlave(fmu_path=path, instance_name=name))
+        return execution
+
+    def single(self, fmi: int) -> list[float]:
+        return self.stepped(self.made(STEP, it=f"five_bar{fmi}.fmu"), STEPS, [f"it.{name}" for name in OUTPUTS])
+
+    single2, single3 = partialmethod(single, 2), partialmethod(single, 3)
+
+    def connected(self) -> list[float]:
+        execution = self.made(FINE, motor="motor.fmu", gearbox="gearbox.fmu", load="load.fmu")
+        for source, target in LINKS.items():
+            execution.connect_real_variables(*self.of(execution, source), *self.of(execution, target))
+        execution.real_initial_value(*self.of(execution, VOLTAGE), 12.0)
+        return self.stepped(execution, ROUNDS, WATCHED)
+
+    def ssp(self) -> list[float]:
+        from libcosimpy.CosimExecution import CosimExecution
+
+        return self.stepped(CosimExecution.from_ssp_file("spindle.ssp"), ROUNDS, WATCHED)
+
+
+CLIENTS = {
+    "oldest fmpy": (Fmpy, ("fmpy==0.3.22", "numpy")),
+    "newest fmpy": (Fmpy, ("fmpy", "numpy")),
+    "ecos": (Ecos, ("ecospy", "tbb")),
+    "libcosim": (Libcosim, ("libcosimpy",)),
+    "OMSimulator": (None, ("OMSimulator",)),
+    "PyFMI": (None, ("pyfmi",)),
+}
+"""By name: how it is driven, and what is installed from PyPI, the client first."""
+
+SYSTEM = {"OpenModelica": "openmodelica", "fmusim": "fmusim"}
+"""Clients that could be packages of the system."""
+
+
+# The table ----------------------------------------------------------------------------------------------------------
+
+
+def cell(name: str, column: str, wanted: Sequence[float], folder: Path, python: str) -> str:
+    """Make one run in a process of its own; return its largest error, or how it ended."""
+    if not hasattr(CLIENTS[name][0], COLUMNS[column]):
+        return NONE
+    command = [python, str(Path(__file__).resolve()), "--drive", name, column]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    made = [line for line in done.stdout.splitlines() if line.startswith("made ")]
+    if made:
+        found = json.loads(made[0].removeprefix("made "))
+        error = max(abs(a - b) for a, b in zip(found, wanted, strict=True))
+        return f"{error:.0e}" if error else "0"
+    if done.returncode < 0:
+        return f"ends the process (signal {-done.returncode})"
+    said = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()] or ["no message"]
+    return f"fails: {said[-1]}".replace("|", "/")[:120]
+
+
+def installed(packages: Iterable[str], place: Path) -> tuple[str, str]:
+    """Install packages into an environment at a place; return its Python, and why that failed if it did."""
+    venv.create(place, with_pip=True)
+    python = str(place / ("Scripts" if os.name == "nt" else "bin") / "python")
+    command = [python, "-m", "pip", "install", "--quiet", *packages]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = [line.strip() for line in done.stderr.splitlines() if "rror: " in line and "subprocess" not in line]
+    return python, (said or ["pip failed"])[0].partition(": Max retries")[0][:90] if done.returncode else ""
+
+
+def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> list[str]:
+    """Return the cells of a client, or a second one alone, which says why there are none."""
+    driver, packages = CLIENTS[name]
+    python, why = (sys.executable, "") if here else installed(packages, folder / name)
+    if why:
+        return [name, f"**not tried**: `pip install {packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]
+    code = f"import importlib.metadata as m; print(m.version({packages[0].partition('=')[0]!r}))"
+    found = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
+    if found.returncode or not driver:
+        return [name, "**not tried**: not installed" if found.returncode else "**not tried**: it can be installed"]
+    return [f"{name} {found.stdout.strip()}", *(cell(name, each, wanted[each], folder, python) for each in COLUMNS)]
+
+
+def rows(only: Iterable[str] = (), here: bool = False) -> list[list[str]]:
+    """Return the cells of all clients below a head; `here` takes clients that are installed."""
+    with tempfile.TemporaryDirectory(prefix="clients") as made:
+        wanted = write_files(Path(made))
+        found = [row(name, wanted, Path(made), here) for name in only or CLIENTS]
+    for name, package in {} if only else SYSTEM.items():
+        shown = shutil.which("apt-cache") and subprocess.run(["apt-cache", "show", package], capture_output=True)
+        there = shown and not shown.returncode
+        why = "it can be installed" if there else f"neither apt nor PyPI has it on {date.today():%Y-%m-%d}"
+        found.append([name, f"**not tried**: {why}"])
+    return [["Client", *COLUMNS], *found]
+
+
+def text_of(table: list[list[str]]) -> str:
+    """Return rows as a table in Markdown."""
+    table = [[*cells, *[""] * (len(table[0]) - len(cells))] for cells in table]
+    lines = [f"| {' | '.join(cells)} |".replace("  ", " ") for cells in table]
+    return "\n".join([lines[0], "|---" * len(table[0]) + "|", *lines[1:]])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", action="append", default=[], choices=CLIENTS, help="one client; can be repeated")
+    parser.add_argument("--installed", action="store_true", help="clients that this Python finds; install nothing")
+    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE.name}")
+    parser.add_argument("--drive", nargs=2, metavar=("CLIENT", "COLUMN"), help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.drive:
+        driver = CLIENTS[given.drive[0]][0]
+        print("made", json.dumps(getattr(driver(), COLUMNS[given.drive[1]])()), flush=True)
+        os._exit(0)  # libraries of clients can crash at the end of a process
+    text = text_of(rows(given.only, given.installed))
+    print(text)
+    if given.write:
+        page = PAGE.read_text(encoding="utf-8")
+        before, _, rest = page.partition(BEGIN)
+        PAGE.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
