@@ -12,6 +12,7 @@ import alfmu
 from alfmu import ExportError
 from alfmu.cli import main
 from alfmu.runtime import build
+from alfmu.runtime.embedding import with_scene
 
 SAME = 1e-12
 NAMES = ("link1.angle", "link1.angular_velocity", "monitor.energy", "A.force.x", "A.force.y")
@@ -121,6 +122,23 @@ def test_the_files_are_those_of_the_draft(path):
     assert b"wasi" not in component
     assert any(each.endswith(f"five_bar{build.PLATFORMS[build.HERE].suffix}") for each in names)
     assert fmpy.validation.validate_fmu(str(path)) == []
+
+
+def test_a_scene_stands_behind_the_memory_of_the_one_module_that_has_some():
+    """Two modules, one of them with two pages and data, and a scene that fills one page and begins another."""
+    head, text = b"\0asm\x01\0\0\0", b"\x0b\x07\x01\0\x41\0\x0b\x01x"
+    first = head + b"\x05\x03\x01\0\x02" + b"\x0c\x01\x01" + text
+    second = head + b"\0\x01\0"
+    outer = b"\0asm\x0d\0\x01\0"
+    component = outer + bytes([1, len(first)]) + first + bytes([1, len(second)]) + second
+    scene = bytes(range(256)) * 256
+    made = with_scene(component, scene)
+    piece = len(scene).to_bytes(4, "little") + scene
+    assert made.startswith(outer)
+    assert made.endswith(bytes([1, len(second)]) + second)
+    assert made.count(scene) == 1
+    assert head + b"\x05\x03\x01\0\x04" + b"\x0c\x01\x02" in made  # two more pages, one more piece of data
+    assert b"\x01x\0\x41\x80\x80\x08\x0b\x84\x80\x04" + piece in made  # at 2 * 65536, of 65540 bytes
 
 
 def test_it_is_for_fmi_3_and_takes_tools(tmp_path, monkeypatch, capsys):
