@@ -127,14 +127,18 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
     *from = said.from;
 }
 
-static Owner *owner_of(Text name)
-{
-    Owner *o = malloc(sizeof *o + name.length + 1);
-    if (!o)
-        __builtin_trap();
-    memcpy(o->name, name.length ? name.text : "", name.length + 1);
-    return o;
-}
+/* Arguments of every instance, and what is not used of them. A text without letters has no place. */
+#define OWNED \
+    const char *name, size_t name_length, const char *token, size_t token_length, const char *path, \
+        size_t path_length, int visible, int logging
+#define NEW_OWNER \
+    Owner *o = malloc(sizeof *o + name_length + 1); \
+    if (!o) \
+        __builtin_trap(); \
+    memcpy(o->name, name_length ? name : "", name_length + 1); \
+    token = token_length ? token : ""; \
+    (void)path; \
+    (void)path_length;
 
 static void *owned(Owner *o, int (*give)(Owner *))
 {
@@ -149,45 +153,31 @@ static void *owned(Owner *o, int (*give)(Owner *))
 
 /* A host is asked in between only if it has said that it answers. */
 EXPORT(CS "#[static]co-simulation-instance.instantiate-co-simulation")
-void *instantiate_cs(const char *name, size_t name_length, const char *token, size_t token_length, const char *path,
-    size_t path_length, int visible, int logging, int events, int may_return, const fmi3ValueReference *between,
-    size_t between_count)
+void *instantiate_cs(OWNED, int events, int may_return, const fmi3ValueReference *between, size_t between_count)
 {
-    Owner *o = owner_of((Text){name, name_length});
-    (void)path;
-    (void)path_length;
-    o->instance = fmi3InstantiateCoSimulation(o->name, token_length ? token : "", NULL, visible != 0, logging != 0,
-        events != 0, may_return != 0, between, between_count, o, told, may_return || between_count ? updated : NULL);
+    NEW_OWNER
+    o->instance = fmi3InstantiateCoSimulation(o->name, token, NULL, visible != 0, logging != 0, events != 0,
+        may_return != 0, between, between_count, o, told, may_return || between_count ? updated : NULL);
     return owned(o, new_cs);
 }
 
 EXPORT(ME "#[static]model-exchange-instance.instantiate-model-exchange")
-void *instantiate_me(const char *name, size_t name_length, const char *token, size_t token_length, const char *path,
-    size_t path_length, int visible, int logging)
+void *instantiate_me(OWNED)
 {
-    Owner *o = owner_of((Text){name, name_length});
-    (void)path;
-    (void)path_length;
-    o->instance = fmi3InstantiateModelExchange(
-        o->name, token_length ? token : "", NULL, visible != 0, logging != 0, o, told);
+    NEW_OWNER
+    o->instance = fmi3InstantiateModelExchange(o->name, token, NULL, visible != 0, logging != 0, o, told);
     return owned(o, new_me);
 }
 
-static void dropped(Owner *o)
-{
-    fmi3FreeInstance(o->instance);
-    free(o);
-}
+#define DROP(FUNCTION, NAME) \
+    EXPORT(NAME) void FUNCTION(Owner *o) \
+    { \
+        fmi3FreeInstance(o->instance); \
+        free(o); \
+    }
 
-EXPORT(CS "#[dtor]co-simulation-instance") void drop_cs(Owner *o)
-{
-    dropped(o);
-}
-
-EXPORT(ME "#[dtor]model-exchange-instance") void drop_me(Owner *o)
-{
-    dropped(o);
-}
+DROP(drop_cs, CS "#[dtor]co-simulation-instance")
+DROP(drop_me, ME "#[dtor]model-exchange-instance")
 
 EXPORT("fmi:fmi3/common@3.0.0#get-version") void *get_version(void)
 {
@@ -369,10 +359,7 @@ METHOD(void *, get_output_derivatives, "get-output-derivatives", (Owner * o, con
 EXPORT(CS "#[method]co-simulation-instance.set-input-derivatives")
 int set_input_derivatives(Owner *o, const Request *requests, size_t count, const double *given, size_t given_count)
 {
-    (void)o;
-    (void)requests;
-    (void)given;
-    return finished(count || given_count ? fmi3Error : fmi3OK);
+    return finished(none(o->instance, count + given_count, "fmi3SetInputDerivatives", requests, given));
 }
 
 EXPORT(CS "#[method]co-simulation-instance.do-step")
@@ -411,20 +398,15 @@ LIST(fmi3GetContinuousStates, "get-continuous-states", fmi3GetNumberOfContinuous
 LIST(fmi3GetNominalsOfContinuousStates, "get-nominals-of-continuous-states", fmi3GetNumberOfContinuousStates)
 LIST(fmi3GetEventIndicators, "get-event-indicators", fmi3GetNumberOfEventIndicators)
 
-ME_METHOD("enter-continuous-time-mode") int enter_continuous(Owner *o)
-{
-    return finished(fmi3EnterContinuousTimeMode(o->instance));
-}
+#define ACT(FUNCTION, NAME, DECLARED, ...) \
+    ME_METHOD(NAME) int own_##FUNCTION DECLARED \
+    { \
+        return finished(FUNCTION(o->instance __VA_ARGS__)); \
+    }
 
-ME_METHOD("set-time") int set_time(Owner *o, double time)
-{
-    return finished(fmi3SetTime(o->instance, time));
-}
-
-ME_METHOD("set-continuous-states") int set_states(Owner *o, const double *states, size_t count)
-{
-    return finished(fmi3SetContinuousStates(o->instance, states, count));
-}
+ACT(fmi3EnterContinuousTimeMode, "enter-continuous-time-mode", (Owner * o), )
+ACT(fmi3SetTime, "set-time", (Owner * o, double time), , time)
+ACT(fmi3SetContinuousStates, "set-continuous-states", (Owner * o, const double *states, size_t count), , states, count)
 
 ME_METHOD("completed-integrator-step") void *completed(Owner *o, int no_way_back)
 {
