@@ -13,6 +13,7 @@ _HOME = {
     "AlfmuError": "model.errors",
     "AlfmuWarning": "model.errors",
     "AssemblyError": "model.errors",
+    "Batch": "runtime.batch",
     "Body": "model.parts",
     "DeclarationError": "model.errors",
     "Derivatives": "gradients",
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
     from .model.parts import Joint as Joint
     from .model.parts import Marker as Marker
     from .runtime import Instance as Instance
+    from .runtime.batch import Batch as Batch
     from .runtime.pipeline import derive as derive
     from .simulation import Result as Result
     from .sweeps.results import Sweep as Sweep

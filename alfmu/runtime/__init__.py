@@ -1,6 +1,6 @@
 """The runtime: the C library, its build and binding, and instances.
 
-Other rooms import `build`, `compiled`, `instance`, `library`, `pipeline`, `probe`, `shipped`, `sweeps`.
+Other rooms import `batch`, `build`, `compiled`, `instance`, `library`, `pipeline`, `probe`, `shipped`, `sweeps`.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -3,6 +3,10 @@
 #ifndef ALFMU_LANES_H
 #define ALFMU_LANES_H
 
+#include "scene.h"
+
+#include "internal_begin.h"
+
 #define LANES 8 /* sets of arguments that a function is called for at once; directions of derivatives in a block */
 
 #if defined(__GNUC__)
@@ -30,5 +34,15 @@ typedef union {
     Vector part[LANES / PART];
     double lane[LANES];
 } Lanes;
+
+/* Return whether a function can be evaluated in lanes; evaluate it in all of them, its arguments being in the registers
+   before the place of its values. */
+int lanes_serve(const Function *f);
+void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values);
+
+/* Return the first place at which lanes fill whole cache lines. */
+double *lanes_align(double *place);
+
+#include "internal_end.h"
 
 #endif
