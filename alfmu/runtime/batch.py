@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ class Batch:
         wanted = threads or max(1, min(_processors(), count // LEAST))
         self._pool = ThreadPoolExecutor(wanted) if wanted > 1 else None
         bounds = np.linspace(0, count, min(wanted, count) + 1).astype(int)
-        self._slices = [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False)]
+        self._slices = [slice(a, b) for a, b in pairwise(bounds.tolist())]
         self._parts: list[int] = []
         self._take(traced)
 
@@ -172,6 +173,11 @@ class Batch:
         """Whether each member has been initialised (count,)."""
         return self._ready.copy()
 
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs."""
+        return [n for n, kind in zip(self._scene.names, self._scene.kinds, strict=True) if kind in ("input", "switch")]
+
     def variable(self, name: str) -> Variable:
         """Return the variable of this name: its unit, bounds and default; raise InputError if there is none."""
         if name not in self._variables:
@@ -256,8 +262,8 @@ class Batch:
         """Make the members again for a scene in which redundant constraints brake the motion."""
         if (self._ready & ~mask).any():
             raise AssemblyError(
-                f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others is "
-                "not traced; initialise all members at once"
+                f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others "
+                "is not traced; initialise all members at once"
             )
         names = [name for name, r in self._scene.references.items() if self._kept(r)]
         self._ready[:] = False
