@@ -10,6 +10,16 @@
 /* Calls in fewer lanes than these take less time one after the other. */
 #define FEW 3
 
+/* Whether lanes serve these calls of a function. */
+static int serves(const Group *g, const Function *f)
+{
+#if defined(__GNUC__)
+    return g->count >= FEW && f->narrow && !f->compiled;
+#else
+    return 0;
+#endif
+}
+
 typedef struct {
     const double *x;
     double *y;
@@ -27,7 +37,9 @@ static inline void evaluate(const Group *g, const Function *f, const void *place
             for (int e = 0; e < f->lengths[j]; e++)
                 d[e].lane[lane] = x[e];
         }
+#if defined(__GNUC__)
     lanes_evaluate(f, g->registers, d);
+#endif
     for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
         for (int lane = 0; lane < g->count; lane++) {
             double *y = place(g, f, places, lane, j).y;
@@ -57,7 +69,7 @@ static inline Argument in_arrays(const Group *g, const Function *f, const void *
 
 static void call(const Group *g, const Function *f, const Word *at)
 {
-    if (g->count >= FEW && lanes_serve(f))
+    if (serves(g, f))
         evaluate(g, f, at, in_memory);
     else
         for (int lane = 0; lane < g->count; lane++)
@@ -67,7 +79,7 @@ static void call(const Group *g, const Function *f, const Word *at)
 void group_call_function(const Group *g, int function)
 {
     const Function *f = g->instances[0]->scene->functions + function;
-    if (g->count >= FEW && lanes_serve(f))
+    if (serves(g, f))
         evaluate(g, f, NULL, in_arrays);
     else
         for (int lane = 0; lane < g->count; lane++)

@@ -72,27 +72,9 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, cons
     }
 }
 
-int lanes_serve(const Function *f)
-{
-    return f->narrow && !f->compiled;
-}
-
 void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values)
 {
     lanes_run(f->narrow, f->narrow + f->words, r, values);
-}
-
-#else
-
-int lanes_serve(const Function *f)
-{
-    (void)f;
-    return 0;
-}
-
-void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values)
-{
-    (void)f, (void)r, (void)values;
 }
 
 #endif

@@ -35,10 +35,11 @@ typedef union {
     double lane[LANES];
 } Lanes;
 
-/* Return whether a function can be evaluated in lanes; evaluate it in all of them, its arguments being in the registers
-   before the place of its values. */
-int lanes_serve(const Function *f);
+#if defined(__GNUC__)
+/* Evaluate a function with narrow places in all lanes, its arguments being in the registers before the place of its
+   values. */
 void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values);
+#endif
 
 /* Return the first place at which lanes fill whole cache lines. */
 double *lanes_align(double *place);
