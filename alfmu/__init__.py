@@ -13,9 +13,11 @@ _HOME = {
     "AlfmuError": "model.errors",
     "AlfmuWarning": "model.errors",
     "AssemblyError": "model.errors",
+    "Batch": "runtime.batch",
     "Body": "model.parts",
     "DeclarationError": "model.errors",
     "Derivatives": "gradients",
+    "Environment": "sweeps.environment",
     "Equations": "equations",
     "Equilibrium": "analysis.equilibria",
     "Experiment": "model.parts",
@@ -35,6 +37,7 @@ _HOME = {
     "StepError": "model.errors",
     "Sweep": "sweeps.results",
     "System": "systems.system",
+    "VectorEnvironment": "sweeps.environment",
     "WriteError": "model.errors",
     "couple": "systems.coupling",
     "derivatives": "gradients",
@@ -92,8 +95,11 @@ if TYPE_CHECKING:
     from .model.parts import Joint as Joint
     from .model.parts import Marker as Marker
     from .runtime import Instance as Instance
+    from .runtime.batch import Batch as Batch
     from .runtime.pipeline import derive as derive
     from .simulation import Result as Result
+    from .sweeps.environment import Environment as Environment
+    from .sweeps.environment import VectorEnvironment as VectorEnvironment
     from .sweeps.results import Sweep as Sweep
     from .sweeps.sweep import sweep as sweep
     from .systems.coupling import couple as couple

@@ -30,7 +30,7 @@ ROOMS: dict[str, set[str]] = {
     "systems": {"analysis", "equations", "fmi", "model", "parts", "runtime", "simulation", "view"},
     "api": {"analysis", "catalogue", "equations", "fmi", "model", "runtime", "simulation", "systems", "view"},
     "studies": {"api", "catalogue", "equations", "fmi", "kernel", "model", "runtime", "simulation", "view"},
-    "sweeps": {"equations", "fmi", "kernel", "model", "runtime", "simulation", "studies"},
+    "sweeps": {"catalogue", "equations", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},
     "cli": {
         "analysis",
         "api",

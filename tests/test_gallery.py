@@ -70,6 +70,11 @@ def spatial_slider_crank(n: Names) -> None:
     assert n["lost"] < 1e-5
 
 
+def swing_up(n: Names) -> None:
+    assert n["share"] > 0.9
+    assert np.sin(n["angles"][0]).max() < -0.99
+
+
 def bricard(n: Names) -> None:
     assert n["deviation"] < 1e-9
     assert n["alike"] < 1e-9
@@ -192,7 +197,18 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             pantograph,
             landing_gear,
         ),
-        *(five_bar, four_bar, slider_crank, bennett, governor, kapitza, spatial_slider_crank, gyroscope, bricard),
+        *(
+            five_bar,
+            four_bar,
+            slider_crank,
+            bennett,
+            governor,
+            kapitza,
+            spatial_slider_crank,
+            gyroscope,
+            bricard,
+            swing_up,
+        ),
         bar_clamp,
     )
 }

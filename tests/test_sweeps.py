@@ -276,24 +276,25 @@ def test_a_worker_imports_neither_casadi_nor_what_traces():
     assert done.stdout.strip() == "[]"
 
 
-def test_one_call_of_the_runtime_a_run_on_one_instance(monkeypatch):
-    made = {"scenes": 0, "runs": 0}
-    load, run = Scene.__init__, jobs.Unit.run
+def test_runs_are_made_side_by_side_by_instances_of_one_scene(monkeypatch):
+    """The first one alone, as it may take long."""
+    made: dict[str, list[int] | int] = {"scenes": 0, "runs": []}
+    load, run = Scene.__init__, jobs._Seats.run
 
-    def counting(self, *given):
-        made["runs"] += 1
-        return run(self, *given)
+    def counting(self, given, values):
+        made["runs"].append(len(values))
+        return run(self, given, values)
 
     def loading(self, *given):
         made["scenes"] += 1
         load(self, *given)
 
     alfmu.sweep("five_bar", {"m2": "0.31,0.32"}, keep=KEEP, stop_time=0.1, workers=1)
-    monkeypatch.setattr(jobs.Unit, "run", counting)
+    monkeypatch.setattr(jobs._Seats, "run", counting)
     monkeypatch.setattr(Scene, "__init__", loading)
     monkeypatch.setattr(jobs, "_OWN", jobs.threading.local())
     alfmu.sweep("five_bar", {"m2": "0:1:25"}, keep=KEEP, stop_time=0.1, workers=1)
-    assert made == {"scenes": 1, "runs": 25}
+    assert made == {"scenes": 1, "runs": [1, 24]}
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--kernel",
         choices=[name for name in KERNELS if name != "oracle"],
-        help="what runs the method (default: vm, and compiled where runs take long enough; the numbers are the same)",
+        help="what runs the method (default: vm; the numbers are the same)",
     )
     sub.add_argument("--page", action=argparse.BooleanOptionalAction, default=True, help="write sweep.html (default)")
     add_scene(sub)

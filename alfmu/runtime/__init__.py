@@ -1,6 +1,7 @@
 """The runtime: the C library, its build and binding, and instances.
 
-Other rooms import `build`, `compiled`, `embedding`, `instance`, `library`, `pipeline`, `probe`, `shipped`, `sweeps`.
+Other rooms import `batch`, `build`, `compiled`, `embedding`, `instance`, `library`, `pipeline`, `probe`, `shipped`,
+`sweeps`.
 """
 
 from typing import TYPE_CHECKING, Any

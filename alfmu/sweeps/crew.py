@@ -228,8 +228,8 @@ def make(
     done: Callable[[int], None],
     brakes: Callable[[], Job],
     seconds: float | None = None,
-) -> float:
-    """Run the cases missing in a store, until the user stops or time is over; return the time of a run [s].
+) -> None:
+    """Run the cases missing in a store, until the user stops or time is over.
 
     Without a crew, this process runs them, for at most `seconds` [s]. `done` is called with the number of cases added;
     `brakes` returns the job with the scene that `NeedsBrakes` requires. Raises WriteError if a part cannot be stored.
@@ -242,7 +242,6 @@ def make(
             work.shared(crew)
     except WriteError as error:
         raise WriteError(f"{error}; {kept(store)}") from error
-    return work.pace
 
 
 class _Work:

@@ -6,6 +6,7 @@ A worker gets a job as data and imports neither the tracing of scenes nor CasADi
 from __future__ import annotations
 
 import atexit
+import ctypes
 import logging
 import os
 import threading
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import AlfmuError
-from ..runtime.library import BRAKES, DONE, Scene, Unit
+from ..runtime.library import BRAKES, DONE, REFUSED, Run, Scene, Unit
 from ..runtime.shipped import installed
 from .measures import Measure, measured
 
@@ -132,9 +133,12 @@ class Part:
 
 
 class Runner(Protocol):
-    """Makes runs one after the other."""
+    """Makes runs."""
 
-    def run(self, values: Table) -> Ran: ...
+    def runs(self, values: Table, seconds: float) -> Iterator[list[Ran]]:
+        """Make the runs of cases (cases, varied), and yield some at a time, which take such a time [s] if one does not
+        take longer; their rows are overwritten afterwards."""
+
     def close(self) -> None: ...
 
 
@@ -153,18 +157,19 @@ def run_part(job: Job, first: int, values: Table, seconds: float, stop: Callable
     kept = np.full((count, len(job.measures)), np.nan)
     series = np.full((count, len(job.times), len(over_time)), np.nan)
     ended = np.full(count, np.nan)
-    failures, warnings = [], []
-    for case, numbers in enumerate(values):
-        ran = runner.run(numbers)
-        if not ran.failure:
-            for f, places in of.items():
-                kept[case, places] = make[f](ran.rows[:, columns[f]])
-        if over_time:
-            series[case, : len(ran.rows)] = ran.rows[:, over_time]
-        if len(ran.rows):
-            ended[case] = job.times[len(ran.rows) - 1]
-        failures.append(ran.failure)
-        warnings.append(ran.warning)
+    failures: list[str] = []
+    warnings: list[str] = []
+    for some in runner.runs(values, seconds):
+        for case, ran in enumerate(some, len(failures)):
+            if not ran.failure:
+                for f, places in of.items():
+                    kept[case, places] = make[f](ran.rows[:, columns[f]])
+            if over_time:
+                series[case, : len(ran.rows)] = ran.rows[:, over_time]
+            if len(ran.rows):
+                ended[case] = job.times[len(ran.rows) - 1]
+        failures += [ran.failure for ran in some]
+        warnings += [ran.warning for ran in some]
         if time.perf_counter() - begun > seconds or stop():
             break
     made = len(failures)
@@ -191,64 +196,107 @@ def runner_of(job: Job) -> Runner:
 
 
 class _SceneRunner:
-    """Runs of a scene, each by one call of the runtime."""
+    """Runs of a scene, each by one call of the runtime, or many side by side where its functions are interpreted."""
 
     def __init__(self, job: SceneJob):
         self.job = job
         self.table = np.ascontiguousarray(job.table, float)
         self.times = np.ascontiguousarray(job.times, float)
-        self.rows = np.empty((len(job.times), len(job.outputs)))
-        self.units = [_Seat(job, job.scene, job.code)]
+        self.units = [_Seats(job, job.scene, job.code)]
         if job.braking:
-            self.units.append(_Seat(job, *job.braking))
+            self.units.append(_Seats(job, *job.braking))
 
-    def run(self, values: Table) -> Ran:
-        for seat in self.units:
-            outcome, made, why, warning = seat.run(self, values)
-            if outcome != BRAKES:
-                return Ran(self.rows[:made], why, warning)
-        raise NeedsBrakes
+    def runs(self, values: Table, seconds: float) -> Iterator[list[Ran]]:
+        first, some = 0, 1
+        while first < len(values):
+            begun = time.perf_counter()
+            made = self._some(values[first : first + some])
+            took = (time.perf_counter() - begun) / some
+            yield made
+            first += some
+            some = max(1, min(self.units[0].count, int(min(seconds, SHORT) / took)))
+
+    def _some(self, values: Table) -> list[Ran]:
+        made: list[Ran | None] = [None] * len(values)
+        for seats in self.units:
+            left = [k for k, ran in enumerate(made) if ran is None]
+            for k, (outcome, ran) in zip(left, seats.run(self, values[left]), strict=True):
+                made[k] = ran if outcome != BRAKES else None
+        if None in made:
+            raise NeedsBrakes
+        return cast("list[Ran]", made)
 
     def close(self) -> None:
-        pass
+        for seats in self.units:
+            seats.close()
 
 
-class _Seat:
-    """An instance of a scene, reused for successive runs."""
+SEATS, NUMBERS = 64, 4_000_000
+"""Largest number of runs under way at once, and of numbers in their rows."""
+
+SHORT = 4.0
+"""Time [s] of runs that are under way at once, where one is not longer: a sweep is not stopped before their end."""
+
+
+class _Seats:
+    """Instances of a scene, reused for successive runs."""
 
     def __init__(self, job: SceneJob, scene: bytes, code: Code | None):
         self.scene = Scene(scene, installed())
-        if code and code.machine == machine():
+        compiled = code is not None and code.machine == machine()
+        if code and compiled:
             _compiled(self.scene, code)
-        self.unit = Unit(self.scene)
+        self.count = 1 if compiled else max(1, min(SEATS, NUMBERS // (len(job.times) * len(job.outputs) + 1)))
         place = self.scene.references
         self.job = job
-        self.varied = [place[name] for name in job.varied]
         self.inputs = [place[name] for name in job.inputs]
         self.wanted = [place[name] for name in job.outputs]
-        self.unit.reset()
-        # Values equal to those of the scene are not set again in each run.
-        self.fixed = [(place[name], x) for name, x in job.fixed if self.unit.get(place[name]) != x]
+        c = self.scene.library
+        self.address = c.alfmu_batch_new(self.scene.address, self.count)
+        if not self.address:
+            raise MemoryError(f"{job.name}: there is no memory for {self.count} instances")
+        self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
+        self.rows = np.empty((self.count, len(job.times), len(job.outputs)))
+        # Values equal to those of the scene are not set again in each run; a choice is set by its number.
+        unit = Unit(self.scene)
+        self.choices = [(place[n], x.encode()) for n, x in job.fixed if isinstance(x, str) and unit.get(place[n]) != x]
+        fixed = [(place[n], x) for n, x in job.fixed if not isinstance(x, str) and unit.get(place[n]) != x]
+        self.fixed = np.array([x for _, x in fixed], float)
+        self.set = [r for r, _ in fixed] + [place[name] for name in job.varied] + self.inputs
 
-    def run(self, given: _SceneRunner, values: Table) -> tuple[int, int, str, str]:
-        """Return the status, the number of rows, the reason if some are missing, and the runtime's warnings."""
-        unit, c = self.unit, self.scene.library
-        unit.reset()
-        c.alfmu_stabilise(unit.address, *self.job.stabilisation)
-        begin = list(zip(self.inputs, given.table[0], strict=True))
-        for reference, value in (*self.fixed, *zip(self.varied, values.tolist(), strict=True), *begin):
-            if (outcome := unit.set(reference, value)) != DONE:
-                return outcome, 0, unit.text, unit.warning()
+    def run(self, given: _SceneRunner, values: Table) -> Iterator[tuple[int, Ran]]:
+        """Yield the status of each run, and its results."""
+        c, count = self.scene.library, len(values)
+        begin = np.broadcast_to(given.table[0], (count, len(self.inputs)))
+        table = np.hstack([np.broadcast_to(self.fixed, (count, len(self.fixed))), values, begin])
+        table = np.ascontiguousarray(np.vstack([table, np.zeros((self.count - count, table.shape[1]))]))
+        refused = {k: why for k, member in enumerate(self.members[:count]) if (why := self._ready(member))}
+        chosen = np.array([k < count and k not in refused for k in range(self.count)], np.uint8)
+        outcomes, made = np.full(self.count, REFUSED, np.int32), np.zeros(self.count, np.int64)
+        times, inputs, rows = (x.ctypes.data for x in (given.times, given.table, self.rows))
+        run = Run(times, len(given.times), self.inputs, inputs, self.wanted, rows)
+        references = (ctypes.c_int * len(self.set))(*self.set)
+        where = [x.ctypes.data for x in (table, made, chosen, outcomes)]
+        c.alfmu_batch_run(self.address, ctypes.byref(run.asked), references, len(self.set), *where)
+        for k, member in enumerate(self.members[:count]):
+            failure = "" if outcomes[k] == DONE else c.alfmu_text(member).decode(errors="replace")
+            warns = ctypes.c_int.from_address(c.alfmu_warns(member))
+            warning = c.alfmu_warning(member).decode(errors="replace") if warns.value else ""
+            warns.value = 0
+            yield int(outcomes[k]), Ran(self.rows[k, : made[k]], refused.get(k) or failure, warning)
+
+    def _ready(self, member: int) -> str:
+        """Reset a member and set what it has in common with the others; return why that failed."""
+        c = self.scene.library
+        c.alfmu_reset(member)
+        outcomes = [c.alfmu_stabilise(member, *self.job.stabilisation)]
+        outcomes += [c.alfmu_choose(member, reference, value) for reference, value in self.choices]
         if self.job.penalty is not None:
-            alpha = np.array(self.job.penalty)
-            if (outcome := c.alfmu_penalize(unit.address, alpha.ctypes.data)) != DONE:
-                return outcome, 0, unit.text, unit.warning()
-        unit.time = given.times[0]
-        made = 0
-        if (outcome := unit.initialize()) == DONE:
-            times, table, rows = (x.ctypes.data for x in (given.times, given.table, given.rows))
-            made, outcome = unit.run(times, len(given.times), self.inputs, table, self.wanted, rows)
-        return outcome, made, unit.text if outcome != DONE else "", unit.warning()
+            outcomes.append(c.alfmu_penalize(member, np.array(self.job.penalty).ctypes.data))
+        return "" if set(outcomes) == {DONE} else c.alfmu_text(member).decode(errors="replace")
+
+    def close(self) -> None:
+        self.scene.library.alfmu_batch_free(self.address)
 
 
 def machine() -> str:
@@ -287,10 +335,11 @@ class _FmuRunner:
         self.fmu: Any = None
         atexit.register(self.close)
 
-    def run(self, values: Table) -> Ran:
-        with _ONE_AT_A_TIME, _heard() as said:
-            rows, failure = self._run(values)
-        return Ran(rows, failure, "\n".join(text for text in dict.fromkeys(said) if text != failure))
+    def runs(self, values: Table, seconds: float) -> Iterator[list[Ran]]:
+        for each in values:
+            with _ONE_AT_A_TIME, _heard() as said:
+                rows, failure = self._run(each)
+            yield [Ran(rows, failure, "\n".join(text for text in dict.fromkeys(said) if text != failure))]
 
     def _run(self, values: Table) -> tuple[Table, str]:
         from ..simulation import run

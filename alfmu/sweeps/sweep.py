@@ -49,9 +49,6 @@ _DOUBTS = {"rad": perhaps_degrees, "m": perhaps_millimetres}
 RETRACED = ("solver.method", "solver.input_order")
 """Variables that change the traced scene."""
 
-COMPILES = 8.0
-"""Remaining time [s] above which a scene is compiled first; this takes some seconds and halves the remaining time."""
-
 Vary = Mapping[str, str | Sequence[float]]
 
 
@@ -110,7 +107,7 @@ def sweep(
     is_fmu = isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu")
     if is_fmu and not (freeze is kernel is None):
         raise InputError(f"{mechanism}: frozen parameters and the kernel of an FMU are fixed when it is exported")
-    job, units, others = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
+    job, units, braking = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
     asked = {
         "vary": {name: text if isinstance(text, str) else f"{np.size(text)} values" for name, text in vary.items()},
         "samples": samples,
@@ -136,7 +133,7 @@ def sweep(
         )
         done = show(progress, plan.cases)
         done(store.finished)
-        _made(job, planned_cases, store, workers, scheduler, stop, done, others)
+        _made(job, planned_cases, store, workers, scheduler, stop, done, braking)
         done(plan.cases)
         if store.missing():
             ended = KeyboardInterrupt(kept(store))
@@ -159,7 +156,7 @@ def _made(
     scheduler: str | None,
     stop: Stop,
     done: Callable[[int], None],
-    others: _Others,
+    braking: Callable[[], Job],
 ) -> None:
     """Run the missing cases in this process, in local processes, or on a cluster."""
     count = workers or cores()
@@ -172,13 +169,9 @@ def _made(
         if crew:
             stack.callback(crew.close)
         if isinstance(job, SceneJob) and store.missing():
-            # A few runs measure the time before a process is started or a scene compiled.
-            pace = make(job, cases, store, None, stop, done, others.braking, QUICK)
-            left = store.plan.cases - store.finished
-            if others.compiled is not None and pace * left / (crew.workers() if crew else 1) > COMPILES:
-                job = others.compiled()
+            make(job, cases, store, None, stop, done, braking, QUICK)  # before a process is started
         if store.missing() and not stop():
-            make(job, cases, store, crew, stop, done, others.braking)
+            make(job, cases, store, crew, stop, done, braking)
 
 
 def cores() -> int:
@@ -191,14 +184,6 @@ def _check_form(form: str) -> None:
         raise InputError(f"there is no format {form!r} of parts; use {' or '.join(FORMS)}")
     if form == "parquet" and usual_form() != "parquet":
         raise InputError("Parquet takes pyarrow; install it with: pip install 'alfmu[sweep]', or use the format csv")
-
-
-@dataclass(frozen=True)
-class _Others:
-    """Variants of a job: for redundant constraints that brake; compiled, if the user has chosen no kernel."""
-
-    braking: Callable[[], Job]
-    compiled: Callable[[], Job] | None = None
 
 
 @dataclass(frozen=True)
@@ -259,7 +244,7 @@ class _How:
 
 def _scene(
     mechanism: Any, how: _How, freeze: Sequence[str] | None, kernel: str | None
-) -> tuple[SceneJob, dict[str, str], _Others]:
+) -> tuple[SceneJob, dict[str, str], Callable[[], Job]]:
     """Return the job of a mechanism, units of its variables by name, and variants of the job."""
     given, outputs = dict(how.parameters), None
     if isinstance(mechanism, Equations):
@@ -328,11 +313,7 @@ def _scene(
         other = instance(with_brakes(unit.equations), own)
         return replace(job, braking=_packed(other))
 
-    def compiled() -> SceneJob:
-        return replace(job, code=_packed(instance(unit.equations, "auto"))[1])
-
-    others = _Others(braking, compiled if kernel is None else None)
-    return job, {v.name: v.unit for v in (*known.values(), *unit.outputs)}, others
+    return job, {v.name: v.unit for v in (*known.values(), *unit.outputs)}, braking
 
 
 def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, freeze: Any) -> Sequence[Variable]:
@@ -350,7 +331,7 @@ def _packed(unit: Instance) -> tuple[bytes, Code | None]:
     return packed(unit.equations), Code(machine(), Path(library).read_bytes()) if library else None
 
 
-def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
+def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], Callable[[], Job]]:
     """Return the job of an FMU, and units of its variables by name."""
     from ..fmi.drive import Fmu
 
@@ -384,4 +365,4 @@ def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
             archive=archive,
         )
         units = {v.name: v.unit for v in (*settable.values(), *fmu.outputs)}
-    return job, units, _Others(lambda: job)
+    return job, units, lambda: job

@@ -264,17 +264,7 @@ API int alfmu_read(Instance *i, double *values)
 
 API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
 {
-    const int first = scene_first_output(i->scene);
-    const Border border = border_in();
-    Outcome outcome = DONE;
-    int reads = 0;
-    for (int k = 0; k < count; k++)
-        reads |= references[k] >= first;
-    if (reads)
-        outcome = instance_read(i);
-    instance_get_many(i, references, count, values);
-    border_out(&border);
-    return (int)outcome;
+    INSIDE(int, outputs_get_many(i, references, count, values));
 }
 
 API size_t alfmu_state_size(const Instance *i)
@@ -357,18 +347,6 @@ API void alfmu_counts(const Instance *i, double *counts)
 
 #if !defined(__wasm__) /* a page runs step by step, and has no clock of C */
 
-static int row_of_run(Instance *i, const Run *r, long row)
-{
-    Outcome outcome = DONE;
-    for (int k = 0; k < r->input_count && outcome == DONE; k++)
-        outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
-    if (outcome == DONE && row == 0 && !i->flags.initialized)
-        outcome = instance_initialize(i);
-    alfmu_run_on(i, i->flags.initialized);
-    return outcome == DONE ? alfmu_get_many(i, r->wanted, r->wanted_count, r->values + row * r->wanted_count)
-                           : (int)outcome;
-}
-
 /* A run that goes on. */
 typedef struct {
     const Run *run;
@@ -391,27 +369,19 @@ static int goes_on(Instance *i)
 /* Make the run and return the number of rows. */
 API long alfmu_run(Instance *i, const Run *r, int *outcome)
 {
+    const Border border = border_in();
     Going going = {r, 0, clock()};
-    long row = 0;
-    *outcome = DONE;
+    Outcome found;
+    long rows;
     i->run = &going;
     i->go_on = r->progress ? goes_on : NULL;
-    while (row < r->count && *outcome == DONE) {
-        if (row > 0) {
-            going.done = row - 1;
-            i->looks = -1; /* The first internal step asks. */
-            *outcome = (int)instance_step(i, r->times[row - 1], r->times[row] - r->times[row - 1]);
-        }
-        if (*outcome == DONE)
-            *outcome = row_of_run(i, r, row);
-        row += *outcome == DONE;
-    }
-    if (i->ended)
-        *outcome = -1;
+    rows = whole_run_make(i, r, &going.done, &found);
+    *outcome = i->ended ? -1 : (int)found;
     i->run = NULL;
     i->go_on = NULL;
     i->ended = 0;
-    return row;
+    border_out(&border);
+    return rows;
 }
 
 #endif

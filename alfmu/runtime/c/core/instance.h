@@ -120,6 +120,10 @@ typedef struct Instance {
     void *run;                        /* argument of `go_on` */
     long looks;                       /* how often it might have been asked */
     int ended;                        /* whether it ended the run */
+    /* called in place of running a program, or a function on arrays, by instances that run them together (batch.c), or
+       NULL */
+    void (*wait)(struct Instance *i, int which, const double *const *x, double *const *y);
+    void *place; /* argument of `wait` */
     size_t used, room; /* of scratch */
     char text[MESSAGE]; /* last message */
     int warns;         /* whether there is a warning that nobody has read yet */

@@ -247,7 +247,7 @@ static size_t result(const Function *f, size_t k)
     return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
 }
 
-void function_call(Instance *i, int which, const double *const *x, double *const *y)
+void function_call_alone(Instance *i, int which, const double *const *x, double *const *y)
 {
     const Function *f = i->scene->functions + which;
     double *r = i->registers, *d = r + i->scene->constant_count;
@@ -266,8 +266,15 @@ void function_call(Instance *i, int which, const double *const *x, double *const
             y[j][e] = r[result(f, k++)];
 }
 
-/* Call a function with arguments and results in the memory. */
-static void call_at(Instance *i, const Function *f, const Word *at)
+void function_call(Instance *i, int which, const double *const *x, double *const *y)
+{
+    if (i->wait)
+        i->wait(i, which, x, y);
+    else
+        function_call_alone(i, which, x, y);
+}
+
+void function_call_at(Instance *i, const Function *f, const Word *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
@@ -316,54 +323,7 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
             solution[k] = NAN;
 }
 
-/* A function for several sets of arguments side by side, each number in a lane of its own: an operation is done in all
-   lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
-   compilers without vectors make. */
 #if defined(__GNUC__)
-#undef OPERAND
-#define OPERAND(k) r[at[k]].part[part]
-#undef SUM
-#define SUM(kind, operands, value) \
-    case kind: \
-        for (; count; count--, at += operands, d++) \
-            EACH_PART d->part[part] = value; \
-        break;
-#undef BINARY
-#define BINARY(kind, value) \
-    case kind: \
-        for (; count; count--, at += 2, d++) \
-            EACH_PART \
-            { \
-                const Vector a = OPERAND(0), b = OPERAND(1); \
-                d->part[part] = value; \
-            } \
-        break;
-
-static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
-{
-    while (at < end) {
-        const uint32_t head = *at++;
-        uint32_t count = *at++;
-        switch (head) {
-            SUMS
-            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
-        case SINE_COSINE_KIND:
-            for (; count; count--, at++, d += 2)
-                for (int lane = 0; lane < LANES; lane++) {
-                    const double a = r[at[0]].lane[lane];
-                    d[0].lane[lane] = sin(a);
-                    d[1].lane[lane] = cos(a);
-                }
-            break;
-        default: {
-            const int operands = 1 + IS_BINARY(head);
-            for (; count; count--, at += operands, d++)
-                for (int lane = 0; lane < LANES; lane++)
-                    d->lane[lane] = operation_value((int)head, r[at[0]].lane[lane], r[at[operands - 1]].lane[lane]);
-        }
-        }
-    }
-}
 
 static void call_lanes(Instance *i, const Function *f, int count, const Word *at)
 {
@@ -378,7 +338,7 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
             for (int e = 0; e < f->lengths[j]; e++)
                 d[e].lane[lane] = x[e];
         }
-    lanes_run(f->narrow, f->narrow + f->words, r, d);
+    lanes_evaluate(f, r, d);
     for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
         for (int lane = 0; lane < count; lane++) {
             double *y = i->m + at[lane * each];
@@ -392,92 +352,98 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
 static void one_by_one(Instance *i, const Function *f, int count, const Word *at)
 {
     for (; count; count--, at += f->inputs + f->outputs)
-        call_at(i, f, at);
+        function_call_at(i, f, at);
+}
+
+/* A routine of linear algebra, or calls in lanes. */
+const Word *routine_run(Instance *i, const Word *at)
+{
+    double *m = i->m;
+    switch (*at++) {
+    case FACTOR_CODE: { /* n, blocks, terms; weights, parts; factors, order */
+        const double *parts[MOST_ARGUMENTS];
+        const int count = at[1] * at[2];
+        for (int j = 0; j < count; j++)
+            parts[j] = m + at[4 + j];
+        linear_factor(at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+        if (i->tape)
+            tape_factor(i, at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+        return at + 6 + count;
+    }
+    case SOLVE_CODE: { /* n, blocks; factors, order, right-hand sides; solution */
+        const double *right[MOST_ARGUMENTS];
+        for (int j = 0; j < at[1]; j++)
+            right[j] = m + at[4 + j];
+        linear_solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+        if (i->tape)
+            tape_solve(i, at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+        return at + 5 + at[1];
+    }
+    case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
+        const int32_t count = at[0];
+        const Function *f = i->scene->functions + at[1];
+        const int each = f->inputs + f->outputs;
+        at += 2;
+        for (int32_t done = 0; done < count; done += LANES) {
+            const int some = count - done < LANES ? count - done : LANES;
+#if defined(__GNUC__)
+            if (f->narrow)
+                call_lanes(i, f, some, at);
+            else
+#endif
+                one_by_one(i, f, some, at);
+            at += some * each;
+        }
+        return at;
+    }
+    default: /* LEAST_NORM_CODE: unknowns; matrix, right-hand side; solution */
+        solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
+        if (i->tape)
+            tape_least_norm(i, at[0], m + at[1], m + at[2], m + at[3]);
+        return at + 4;
+    }
+}
+
+/* Whether a loop goes on after so many times, at its number and how often at most (or, below zero, where that
+   stands). */
+int loop_goes_on(Instance *i, const Word *at, int times)
+{
+    const double most = at[1] >= 0 ? (double)at[1] : i->m[-1 - at[1]];
+    if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
+        i->iterations = times + 1;
+    return times + 1 <= most && i->m[at[0]] != 0.0;
 }
 
 static void run_code(Instance *i, const Word *at, const Word *end)
 {
-    double *m = i->m;
+    const double *m = i->m;
     while (at < end)
-        switch (*at++) {
+        switch (*at) {
         case CALL_CODE: {
-            const Function *f = i->scene->functions + *at++;
-            call_at(i, f, at);
-            at += f->inputs + f->outputs;
+            const Function *f = i->scene->functions + at[1];
+            function_call_at(i, f, at + 2);
+            at += 2 + f->inputs + f->outputs;
             break;
         }
         case CHOICE_CODE: { /* a number, how long the way is where it is not zero, and the way where it is */
-            const Word *ways = at + 3;
-            if (m[at[0]] != 0.0)
-                run_code(i, ways, ways + at[1]);
+            const Word *ways = at + 4;
+            if (m[at[1]] != 0.0)
+                run_code(i, ways, ways + at[2]);
             else
-                run_code(i, ways + at[1], ways + at[1] + at[2]);
-            at = ways + at[1] + at[2];
+                run_code(i, ways + at[2], ways + at[2] + at[3]);
+            at = ways + at[2] + at[3];
             break;
         }
-        case LOOP_CODE: { /* a number, how often at most (or, below zero, where that stands), how long the body is */
-            const Word *body = at + 3;
-            const double most = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
-            int times = 0;
-            for (; times + 1 <= most && m[at[0]] != 0.0; times++)
-                run_code(i, body, body + at[2]);
-            if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
-                i->iterations = times + 1;
-            at = body + at[2];
+        case LOOP_CODE: { /* a number, how often at most, how long the body is */
+            const Word *body = at + 4;
+            for (int times = 0; loop_goes_on(i, at + 1, times); times++)
+                run_code(i, body, body + at[3]);
+            at = body + at[3];
             break;
         }
-        case FACTOR_CODE: { /* n, blocks, terms; weights, parts; factors, order */
-            const double *parts[MOST_ARGUMENTS];
-            const int count = at[1] * at[2];
-            for (int j = 0; j < count; j++)
-                parts[j] = m + at[4 + j];
-            linear_factor(at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
-            if (i->tape)
-                tape_factor(i, at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
-            at += 6 + count;
-            break;
+        default:
+            at = routine_run(i, at);
         }
-        case SOLVE_CODE: { /* n, blocks; factors, order, right-hand sides; solution */
-            const double *right[MOST_ARGUMENTS];
-            for (int j = 0; j < at[1]; j++)
-                right[j] = m + at[4 + j];
-            linear_solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
-            if (i->tape)
-                tape_solve(i, at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
-            at += 5 + at[1];
-            break;
-        }
-        case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
-            const int32_t count = at[0];
-            const Function *f = i->scene->functions + at[1];
-            const int each = f->inputs + f->outputs;
-            at += 2;
-            for (int32_t done = 0; done < count; done += LANES) {
-                const int some = count - done < LANES ? count - done : LANES;
-#if defined(__GNUC__)
-                if (f->narrow)
-                    call_lanes(i, f, some, at);
-                else
-#endif
-                    one_by_one(i, f, some, at);
-                at += some * each;
-            }
-            break;
-        }
-        case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
-            solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
-            if (i->tape)
-                tape_least_norm(i, at[0], m + at[1], m + at[2], m + at[3]);
-            at += 4;
-            break;
-        }
-}
-
-/* The first place, of some, at which lanes fill whole lines of a cache. */
-double *lanes_align(double *place)
-{
-    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
-    return place + (behind ? (line - behind) / sizeof *place : 0);
 }
 
 /* Load the constants into the registers. */
@@ -493,7 +459,10 @@ void registers_load(Instance *i)
 void program_run(Instance *i, int program)
 {
     const Program *p = i->scene->programs + program;
-    run_code(i, p->code, p->code + p->words);
+    if (i->wait)
+        i->wait(i, program, NULL, NULL);
+    else
+        run_code(i, p->code, p->code + p->words);
 }
 
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y)

@@ -13,11 +13,16 @@ void function_evaluate(const Function *f, double *r, double *values);
 
 /* A function of the scene on arrays; a program on the memory. */
 void function_call(Instance *i, int which, const double *const *x, double *const *y);
+void function_call_alone(Instance *i, int which, const double *const *x, double *const *y); /* without `wait` */
 
-/* Return the first place at which lanes fill whole cache lines; load the constants into the registers, once these are
-   allocated. */
-double *lanes_align(double *place);
+/* Call a function with arguments and results at places in the memory. */
+void function_call_at(Instance *i, const Function *f, const Word *at);
 
+/* Parts of programs, for those who run them for several instances. */
+const Word *routine_run(Instance *i, const Word *at);
+int loop_goes_on(Instance *i, const Word *at, int times);
+
+/* Load the constants into the registers, once these are allocated. */
 void registers_load(Instance *i);
 void program_run(Instance *i, int program);
 

@@ -3,6 +3,10 @@
 #ifndef ALFMU_LANES_H
 #define ALFMU_LANES_H
 
+#include "scene.h"
+
+#include "internal_begin.h"
+
 #define LANES 8 /* sets of arguments that a function is called for at once; directions of derivatives in a block */
 
 #if defined(__GNUC__)
@@ -30,5 +34,16 @@ typedef union {
     Vector part[LANES / PART];
     double lane[LANES];
 } Lanes;
+
+#if defined(__GNUC__)
+/* Evaluate a function with narrow places in all lanes, its arguments being in the registers before the place of its
+   values. */
+void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values);
+#endif
+
+/* Return the first place at which lanes fill whole cache lines. */
+double *lanes_align(double *place);
+
+#include "internal_end.h"
 
 #endif

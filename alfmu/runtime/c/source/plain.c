@@ -20,7 +20,8 @@ static Instance *instance_of(NAME *m)
 void NAME_init(NAME *m)
 {
     memset(m, 0, sizeof *m);
-    instance_lay(instance_of(m), &the_scene, m->memory + sizeof m->memory / sizeof *m->memory - NUMBERS, HAS_START);
+    instance_lay(instance_of(m), &the_scene, m->memory + sizeof m->memory / sizeof *m->memory - NUMBERS, NULL,
+        HAS_START);
 }
 
 int NAME_set(NAME *m, int variable, double value)

@@ -79,44 +79,73 @@ static size_t scratch_length(const Scene *s, int starts)
     return room;
 }
 
-/* Set the pointers of an instance to its numbers, and return how many it has; `numbers` may be NULL. */
-static size_t layout_numbers(Instance *i, double *numbers, int starts)
+/* Set the pointers of an instance to the numbers that it keeps, and return how many these are; `numbers` may be
+   NULL. */
+static size_t layout_kept(Instance *i, double *numbers)
 {
     const Scene *s = i->scene;
-    const size_t least_norm = linear_least_norm_work(s->dense, s->dense);
-    const size_t kept = (size_t)(s->held + s->followed_count * HEARD);
     i->count = layout_parts(i, numbers);
-    i->room = scratch_length(s, starts);
     if (numbers) {
         i->numbers = numbers;
         i->workspace = numbers + i->count; /* of programs: it follows the memory, which is the last part */
-        i->before = i->workspace + s->workspace;
+        i->read_at = i->workspace + s->workspace;
+        i->breaks = i->read_at + 2 * s->n + s->inputs;
+    }
+    return i->count + (size_t)s->workspace + 2 * (size_t)s->n + (size_t)s->inputs
+        + (s->break_count ? 2 * MOST_BREAKS : 0);
+}
+
+/* The same of those that no call leaves to the next one. */
+static size_t layout_lent(Instance *i, double *numbers, int starts)
+{
+    const Scene *s = i->scene;
+    const size_t least_norm = linear_least_norm_work(s->dense, s->dense);
+    const size_t held = (size_t)(s->held + s->followed_count * HEARD);
+    i->room = scratch_length(s, starts);
+    if (numbers) {
+        i->before = numbers;
         i->scratch = i->before + i->count;
         i->registers = i->scratch + i->room;
         i->lanes = lanes_align(i->registers + s->registers);
         i->spare = i->lanes + LANES * (size_t)s->lane_registers;
         i->past_before = i->spare + s->spare;
         i->kept_before = i->past_before + s->past_size;
-        i->dense = i->kept_before + kept;
-        i->read_at = i->dense + least_norm;
-        i->breaks = i->read_at + 2 * s->n + s->inputs;
+        i->dense = i->kept_before + held;
     }
-    return 2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
-        + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + kept + least_norm
-        + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0);
+    return i->count + i->room + (size_t)s->registers + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare
+        + (size_t)s->past_size + held + least_norm;
 }
 
 size_t instance_length(const Scene *s, int starts)
 {
-    Instance i;
-    i.scene = s;
-    return layout_numbers(&i, NULL, starts);
+    return instance_kept_length(s) + instance_lent_length(s, starts);
 }
 
-void instance_lay(Instance *i, const Scene *s, double *numbers, int starts)
+size_t instance_kept_length(const Scene *s)
+{
+    Instance i;
+    i.scene = s;
+    return layout_kept(&i, NULL);
+}
+
+size_t instance_lent_length(const Scene *s, int starts)
+{
+    Instance i;
+    i.scene = s;
+    layout_kept(&i, NULL);
+    return layout_lent(&i, NULL, starts);
+}
+
+void instance_borrow(Instance *i, double *lent, int starts)
+{
+    layout_lent(i, lent, starts);
+}
+
+void instance_lay(Instance *i, const Scene *s, double *numbers, double *lent, int starts)
 {
     i->scene = s;
-    layout_numbers(i, numbers, starts);
+    numbers += layout_kept(i, numbers);
+    instance_borrow(i, lent ? lent : numbers, starts);
     registers_load(i);
     instance_reset(i);
 }
@@ -126,7 +155,7 @@ Instance *instance_new(const Scene *s)
     Instance *i = calloc(1, sizeof *i);
     double *numbers = i ? calloc(instance_length(s, 1), sizeof *numbers) : NULL;
     if (numbers)
-        instance_lay(i, s, numbers, 1);
+        instance_lay(i, s, numbers, NULL, 1);
     else
         free(i);
     return numbers ? i : NULL;

@@ -224,3 +224,17 @@ int outputs_read_quickly(Instance *i)
         program_run(i, s->limit);
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0;
 }
+
+/* Values of variables; where outputs among them cannot be computed, those that can. */
+Outcome outputs_get_many(Instance *i, const int *references, int count, double *values)
+{
+    const int first = scene_first_output(i->scene);
+    Outcome outcome = DONE;
+    int reads = 0;
+    for (int k = 0; k < count; k++)
+        reads |= references[k] >= first;
+    if (reads)
+        outcome = instance_read(i);
+    instance_get_many(i, references, count, values);
+    return outcome;
+}

@@ -1,0 +1,332 @@
+"""Many instances of one mechanism, which the C library moves side by side in the lanes of the processor."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..catalogue.registry import load
+from ..equations import Equations, Variable
+from ..equations.interface import checked, default_settings, not_there, variables_of
+from ..kernel import DEFAULT
+from ..kernel.form import Traced
+from ..model.errors import AssemblyError, InputError
+from ..model.mechanism import Mechanism
+from .library import BRAKES, DONE, REFUSED, Scene
+from .pipeline import derive, loaded, ready, with_brakes
+
+__all__ = ["Batch", "Members"]
+
+_LOGGER = logging.getLogger("alfmu")
+
+LEAST = 64
+"""Members of a thread at least: with fewer, lanes are often empty."""
+
+Members = ArrayLike | slice | None
+"""Members of a batch: a mask (count,) of Booleans, their numbers, a slice, or None for all."""
+
+_Numbers = NDArray[np.float64]
+_Mask = NDArray[np.bool_]
+
+
+class Batch:
+    """A number of instances of one mechanism with parameters, inputs and states of their own.
+
+    Eight of them at a time are evaluated side by side, by every method of integration, with the numbers that an
+    `alfmu.Instance` has, to the bit::
+
+        batch = Batch("five_bar", 1000, parameters={"solver.method": "rk4"})
+        batch.set("start.link1.angle", np.linspace(1.0, 1.4, 1000))
+        batch.initialize()
+        batch.step(0.01)
+        batch.get("link1.angle")
+
+    `mechanism` is a `Mechanism`, a name, a file, or equations; `parameters` are common to all members, choices such as
+    `solver.method` among them. `outputs` are those of `alfmu.simulate`; the fewer, the faster. `threads` share the
+    members, one for each processor by default.
+    """
+
+    def __init__(
+        self,
+        mechanism: str | Path | Mechanism | Equations,
+        count: int,
+        parameters: Mapping[str, float | str] | None = None,
+        outputs: Sequence[str] | None = None,
+        threads: int | None = None,
+    ):
+        e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        if count < 1 or (threads is not None and threads < 1):
+            raise InputError(f"{e.name}: a batch of {count} members in {threads} threads; both are at least 1")
+        traced, self._common = ready(e, dict(parameters or {}), outputs, None, DEFAULT)
+        self.name: str = e.name
+        self.count: int = count
+        wanted = threads or max(1, min(_processors(), count // LEAST))
+        self._pool = ThreadPoolExecutor(wanted) if wanted > 1 else None
+        bounds = np.linspace(0, count, min(wanted, count) + 1).astype(int)
+        self._slices = [slice(a, b) for a, b in pairwise(bounds.tolist())]
+        self._parts: list[int] = []
+        self._take(traced)
+
+    def __del__(self) -> None:
+        for part in getattr(self, "_parts", []):
+            self._scene.library.alfmu_batch_free(part)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __repr__(self) -> str:
+        return f"Batch({self.name!r}, {self.count})"
+
+    def _take(self, equations: Traced) -> None:
+        """Make the members as instances of the scene of these equations, with the common parameters."""
+        found = variables_of(equations, default_settings(equations))
+        self.equations: Traced = equations
+        self._variables = {v.name: v for _, v in found.causalities}
+        self.__del__()
+        self._parts = []
+        self._scene: Scene = loaded(equations)
+        library = self._scene.library
+        for part in self._slices:
+            address = library.alfmu_batch_new(self._scene.address, part.stop - part.start)
+            if not address:
+                raise MemoryError(f"{self.name}: there is no memory for {self.count} members")
+            self._parts.append(address)
+        self._members = [
+            library.alfmu_batch_member(address, k)
+            for address, part in zip(self._parts, self._slices, strict=True)
+            for k in range(part.stop - part.start)
+        ]
+        self._time: _Numbers = np.zeros(self.count)
+        self._outcomes: NDArray[np.int32] = np.zeros(self.count, np.int32)
+        self._ready: _Mask = np.zeros(self.count, bool)
+        for member in self._members:
+            self._begin(member)
+
+    def _begin(self, member: int) -> None:
+        """Set the choices of the scene and the common parameters of a member."""
+        library, references = self._scene.library, self._scene.references
+        for name, value in self._common.items():
+            if name not in references or references[name] >= self._scene.first_output:
+                raise InputError(not_there(self.equations, name, list(references)[: self._scene.first_output]))
+            if isinstance(value, str):
+                outcome = library.alfmu_choose(member, references[name], value.encode())
+            else:
+                checked(self.name, self._variables[name], value)
+                outcome = library.alfmu_set(member, references[name], float(value))
+            if outcome != DONE:
+                raise InputError(self._text(member))
+
+    def _text(self, member: int) -> str:
+        return self._scene.library.alfmu_text(member).decode(errors="replace")
+
+    # Members -----------------------------------------------------------------------------------------------------
+
+    def _mask(self, members: Members) -> _Mask:
+        """Return members as a mask (count,)."""
+        mask = np.zeros(self.count, bool)
+        try:
+            mask[slice(None) if members is None else members if isinstance(members, slice) else np.asarray(members)] = 1
+        except IndexError as error:
+            raise InputError(f"{self.name}: there are no such members in a batch of {self.count}: {error}") from None
+        return mask
+
+    def _call(self, task: Callable[[int, slice], None]) -> None:
+        """Do a task for each part, in threads if there are some."""
+        if self._pool:
+            list(self._pool.map(task, self._parts, self._slices))
+        else:
+            for part, members in zip(self._parts, self._slices, strict=True):
+                task(part, members)
+
+    def _moved(self, what: str, mask: _Mask) -> _Mask:
+        """Return which of these members failed in the last call, and warn of them."""
+        failed = mask & (self._outcomes != DONE)
+        if failed.any():
+            first = int(np.argmax(failed))
+            _LOGGER.warning(
+                "%s: %d of %d members failed to %s; member %d: %s",
+                *(self.name, failed.sum(), mask.sum(), what, first, self._text(self._members[first])),
+            )
+        return failed
+
+    def message(self, member: int) -> str:
+        """Return why the last call for a member failed, or what its start was like."""
+        return self._text(self._members[member])
+
+    # Values ------------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> _Numbers:
+        """Time of each member (count,) [s]."""
+        return self._time.copy()
+
+    @property
+    def initialized(self) -> _Mask:
+        """Whether each member has been initialised (count,)."""
+        return self._ready.copy()
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs."""
+        return [n for n, kind in zip(self._scene.names, self._scene.kinds, strict=True) if kind in ("input", "switch")]
+
+    def variable(self, name: str) -> Variable:
+        """Return the variable of this name: its unit, bounds and default; raise InputError if there is none."""
+        if name not in self._variables:
+            raise InputError(not_there(self.equations, name, list(self._variables)))
+        return self._variables[name]
+
+    def set(self, name: str, values: ArrayLike, members: Members = None) -> None:
+        """Set an input (any time), or a parameter or start value (before `initialize`), in its unit.
+
+        `values` is one number, or one for each of `members`. Raises InputError, and keeps the old values, if the name
+        is unknown or a value is not finite or out of its bounds.
+        """
+        self.set_many([name], np.asarray(values, float)[..., None], members)
+
+    def set_many(self, names: Sequence[str], values: ArrayLike, members: Members = None) -> None:
+        """Set several variables to `values` (members, names), as `set` does."""
+        mask, references = self._mask(members), []
+        given = np.broadcast_to(np.asarray(values, float), (int(mask.sum()), len(names)))
+        for name, column in zip(names, given.T, strict=True):
+            reference = self._scene.references.get(name)
+            if reference is None or reference >= self._scene.first_output or self._scene.types[reference] == "String":
+                settable = [n for n, r in self._scene.references.items() if r < self._scene.first_output]
+                raise InputError(not_there(self.equations, name, settable))
+            if self._scene.kinds[reference] == "parameter" and (mask & self._ready).any():
+                raise InputError(f"{self.name}: {name} is fixed once a member is initialised; reset it first")
+            for value in {column.min(), column.max()} if column.size and np.isfinite(column).all() else column:
+                checked(self.name, self._variables[name], float(value))
+            references.append(reference)
+        table, chosen, places = np.zeros((self.count, len(names))), mask.view(np.uint8), (ctypes.c_int * len(names))
+        table[mask] = given
+        columns = places(*references)
+
+        def task(part: int, own: slice) -> None:
+            where = [x[own].ctypes.data for x in (table, chosen, self._outcomes)]
+            self._scene.library.alfmu_batch_set(part, columns, len(names), *where)
+
+        self._call(task)
+        if (refused := mask & (self._outcomes != DONE)).any():
+            raise InputError(self._text(self._members[int(np.argmax(refused))]))
+
+    def get(self, *names: str) -> _Numbers:
+        """Return variables as (count, names), or (count,) for one; NaN for members without outputs."""
+        references = []
+        for name in names:
+            if name not in self._scene.references or self._scene.types[self._scene.references[name]] == "String":
+                raise InputError(not_there(self.equations, name, list(self._scene.references)))
+            references.append(self._scene.references[name])
+        values, columns = np.empty((self.count, len(names))), (ctypes.c_int * len(names))(*references)
+        chosen, outcomes = self._ready.view(np.uint8), np.zeros(self.count, np.int32)
+        reads = np.array(references) >= self._scene.first_output
+        if not reads.any():
+            chosen = np.ones(self.count, np.uint8)
+
+        def task(part: int, own: slice) -> None:
+            where = [x[own].ctypes.data for x in (values, chosen, outcomes)]
+            self._scene.library.alfmu_batch_get(part, columns, len(names), *where)
+
+        self._call(task)
+        if reads.any():
+            values[np.ix_(~self._ready | (outcomes != DONE), reads)] = np.nan
+        return values[:, 0] if len(names) == 1 else values
+
+    # Motion ------------------------------------------------------------------------------------------------------
+
+    def initialize(self, members: Members = None) -> _Mask:
+        """Assemble members from their start values; return which failed (count,), and say why in a warning."""
+        mask = self._mask(members)
+
+        def task(part: int, own: slice) -> None:
+            where = [x[own].ctypes.data for x in (mask.view(np.uint8), self._outcomes)]
+            self._scene.library.alfmu_batch_initialize(part, *where)
+
+        self._call(task)
+        if (mask & (self._outcomes == BRAKES)).any():
+            self._brake(mask)
+            self._call(task)
+        failed = self._moved("start", mask)
+        self._ready[mask] = ~failed[mask]
+        return failed
+
+    def _brake(self, mask: _Mask) -> None:
+        """Make the members again for a scene in which redundant constraints brake the motion."""
+        if (self._ready & ~mask).any():
+            raise AssemblyError(
+                f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others "
+                "is not traced; initialise all members at once"
+            )
+        names = [name for name, r in self._scene.references.items() if self._kept(r)]
+        self._ready[:] = False
+        values = self.get(*names)
+        self._take(with_brakes(self.equations))
+        self.set_many(names, values.reshape(self.count, -1))
+
+    def _kept(self, reference: int) -> bool:
+        return reference < self._scene.first_output and self._scene.types[reference] != "String"
+
+    def step(self, communication_step: float, members: Members = None) -> _Mask:
+        """Cover one communication step [s]; return which members failed (count,), and say why in a warning.
+
+        A member that fails keeps the state before the step. Raises InputError if one of them is not initialised.
+        """
+        mask, h = self._mask(members), float(communication_step)
+        if (unready := mask & ~self._ready).any():
+            raise InputError(f"{self.name}: member {int(np.argmax(unready))} is not initialised; initialise it first")
+
+        def task(part: int, own: slice) -> None:
+            where = [x[own].ctypes.data for x in (mask.view(np.uint8), self._outcomes)]
+            self._scene.library.alfmu_batch_step(part, h, *where)
+
+        self._call(task)
+        if (refused := mask & (self._outcomes == REFUSED)).any():
+            raise InputError(self._text(self._members[int(np.argmax(refused))]))
+        failed = self._moved("step", mask)
+        self._time[mask & ~failed] += h
+        return failed
+
+    def reset(self, members: Members = None) -> None:
+        """Put members back to time 0 with the common parameters, not initialised."""
+        mask = self._mask(members)
+        for k in np.flatnonzero(mask):
+            self._scene.library.alfmu_reset(self._members[k])
+            self._begin(self._members[k])
+        self._ready[mask] = False
+        self._time[mask] = 0.0
+
+    def save(self, members: Members = None) -> NDArray[np.uint8]:
+        """Return the complete states of members (members, bytes)."""
+        library, chosen = self._scene.library, np.flatnonzero(self._mask(members))
+        states = np.empty((len(chosen), library.alfmu_state_size(self._members[0])), np.uint8)
+        for state, k in zip(states, chosen, strict=True):
+            library.alfmu_save(self._members[k], state.ctypes.data_as(ctypes.c_char_p))
+        return states
+
+    def restore(self, states: NDArray[np.uint8], members: Members = None) -> None:
+        """Let members continue from states (members, bytes) that `save` returned, of whichever members.
+
+        Raises InputError for any others.
+        """
+        library, chosen = self._scene.library, np.flatnonzero(self._mask(members))
+        if len(states) != len(chosen):
+            raise InputError(f"{self.name}: {len(states)} states for {len(chosen)} members")
+        for state, k in zip(states, chosen, strict=True):
+            member, content = self._members[k], np.asarray(state, np.uint8).tobytes()
+            if library.alfmu_restore(member, content, len(content)) != DONE:
+                raise InputError(self._text(member))
+            self._ready[k] = bool(library.alfmu_initialized(member))
+            self._time[k] = library.alfmu_time(member)
+
+
+def _processors() -> int:
+    """The processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,87 @@
+/* Evaluates a function for several sets of arguments side by side, each number in a lane of its own: an operation is
+   done in all lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the
+   other, which compilers without vectors make. */
+
+#include "lanes.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "operations.h"
+#include "scene.h"
+
+#if defined(__GNUC__)
+
+#define SUM(kind, operands, value) \
+    case kind: \
+        for (; count; count--, at += operands, d++) \
+            EACH_PART d->part[part] = value; \
+        break;
+#define OPERAND(k) r[at[k]].part[part]
+#define IN_LANES(kind, value) \
+    case kind: \
+        for (int lane = 0; lane < LANES; lane++) { \
+            const double a = x->lane[lane], b = y->lane[lane]; \
+            (void)b; \
+            values->lane[lane] = value; \
+        } \
+        break;
+
+/* An operation that is no sum. */
+static BY_PROCESSOR void operate(
+    uint32_t kind, const Lanes *restrict x, const Lanes *restrict y, Lanes *restrict values)
+{
+    switch (kind) {
+        BINARY_OPERATIONS(IN_LANES)
+        UNARY_OPERATIONS(IN_LANES)
+    }
+}
+
+static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+{
+    while (at < end) {
+        const uint32_t head = *at++;
+        uint32_t count = *at++;
+        switch (head) {
+            SUM(SUM1_KIND, 3, OPERAND(0) + OPERAND(1) * OPERAND(2))
+            SUM(SUM2_KIND, 5, OPERAND(0) + OPERAND(1) * OPERAND(2) + OPERAND(3) * OPERAND(4))
+            SUM(SUM4_KIND, 9,
+                OPERAND(0) + OPERAND(1) * OPERAND(2) + OPERAND(3) * OPERAND(4) + OPERAND(5) * OPERAND(6)
+                    + OPERAND(7) * OPERAND(8))
+            SUM(PRODUCTS_KIND, 4, OPERAND(0) * OPERAND(1) + OPERAND(2) * OPERAND(3))
+            SUM(PRODUCT_KIND, 2, OPERAND(0) * OPERAND(1))
+            SUM(PLUS_KIND, 2, OPERAND(0) + OPERAND(1))
+            SUM(MINUS_KIND, 2, OPERAND(0) - OPERAND(1))
+            SUM(OVER_KIND, 2, OPERAND(0) / OPERAND(1))
+            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
+        case SINE_COSINE_KIND:
+            for (; count; count--, at++, d += 2)
+                for (int lane = 0; lane < LANES; lane++) {
+                    const double a = r[at[0]].lane[lane];
+                    d[0].lane[lane] = sin(a);
+                    d[1].lane[lane] = cos(a);
+                }
+            break;
+        default: {
+            const int operands = 1 + IS_BINARY(head);
+            for (; count; count--, at += operands, d++)
+                operate(head, r + at[0], r + at[operands - 1], d);
+        }
+        }
+    }
+}
+
+void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values)
+{
+    lanes_run(f->narrow, f->narrow + f->words, r, values);
+}
+
+#endif
+
+/* The first place, of some, at which lanes fill whole lines of a cache. */
+double *lanes_align(double *place)
+{
+    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
+    return place + (behind ? (line - behind) / sizeof *place : 0);
+}

@@ -1,0 +1,186 @@
+"""Batches of a mechanism as environments of Gymnasium, for trainers of controllers; needs `alfmu[gym]`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from ..catalogue.registry import load
+from ..equations import Equations
+from ..model.errors import InputError
+from ..model.mechanism import Mechanism
+from ..runtime.batch import Batch
+from ..view.picture import draw, view_of
+from ..view.shapes import geometry
+
+__all__ = ["Environment", "VectorEnvironment"]
+
+Numbers = NDArray[np.float64]
+
+Values = Mapping[str, Numbers]
+"""Variables by name, one value for each member."""
+
+Bounds = Mapping[str, tuple[float, float]]
+"""Variables by name, with their least and largest value."""
+
+
+class VectorEnvironment(VectorEnv[Any, Any, Any]):
+    """Many instances of a mechanism as one environment of Gymnasium.
+
+    `actions` are inputs and `observations` variables with their bounds; inputs are held over each step of `step` [s].
+    `reward(values, actions)` and `done(values)` work on arrays (count,) of all observations by name; without `done` no
+    episode ends before `horizon` [s], where it is truncated. `start(random, count)` draws start values and parameters
+    of members that begin; without it all begin as declared. Members that are done begin again at the next step
+    (`AutoresetMode.NEXT_STEP`). One whose step fails is truncated, with a reward of 0 and `infos["failed"]`.
+
+    Further arguments are those of `alfmu.Batch`. Raises InputError where a name is no input, or no variable.
+    """
+
+    def __init__(
+        self,
+        mechanism: str | Path | Mechanism | Equations,
+        count: int,
+        *,
+        actions: Bounds,
+        observations: Bounds,
+        reward: Callable[[Values, Values], Numbers],
+        step: float,
+        horizon: float,
+        done: Callable[[Values], NDArray[np.bool_]] | None = None,
+        start: Callable[[np.random.Generator, int], Values] | None = None,
+        parameters: Mapping[str, float | str] | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+    ):
+        if render_mode is not None and isinstance(mechanism, Equations):
+            raise InputError(f"{mechanism.name}: equations have no pictures; give the mechanism, or no render_mode")
+        declared = mechanism if isinstance(mechanism, Mechanism | Equations) else load(mechanism)
+        self._shapes = geometry(declared, parameters) if render_mode and isinstance(declared, Mechanism) else None
+        drawn = self._shapes.columns if self._shapes else []
+        self.batch: Batch = Batch(declared, count, parameters, [*dict.fromkeys([*observations, *drawn])], threads)
+        self.metadata: dict[str, Any] = {
+            "autoreset_mode": AutoresetMode.NEXT_STEP,
+            "render_modes": ["rgb_array"],
+            "render_fps": round(1 / step),
+        }
+        self.num_envs: int = count
+        self.render_mode: str | None = render_mode
+        self._step, self._horizon = step, horizon
+        self._reward, self._done, self._start = reward, done, start
+        self._actions, self._observations = list(actions), list(observations)
+        inputs = [name for name in self._actions if name not in self.batch.inputs]
+        if inputs:
+            raise InputError(f"{self.batch.name}: {inputs[0]} is no input; use one of {', '.join(self.batch.inputs)}")
+        for name in observations:
+            self.batch.variable(name)
+        self.single_action_space: spaces.Box = _box(actions)
+        self.single_observation_space: spaces.Box = _box(observations)
+        self.action_space: spaces.Space[Any] = batch_space(self.single_action_space, count)
+        self.observation_space: spaces.Space[Any] = batch_space(self.single_observation_space, count)
+        self._over = np.zeros(count, bool)
+        self._extent: Numbers | None = None  # of all pictures so far
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Numbers, dict[str, Any]]:
+        """Let all members begin; or those of `options["reset_mask"]`, a mask (count,)."""
+        super().reset(seed=seed if seed is None or isinstance(seed, int) else seed[0])
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
+        self._begin(mask)
+        return self._observed(), {}
+
+    def _begin(self, members: NDArray[np.bool_]) -> None:
+        """Draw start values of members until all of them have an assembly, and assemble them."""
+        left = members
+        for _ in range(TRIES):
+            self.batch.reset(left)
+            drawn = self._start(self.np_random, int(left.sum())) if self._start else {}
+            for name, values in drawn.items():
+                self.batch.set(name, values, left)
+            left = self.batch.initialize(left)
+            if not left.any():
+                break
+        else:
+            member = int(np.argmax(left))
+            raise InputError(f"{self.batch.name}: no start in {TRIES} tries: {self.batch.message(member)}")
+        self._over = self._over & ~members
+
+    def _observed(self) -> Numbers:
+        return self.batch.get(*self._observations).reshape(self.num_envs, -1)
+
+    def step(self, actions: Numbers) -> tuple[Numbers, Numbers, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Hold actions (count, inputs) over one step; actions out of their bounds are taken at these."""
+        low, high = self.single_action_space.low, self.single_action_space.high
+        taken = np.clip(np.asarray(actions, float), low, high)
+        begun = self._over
+        on = ~begun
+        if begun.any():
+            self._begin(begun)
+        self.batch.set_many(self._actions, taken[on], on)
+        failed = self.batch.step(self._step, on)
+        seen = self._observed()
+        values = dict(zip(self._observations, seen.T, strict=True))
+        reward = np.where(on & ~failed, self._reward(values, dict(zip(self._actions, taken.T, strict=True))), 0.0)
+        done = on & ~failed & self._done(values) if self._done else np.zeros(self.num_envs, bool)
+        late = on & (failed | (self.batch.time > self._horizon - 0.5 * self._step))
+        self._over = done | late
+        infos = {"failed": failed, "_failed": failed} if failed.any() else {}
+        return seen, reward, done, late & ~done, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return pictures (height, width, 3) of all members, if the mode is "rgb_array"."""
+        if self._shapes is None:
+            return None
+        names = self._shapes.columns
+        placed = np.nan_to_num(self.batch.get(*names).reshape(self.num_envs, -1))
+        self._extent = np.vstack([self._extent, placed]) if self._extent is not None else placed
+        self._extent = np.vstack([self._extent.min(axis=0), self._extent.max(axis=0)])
+        view = view_of(self._shapes, dict(zip(names, self._extent.T, strict=True)))
+        rows = (dict(zip(names, row, strict=True)) for row in placed.tolist())
+        return tuple(np.asarray(draw(self._shapes, row, view=view)) for row in rows)
+
+
+class Environment(gymnasium.Env[Any, Any]):
+    """One instance of a mechanism as an environment of Gymnasium; arguments are those of `VectorEnvironment`."""
+
+    def __init__(self, mechanism: str | Path | Mechanism | Equations, **how: Any):
+        self.many: VectorEnvironment = VectorEnvironment(mechanism, 1, **how)
+        self.observation_space: spaces.Space[Any] = self.many.single_observation_space
+        self.action_space: spaces.Space[Any] = self.many.single_action_space
+        self.metadata: dict[str, Any] = {k: v for k, v in self.many.metadata.items() if k != "autoreset_mode"}
+        self.render_mode: str | None = self.many.render_mode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Numbers, dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        seen, _ = self.many.reset(seed=seed)
+        return seen[0], {}
+
+    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
+        """Hold an action (inputs,) over one step."""
+        seen, reward, done, late, infos = self.many.step(np.asarray(action)[None])
+        return seen[0], float(reward[0]), bool(done[0]), bool(late[0]), {"failed": True} if infos else {}
+
+    def render(self) -> Any:
+        """Return a picture (height, width, 3), if the mode is "rgb_array"."""
+        pictures = self.many.render()
+        return pictures and pictures[0]
+
+
+def _box(bounds: Bounds) -> spaces.Box:
+    low, high = np.array(list(bounds.values()), float).reshape(-1, 2).T
+    return spaces.Box(low, high, dtype=np.float64)
+
+
+TRIES = 20
+"""Draws of start values until all members have an assembly."""

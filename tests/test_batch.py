@@ -1,0 +1,334 @@
+"""Batches: members are instances to the bit, whatever the others do, and nothing of one reaches another."""
+
+import logging
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import alfmu
+from alfmu import AlfmuError, Batch, InputError, Instance
+from alfmu.runtime.build import including, sources
+from alfmu.runtime.pipeline import packed
+
+HOST = str(Path(__file__).with_name("batch_host.c"))
+LINKAGES = Path(__file__).parent / "linkages"
+COUNT = 40  # more than are under way at once
+
+RUNS = {
+    "five_bar by rk4": ("five_bar", "rk4", 0.002, "start.link1.angle"),
+    "five_bar": ("five_bar", "auto", 0.02, "start.link1.angle"),
+    "slider_crank": ("slider_crank", "auto", 0.05, "start.angular_velocity"),
+    "end_stop": ("end_stop", "auto", 0.02, None),
+    "bennett": ("bennett", "auto", 0.02, None),
+    "flexible_four_bar": ("flexible_four_bar", "stiff", 0.002, None),
+    "governor": ("flyball_governor", "auto", 0.02, None),
+    "biped": (LINKAGES / "biped.xml", "rk4", 0.002, None),
+}
+"""Mechanism, method, communication step [s], and a start value that the members have different values of."""
+
+
+def starts(batch: Batch, name: str | None) -> dict[str, np.ndarray]:
+    """Start values of a batch: those of `name`, or of its first parameter, near the default."""
+    chosen = name if name in batch._variables else next(n for n in batch._variables if n.startswith("start."))
+    spread = np.random.default_rng(1).uniform(0.0, 0.2, batch.count)
+    return {chosen: batch.variable(chosen).start + spread}
+
+
+@pytest.mark.parametrize("case", RUNS)
+def test_members_are_instances_to_the_bit(case):
+    mechanism, method, h, start = RUNS[case]
+    batch = Batch(mechanism, COUNT, {"solver.method": method}, threads=1)
+    values = starts(batch, start)
+    for name, each in values.items():
+        batch.set(name, each)
+    steps, inputs = 25 if case != "governor" else 8, batch.inputs[:1]
+    loads = np.random.default_rng(2).normal(size=(steps, COUNT))
+    with np.errstate(all="ignore"):
+        failed = batch.initialize()
+    for load in loads:
+        for name in inputs:
+            batch.set(name, load)
+        failed |= batch.step(h, ~failed)
+    assert failed.sum() < COUNT / 4
+    outputs = [v.name for v in Instance(batch.equations).outputs]
+    found = batch.get(*outputs)
+    for k in np.flatnonzero(~failed)[:: 1 if case == "five_bar" else 7]:
+        single = Instance(batch.equations)
+        for name, each in values.items():
+            single.set(name, float(each[k]))
+        single.initialize()
+        for load in loads[:, k]:
+            for name in inputs:
+                single.set(name, float(load))
+            single.step(h)
+        np.testing.assert_array_equal(found[k], single.read())
+        assert batch.time[k] == single.time
+
+
+def test_threads_change_nothing():
+    found = []
+    for threads in (1, 3):
+        batch = Batch("four_bar", 3 * COUNT, threads=threads)
+        batch.set("start.angle", np.linspace(0.5, 0.9, batch.count))
+        batch.initialize()
+        for _ in range(10):
+            batch.step(0.02)
+        found.append(batch.get("link1.angle", "A.force.x"))
+    np.testing.assert_array_equal(*found)
+
+
+def test_some_members_move_and_others_wait():
+    batch = Batch("four_bar", 6)
+    batch.initialize()
+    batch.step(0.1, [1, 4])
+    batch.step(0.1, np.arange(6) == 4)
+    np.testing.assert_allclose(batch.time, [0, 0.1, 0, 0, 0.2, 0], rtol=1e-15)
+    angles = batch.get("link1.angle")
+    assert angles[0] == angles[2] == angles[3] == angles[5]
+    assert len({*angles[[0, 1, 4]]}) == 3
+    batch.step(0.1, slice(1, 2))
+    assert batch.get("link1.angle")[1] == batch.get("link1.angle")[4]
+
+
+def test_a_reset_member_begins_again_and_a_restored_one_goes_on():
+    batch = Batch("four_bar", 5, {"m2": 1.5})
+    batch.initialize()
+    batch.step(0.2)
+    states = batch.save([0, 1])
+    at_once = batch.get("link1.angle")
+    batch.step(0.2)
+    after = batch.get("link1.angle")
+    batch.restore(states, [3, 4])
+    assert batch.time.tolist() == [0.4, 0.4, 0.4, 0.2, 0.2]
+    assert batch.get("link1.angle")[4] == at_once[0]
+    batch.step(0.2, [3, 4])
+    assert set(batch.get("link1.angle")) == set(after)
+    batch.reset([2])
+    assert batch.initialized.tolist() == [True, True, False, True, True]
+    assert np.isnan(batch.get("link1.angle")).tolist() == [False, False, True, False, False]
+    batch.set("m2", 2.5, [2])
+    assert batch.get("m2").tolist() == [1.5, 1.5, 2.5, 1.5, 1.5]
+    with pytest.raises(InputError, match="four_bar: member 2 is not initialised; initialise it first"):
+        batch.step(0.1)
+    batch.initialize([2])
+    batch.step(0.4, [2])
+    assert batch.get("link1.angle")[2] != after[2]
+
+
+def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
+    """Links that cannot be closed at the start."""
+    batch = Batch("slider_crank", 20, {"start.angle": 1.4})
+    lengths = np.full(20, batch.variable("l2").start)
+    lengths[[3, 7]] = 0.1
+    batch.set("l2", lengths)
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        failed = batch.initialize()
+    assert np.flatnonzero(failed).tolist() == [3, 7]
+    assert (
+        "slider_crank: 2 of 20 members failed to start; member 3: slider_crank: the loops cannot be closed"
+        in caplog.text
+    )
+    assert "cannot be closed" in batch.message(7)
+    assert not batch.step(0.1, ~failed).any()
+    assert np.flatnonzero(np.isnan(batch.get("crank.angle"))).tolist() == [3, 7]
+
+
+def test_a_failed_step_leaves_the_state_before_it(caplog):
+    batch = Batch("four_bar", 9)
+    batch.initialize()
+    batch.step(0.1)
+    before = batch.save()
+    torque = np.zeros(9)
+    torque[5] = 1e200
+    batch.set("A.torque", torque)
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        failed = batch.step(0.1)
+    assert np.flatnonzero(failed).tolist() == [5]
+    assert "four_bar: 1 of 9 members failed to step; member 5: four_bar, t = 0.1 s: " in caplog.text
+    batch.set("A.torque", 0.0)
+    assert batch.time[5] == 0.1
+    same = Batch("four_bar", 1)
+    same.restore(before[5:6])
+    same.step(0.1)
+    batch.step(0.1, [5])
+    assert batch.get("link1.angle")[5] == same.get("link1.angle")[0]
+
+
+def bead() -> alfmu.Mechanism:
+    """A bead on the x axis by two constraints: copies of each other for k = 0, else on the axis alone."""
+    m = alfmu.Mechanism("bead")
+    k = m.parameter("k", 0.0, "1")
+    x, y = m.coordinate("x", "m", independent=True, rate=1.0), m.coordinate("y", "m")
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.generalized_force(x, m.input("force", "N"))
+    m.constraint("axis", y, "m")
+    m.constraint("again", y + k * x * y, "m")
+    m.output("place", x, "m", "place of the bead")
+    return m
+
+
+def test_members_whose_redundant_constraints_would_brake():
+    batch = Batch(bead(), 3)
+    batch.set("k", [0.0, 2.0, 5.0])
+    batch.set("force", [1.0, 2.0, 3.0])
+    assert not batch.equations.survey.brakes
+    assert not batch.initialize().any()
+    assert batch.equations.survey.brakes
+    batch.step(0.5)
+    np.testing.assert_allclose(batch.get("place"), 0.5 + np.array([1.0, 2.0, 3.0]) / 8, rtol=1e-12)
+    other = Batch(bead(), 2)
+    other.initialize([0])
+    other.set("k", 1.0, [1])
+    with pytest.raises(alfmu.AssemblyError, match="bead: redundant constraints brake the motion of a member"):
+        other.initialize([1])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda b: b.set("nothing", 1.0), "four_bar has no input or parameter 'nothing'"),
+        (lambda b: b.set("link1.angle", 1.0), "link1.angle"),
+        (lambda b: b.set("m2", [1.0, -1.0, 1.0]), r"four_bar: m2 = -1 kg is outside \[0.0, inf\]"),
+        (lambda b: b.set("m2", np.nan), "four_bar: m2 is nan; it must be a finite number in kg"),
+        (lambda b: b.set("solver.method", 1.0), "solver.method"),
+        (lambda b: b.get("nothing"), "nothing"),
+        (lambda b: b.step(0.1), "four_bar: member 0 is not initialised; initialise it first"),
+        (lambda b: b.set("m2", 1.0, [7]), "four_bar: there are no such members in a batch of 3"),
+        (lambda b: (b.initialize(), b.set("m2", 1.0)), "four_bar: m2 is fixed once a member is initialised"),
+        (
+            lambda b: (b.initialize(), b.step(-0.1)),
+            "four_bar, t = 0 s: a communication step of -0.1 s",
+        ),
+        (lambda b: b.restore(np.zeros((1, 8), np.uint8), [0]), "four_bar"),
+        (lambda b: b.restore(np.zeros((2, 8), np.uint8), [0]), "four_bar: 2 states for 1 members"),
+        (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
+        (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),
+        (lambda b: Batch("four_bar", 2, {"solver.method": "euler"}), "euler"),
+    ],
+)
+def test_what_is_wrong_is_named(call, message):
+    batch = Batch("four_bar", 3)
+    with pytest.raises(AlfmuError, match=message):
+        call(batch)
+    assert batch.get("m2").tolist() == [batch.variable("m2").start] * 3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("gcc"), reason="needs gcc and its sanitizers")
+def test_sanitizers_find_nothing_in_a_batch(tmp_path):
+    """Fibers too, which address sanitizers follow from one stack to another."""
+    batch = Batch("slider_crank", COUNT)
+    (tmp_path / "scene.bin").write_bytes(packed(batch.equations))
+    references = [batch._scene.references[name] for name in ("start.angle", "crank.angle")]
+    checks = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-ffp-contract=off"]
+    files = [str(path) for path in sources() if path.suffix == ".c"]
+    library, host = str(tmp_path / "libalfmu.so"), str(tmp_path / "host")
+    compiler = ["gcc", "-std=c99", *checks, *including()]
+    subprocess.run([*compiler, "-fPIC", "-shared", *files, "-lm", "-o", library], check=True)
+    subprocess.run([*compiler, HOST, library, f"-Wl,-rpath,{tmp_path}", "-o", host], check=True)
+    start = batch.variable("start.angle").start
+    asked = [host, str(tmp_path / "scene.bin"), *map(str, references), repr(start)]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert [line for line in done.stderr.splitlines() if "fully support makecontext" not in line] == []
+    batch.set("start.angle", start + 0.005 * np.arange(COUNT))
+    batch.initialize()
+    for _ in range(20):
+        batch.step(0.05)
+    lines = [f"0 {angle:.17g}" for angle in batch.get("crank.angle")]
+    assert done.stdout.splitlines() == lines
+
+
+# Environments of Gymnasium --------------------------------------------------------------------------------------------
+
+SWING = {
+    "actions": {"A.torque": (-5.0, 5.0)},
+    "observations": {"link1.angle": (-100.0, 100.0), "link1.angular_velocity": (-100.0, 100.0)},
+    "reward": lambda values, actions: -(values["link1.angle"] ** 2) - 0.1 * actions["A.torque"] ** 2,
+    "step": 0.02,
+    "horizon": 0.1,
+    "start": lambda random, count: {"start.angle": random.uniform(0.5, 0.9, count)},
+}
+
+
+@pytest.fixture(autouse=True)
+def _needs_gymnasium(request):
+    if "environment" in request.node.name:
+        pytest.importorskip("gymnasium")
+
+
+@pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric", "ignore:.*not having a spec")
+def test_gymnasium_accepts_an_environment():
+    from gymnasium.utils.env_checker import check_env
+
+    environment = alfmu.Environment("four_bar", render_mode="rgb_array", **SWING)
+    check_env(environment)
+    environment.reset(seed=3)
+    picture = environment.render()
+    assert picture.shape == (480, 640, 3)
+    assert picture.std() > 1
+
+
+def test_an_environment_is_a_batch():
+    many = alfmu.VectorEnvironment("four_bar", 3, **SWING)
+    first, _ = many.reset(seed=1)
+    again, _ = many.reset(seed=1)
+    np.testing.assert_array_equal(first, again)
+    assert len({*first[:, 0]}) == 3
+    batch = Batch("four_bar", 3)
+    batch.set("start.angle", first[:, 0])
+    batch.initialize()
+    actions = np.array([[1.0], [-2.0], [7.0]])  # the last one is out of its bounds
+    batch.set("A.torque", [1.0, -2.0, 5.0])
+    seen, reward, done, late, infos = many.step(actions)
+    batch.step(0.02)
+    np.testing.assert_array_equal(seen, batch.get("link1.angle", "link1.angular_velocity"))
+    np.testing.assert_allclose(reward, -(seen[:, 0] ** 2) - 0.1 * np.array([1.0, 4.0, 25.0]), rtol=1e-14)
+    assert not np.any([done, late])
+    assert not infos
+
+
+def test_an_environment_ends_at_its_horizon_and_begins_again():
+    over = {**SWING, "done": lambda values: values["link1.angle"] > 1.0}
+    many = alfmu.VectorEnvironment("four_bar", 2, **{**over, "start": lambda r, n: {"start.angle": np.full(n, 0.5)}})
+    many.reset(seed=1)
+    ends = []
+    for _ in range(7):
+        seen, reward, done, late, _ = many.step(np.zeros((2, 1)))
+        ends.append((done.tolist(), late.tolist()))
+        begun = seen[:, 0] == 0.5
+    assert [late[0] for _, late in ends] == [False] * 4 + [True] + [False] * 2
+    assert not begun.any()
+    many.batch.reset()
+    done = alfmu.VectorEnvironment("four_bar", 2, **{**over, "start": lambda r, n: {"start.angle": np.full(n, 0.99)}})
+    done.reset(seed=1)
+    seen, _, ended, late, _ = done.step(np.zeros((2, 1)))
+    assert ended.all()
+    assert not late.any()
+    seen, reward, ended, *_ = done.step(np.ones((2, 1)))
+    np.testing.assert_allclose(seen[:, 0], 0.99, rtol=1e-14)
+    assert not reward.any()
+    assert not ended.any()
+
+
+def test_a_failed_step_of_an_environment_is_truncated():
+    wild = {**SWING, "actions": {"A.torque": (-1e150, 1e150)}, "horizon": 10.0}
+    many = alfmu.VectorEnvironment("four_bar", 2, **wild)
+    many.reset(seed=1)
+    _, reward, done, late, infos = many.step(np.array([[0.0], [1e140]]))
+    assert late.tolist() == infos["failed"].tolist() == [False, True]
+    assert not done.any()
+    assert reward[1] == 0.0
+
+
+def test_names_of_an_environment_are_checked():
+    with pytest.raises(InputError, match=r"four_bar: link1\.angle is no input; use one of A\.torque, D\.torque"):
+        alfmu.VectorEnvironment("four_bar", 2, **{**SWING, "actions": {"link1.angle": (0, 1)}})
+    with pytest.raises(InputError, match="nothing"):
+        alfmu.VectorEnvironment("four_bar", 2, **{**SWING, "observations": {"nothing": (0, 1)}})
+    with pytest.raises(InputError, match="four_bar: equations have no pictures"):
+        alfmu.VectorEnvironment(alfmu.derive(alfmu.load("four_bar")), 2, render_mode="rgb_array", **SWING)
