@@ -95,7 +95,8 @@ _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-s
 """Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this
 way, and as fast. Vectorised loops are explicit in the sources."""
 
-_LANES = ("-O2", "-ftree-loop-vectorize", "-fvect-cost-model=dynamic", "-fno-trapping-math")
+_LANES = ("-O2", "-fno-trapping-math")
+"""Of what works in lanes: its loops have as many passes as there are lanes, and are replaced by vectors."""
 
 _SMALLER = ("-mllvm", "-inline-threshold=0")
 """Prevents inlining in Clang, as used by zig: the library is 2 % smaller."""
