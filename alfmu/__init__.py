@@ -28,6 +28,7 @@ _HOME = {
     "InputError": "model.errors",
     "Instance": "runtime",
     "Joint": "model.parts",
+    "Kinematics": "analysis.kinematics",
     "LibraryError": "model.errors",
     "Linearization": "analysis.linearization",
     "Marker": "model.parts",
@@ -47,6 +48,7 @@ _HOME = {
     "fit": "gradients",
     "gradient": "gradients",
     "imported": "formats",
+    "kinematics": "analysis.kinematics",
     "linearize": "analysis.linearization",
     "load": "api",
     "mechanisms": "api",
@@ -63,6 +65,8 @@ if TYPE_CHECKING:
     from .analysis.equilibria import Equilibrium as Equilibrium
     from .analysis.equilibria import equilibrium as equilibrium
     from .analysis.freedoms import mobility as mobility
+    from .analysis.kinematics import Kinematics as Kinematics
+    from .analysis.kinematics import kinematics as kinematics
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .api import export as export

@@ -174,6 +174,13 @@ def bar_clamp(n: Names) -> None:
     assert n["creep"] < 1e-15
 
 
+def delta(n: Names) -> None:
+    assert n["deviation"] < 1e-11
+    assert n["work"] == pytest.approx(n["gained"], abs=1e-6)
+    assert n["moved"] > 1
+    assert min(each.parallel for each in n["near"]) > 0.1
+
+
 CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
@@ -209,7 +216,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             bricard,
             swing_up,
         ),
-        bar_clamp,
+        *(bar_clamp, delta),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

@@ -28,7 +28,7 @@ from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanis
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 from alfmu import Derivatives, Fit, Gradient, LibraryError, derivatives, fit, gradient
-from alfmu import System, couple, validate
+from alfmu import Kinematics, System, couple, kinematics, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -85,6 +85,8 @@ linear: Linearization = linearize(pendulum(), rest)
 reveal_type(linear.A)
 reveal_type(linearize(pendulum(), [0.0, 1.0]))
 reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
+moved: Kinematics = kinematics(pendulum(), ["A"])
+reveal_type(moved.efforts(moved.forward({"A": 0.1}))["A"])
 many: Sweep = sweep(pendulum(), {"m": "uniform(0.9,1.1)", "start.angle": [0.1, 0.2]}, 10, keep=["max(rod.angle)"])
 reveal_type(many["max(rod.angle)"])
 reveal_type(many.summary.spreads[0].sensitivities["m"])
@@ -103,7 +105,7 @@ reveal_type(fitted.plot())
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
-    *("ndarray", "float"),
+    *("float", "ndarray", "float"),
     *("Result", "float"),
     *("float64", "float", "Figure"),
 )

@@ -24,7 +24,7 @@ from ..model.words import counted
 from ..simulation.result import Signal
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
-from .loops import STEP, Loops, WithStates, plain
+from .loops import STEP, Loops, WithStates, evenly, plain
 from .situation import Situation, Subject, Vector, begun
 from .small import ZERO, Small, small_motions
 
@@ -444,7 +444,7 @@ class _Search:
 
         loops = self.loops
         N = loops.motions(loops.home)[:, : loops.freedom]
-        for numbers in _evenly(loops.freedom + 1, count):
+        for numbers in evenly(loops.freedom + 1, count):
             way = N @ ndtri(0.5 + (numbers[1:] - 0.5) * (1 - 1e-9))
             if not way.any():
                 continue
@@ -454,15 +454,10 @@ class _Search:
 
     def _anywhere(self, starts: int) -> Iterator[Vector]:
         """Yield positions anywhere at which the loops are closed."""
-        loops, n, moving = self.loops, len(self.loops.home), self.loops.moving
+        loops = self.loops
         count = starts if loops.freedom == 1 else starts - starts // 2
-        for places in _evenly(moving, count if loops.situation.held.any() else 0):
-            numbers = np.pad(places, (0, n - moving))
-            units = np.pad(loops.units, (0, n - len(loops.units)))
-            spread = np.where(units == "m", 1.5, np.where(units == "rad", np.pi, 1.0))
-            middle = np.where(units == "rad", loops.home, 0.0)
-            spread[moving:], middle[moving:] = 0.0, loops.home[moving:]
-            y = loops.closed(middle + spread * (2 * numbers - 1))
+        for place in loops.scattered(count if loops.situation.held.any() else 0):
+            y = loops.closed(place)
             if y is not None:
                 yield y
 
@@ -567,12 +562,3 @@ def _leaving(loops: Loops, y: Vector) -> list[tuple[Vector, Vector]]:
     """Return a singular position with the directions of the branches that begin there."""
     found = ways(loops, y, loops.situation.mobility(y * loops.scale)[0].freedom_here)
     return [(y, sign * each.way) for each in found if not each.singular for sign in (1, -1)]
-
-
-def _evenly(dimensions: int, count: int) -> Iterator[Vector]:
-    """Yield evenly distributed points (dimensions,) between 0 and 1, the same each time."""
-    if not count:
-        return
-    from scipy.stats import qmc
-
-    yield from qmc.Sobol(dimensions, scramble=False).random_base2(math.ceil(math.log2(count + 1)))[1 : count + 1]

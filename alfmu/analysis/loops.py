@@ -20,7 +20,7 @@ from ..equations.arrays import ArrayFunctions
 from ..model.errors import InputError
 from .situation import Situation, State, Vector
 
-__all__ = ["CLOSED", "STEP", "Loops", "WithStates", "plain"]
+__all__ = ["CLOSED", "STEP", "Loops", "WithStates", "evenly", "plain"]
 
 CLOSED = 1e-12
 """Largest gap of closed loops [units of a row]."""
@@ -203,6 +203,22 @@ class Loops:
             before, y = y, found
             yield y
 
+    def scattered(self, count: int, within: float = 0.0) -> Iterator[Vector]:
+        """Yield places anywhere, with open loops, the same each time; lengths within some [m] of home if it is given,
+        which is the same for a mechanism that is shifted."""
+        n, moving, lengths = (
+            len(self.home),
+            self.moving,
+            np.pad(self.units == "m", (0, len(self.home) - len(self.units))),
+        )
+        for places in evenly(moving, count):
+            numbers = np.pad(places, (0, n - moving))
+            units = np.pad(self.units, (0, n - len(self.units)))
+            spread = np.where(lengths, within / self.size or 1.5, np.where(units == "rad", np.pi, 1.0))
+            middle = np.where((units == "rad") | (lengths & bool(within)), self.home, 0.0)
+            spread[moving:], middle[moving:] = 0.0, self.home[moving:]
+            yield middle + spread * (2 * numbers - 1)
+
     # Equality of positions ----------------------------------------------------------------------------------------
 
     @cached_property
@@ -375,3 +391,12 @@ def plain(x: float, unit: str = "1") -> str:
     if abs(x) <= 1e-12:
         return "0"
     return f"{x:.6g}" + f" ({math.degrees(x):.4g} deg)" * (unit == "rad")
+
+
+def evenly(dimensions: int, count: int) -> Iterator[Vector]:
+    """Yield evenly distributed points (dimensions,) between 0 and 1, the same each time."""
+    if not count:
+        return
+    from scipy.stats import qmc
+
+    yield from qmc.Sobol(dimensions, scramble=False).random_base2(math.ceil(math.log2(count + 1)))[1 : count + 1]

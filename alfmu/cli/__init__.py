@@ -28,7 +28,7 @@ GROUPS = {
     "make": ("export", "import"),
     "look": ("list", "info", "draw", "live", "animate"),
     "run": ("simulate", "sweep", "fit"),
-    "judge": ("equilibrium", "linearize", "mobility", "validate", "report", "stability"),
+    "judge": ("equilibrium", "linearize", "mobility", "kinematics", "validate", "report", "stability"),
     "connect": ("system", "couple"),
     "install": ("cache", "completion"),
 }

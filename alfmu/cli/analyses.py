@@ -1,4 +1,4 @@
-"""Commands that analyse: equilibrium, linearize, mobility."""
+"""Commands that analyse: equilibrium, linearize, mobility, kinematics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import InputError
-from .options import EITHER_HELP, Command, add_name, add_option, add_set, chosen_recipe, name_list
+from .options import EITHER_HELP, Command, add_name, add_option, add_set, chosen_recipe, name_list, pair
 from .says import once_written, progress_bar, say
 
 _EQUILIBRIUM = """Inputs are those of --input at the time of --at, or those that --set gives, as start values are;
@@ -26,6 +26,13 @@ the state. At a singular position nothing can be said, and the command fails."""
 _MOBILITY = """Constraints that are redundant at every position are named with those that they depend on. Where more
 motions begin than there are degrees of freedom the position is singular: its branches are given by the rates of
 coordinates. Prescribed motions count as constraints, dry friction does not."""
+
+
+_KINEMATICS = """Values have the names of joints, coordinates, bodies, watched points and outputs: --at A=0.3,B=1.2 for
+actuated joints, --to tool.x=0.2,tool.y=0.4 for what has to be where. The Jacobian is that of --watch, efforts are those
+at rest, or for --rates and --accelerations; of redundant actuators they have the least norm. A position is singular if
+one of three numbers vanishes: `constraint` (loops let more motions begin), `parallel` (actuators cannot hold), `serial`
+(what is watched cannot follow). --cycle moves one joint, --along all of them by a table over time."""
 
 
 def add(command: Command) -> None:
@@ -78,6 +85,25 @@ def add(command: Command) -> None:
         default=0.0,
         help="time in s for which laws of time give the start",
     )
+
+    sub = command("kinematics", _kinematics, "move a mechanism by its actuated joints: positions, Jacobian, efforts")
+    sub.epilog = _KINEMATICS
+    _add_analysis(sub, "FILE.csv", "write the table of --cycle or --along")
+    each: dict[str, Any] = {"type": name_list, "action": "extend"}
+    sub.add_argument("--actuated", metavar="JOINTS", help="the actuated joints (default: drives and motions)", **each)
+    sub.add_argument("--watch", metavar="NAMES", help="whose Jacobian is wanted (default: watched points)", **each)
+    values: dict[str, Any] = {"metavar": "NAME=VALUE,...", "type": _values, "action": "extend"}
+    sub.add_argument("--at", help="forward: displacements of actuated joints in rad or m", **values)
+    sub.add_argument("--to", help="inverse: where something has to be, the nearest solution to the start", **values)
+    sub.add_argument("--solutions", action="store_true", help="show all solutions of --to or --at that are found")
+    sub.add_argument("--rates", help="of actuated joints, for the efforts", **values)
+    sub.add_argument("--accelerations", help="of actuated joints, for the efforts", **values)
+    sub.add_argument("--along", metavar="FILE.csv", help="efforts along a motion: `time` and a column for each joint")
+    sub.add_argument("--cycle", metavar="JOINT", help="move one actuated joint by a turn, or between dead positions")
+    sub.add_argument("--span", metavar="LOW,HIGH", type=_at, help="the range of --cycle in rad or m")
+    sub.add_argument("--rows", metavar="N", type=int, default=181, help="rows of --cycle (default: 181)")
+    sub.add_argument("--transmission", metavar="HINGE", help="the hinge whose transmission angle --cycle has")
+    sub.add_argument("--plot", metavar="FILE.png", help="draw the table of --cycle or --along (PNG, SVG or PDF)")
 
 
 def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
@@ -152,6 +178,56 @@ def _mobility(chosen: argparse.Namespace) -> None:
         progress=progress_bar("following the motion"),
     )
     _analysed(chosen, [found], path, found.save)
+
+
+def _kinematics(chosen: argparse.Namespace) -> None:
+    from ..analysis.kinematics import kinematics
+    from ..simulation.result import Result, read_inputs
+    from ..view.plot import check_name, figure
+    from ..view.plot import save as draw
+
+    table: Result | None = None
+    output, plot = (Path(x) if x else None for x in (chosen.output, chosen.plot))
+    if plot:
+        check_name(plot)
+    if (output or plot) and not (chosen.cycle or chosen.along):
+        raise InputError("-o and --plot are for the table of --cycle or --along; give one of these")
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    k = kinematics(chosen_recipe(chosen, chosen.mechanism), chosen.actuated, chosen.watch, inputs=inputs)
+    at, to = (dict(x) if x else {} for x in (chosen.at, chosen.to))
+    if chosen.solutions:
+        places = k.solutions({**at, **to})
+    else:
+        places = [k.forward(at)]
+        places = [k.inverse(to, places[0])] if to else places
+    if chosen.along:
+        table = k.along(read_inputs(chosen.along))
+    elif chosen.cycle:
+        table = k.cycle(
+            chosen.cycle, near=places[0], span=chosen.span, rows=chosen.rows, transmission=chosen.transmission
+        )
+    motion = tuple(dict(x) if x else None for x in (chosen.rates, chosen.accelerations))
+    data, lines = k.said(places, table, *motion)
+    print(json.dumps(data, indent=1) if chosen.json else "\n".join(lines))
+    if output and table is not None:
+        wrote = once_written(output)
+        table.to_csv(output)
+        say(chosen, wrote)
+    if plot and table is not None:
+        wrote = once_written(plot)
+        shown = [name for own in k.watched.values() for name in own]
+        ends = ("advantage", "transmission_angle", "manipulability", "torque", "force")
+        draw(figure(table, [*shown, *(x for x in table.names if x.rpartition(".")[2] in ends)]), plot, 150)
+        say(chosen, wrote)
+
+
+def _values(text: str) -> list[tuple[str, float]]:
+    """Parse NAME=VALUE,NAME=VALUE."""
+    found = [pair(each) for each in name_list(text)]
+    for name, number in found:
+        if isinstance(number, str):
+            raise argparse.ArgumentTypeError(f"{name} is {number!r}; give a number")
+    return [(name, float(number)) for name, number in found]
 
 
 def _analysed(

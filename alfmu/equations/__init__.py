@@ -1,6 +1,7 @@
 """Equations derived from a declaration, and their evaluation.
 
-Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`, `types`.
+Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `reactions`,
+`specialisation`, `types`.
 """
 
 from .types import Configuration, Equations, Mobility, Row, Switch, Variable

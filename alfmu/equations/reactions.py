@@ -23,7 +23,10 @@ from .closures import closures_of, slid
 from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
 from .types import Row, Variable
 
-__all__ = ["carried_by", "driving", "lengths_of", "locking", "reach_of", "reactions_of", "spatial_efforts"]
+__all__ = [
+    *("carried_by", "driving", "lengths_of", "locking", "reach_of", "reactions_of", "spatial_efforts"),
+    "square_of_size",
+]
 
 
 _REACTIONS = {
@@ -122,7 +125,7 @@ def carried_by(
         if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
             found.append((lam[i], getattr(closure, "unit", "m") == "rad"))
     carried, turns = stack([x for x, _ in found]), any(turns for _, turns in found)
-    of_moments = 1 / _square_of_size(m) if turns else ca.SX(1)
+    of_moments = 1 / square_of_size(m) if turns else ca.SX(1)
     weights = stack([of_moments if turns else 1.0 for _, turns in found])
     if lam.numel() and not ca.is_linear(carried, lam):
         slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
@@ -137,7 +140,7 @@ _PROBES = 2
 """Number of random parameter values used to find lengths that are always equal."""
 
 
-def _square_of_size(m: Mechanism) -> ca.SX:
+def square_of_size(m: Mechanism) -> ca.SX:
     """Return the square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 if there is none.
 
     It is independent of axes, coordinates and position: bodies are rigid.

@@ -159,7 +159,10 @@ def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
     if steps.size and any(_REACTION.search(name) for panel in panels for line in panel.lines for name in line.names):
         grid[-1].set_xlabel(f"time [s]; forces at points of {steps.max():.3g} s", fontsize=9)
     else:
-        grid[-1].set_xlabel("time [s]", fontsize=9)
+        grid[-1].set_xlabel(result.facts.get("axis", "time [s]"), fontsize=9)
+    for axes in grid:
+        for mark in result.facts.get("marks", ()):
+            axes.axvline(mark, color="#66727f", linewidth=0.8, linestyle=":")
     drawn.align_ylabels()
     if caption:
         drawn.supxlabel(textwrap.fill(caption, 118), x=0.01, ha="left", fontsize=7, color="#66727f")

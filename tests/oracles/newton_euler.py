@@ -48,7 +48,11 @@ class NewtonEuler:
         assert np.abs(rows @ speeds - wanted).max() < 1e-9
         return speeds.reshape(self.count, 6)
 
-    def _rates(self, _: float, flat: NDArray) -> NDArray:
+    def accelerations(self, state: NDArray, wrenches: NDArray) -> NDArray:
+        """Accelerations (bodies, 6) of a state (bodies, 13) under forces and torques (bodies, 6) beside gravity."""
+        return self._rates(0.0, state.ravel(), wrenches.ravel()).reshape(self.count, 13)[:, 7:]
+
+    def _rates(self, _: float, flat: NDArray, pushed: float | NDArray = 0.0) -> NDArray:
         state = flat.reshape(self.count, 13)
         rows, bias = self._joints(state)
         size = 6 * self.count
@@ -73,7 +77,7 @@ class NewtonEuler:
             )
         # Of all accelerations that the joints allow, the nearest to the free ones in the metric of M (Gauss).
         root = np.linalg.inv(np.linalg.cholesky(M))
-        free = root.T @ root @ f
+        free = root.T @ root @ (f + pushed)
         change = np.linalg.lstsq(rows @ root.T, -bias - rows @ free, rcond=1e-8)[0]
         rates[:, 7:] = (free + root.T @ change).reshape(self.count, 6)
         return rates.ravel()
