@@ -1,4 +1,4 @@
-"""Join calls of a program into long functions with common subexpressions."""
+"""Join calls of a program into long functions, in which what calls repeat is computed once (`Instructions.once`)."""
 
 from __future__ import annotations
 
@@ -93,4 +93,4 @@ class _Joining:
         for call in calls:
             results = functions[call.function].call([known[each] for each in call.arguments])
             known |= zip(call.results, results, strict=True)
-        return ca.Function(name, arguments, [known[each] for each in outputs], {"cse": True})
+        return ca.Function(name, arguments, [known[each] for each in outputs])  # repetitions end where it is encoded

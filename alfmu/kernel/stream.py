@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import ExportError
+from ..model.kept import latest
 
 __all__ = ["BINARY", "CONSTANT", "INPUT", "NOTHING", "UNARY", "VALUE", "Instructions", "Operations", "number"]
 
@@ -57,6 +59,12 @@ UNARY = {
 }
 
 
+MOST = 100
+"""Functions whose instructions are kept: those of one large scene, some 50 bytes each instruction."""
+
+_KNOWN: OrderedDict[int, tuple[ca.Function, Instructions]] = OrderedDict()
+
+
 def number(value: float) -> str:
     """Return a double in C."""
     if value != value:
@@ -80,7 +88,12 @@ class Instructions:
 
     @classmethod
     def of(cls, f: ca.Function) -> Instructions:
-        """Return the instructions of a symbolic function that calls no other."""
+        """Return the instructions of a symbolic function that calls no other; found once for functions used lately."""
+        found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # the function is kept, so its place stays its own
+        return found[1]
+
+    @classmethod
+    def _of(cls, f: ca.Function) -> Instructions:
         atoms = _serialised(f)
         if atoms is None:
             atoms = _one_by_one(f)
@@ -105,6 +118,10 @@ class Instructions:
 
     def once(self) -> Instructions:
         """Return the instructions without operations that an earlier one already does on the same values."""
+        return self._once
+
+    @cached_property
+    def _once(self) -> Instructions:
         own, known = [*range(len(self)), -1], dict[tuple[int, int, int], int]()
         for k, (code, first, second) in enumerate(zip(self.code.tolist(), *self.operands.tolist(), strict=True)):
             if first >= 0 and code != ca.OP_OUTPUT:

@@ -36,23 +36,30 @@ static void begin(unsigned high, unsigned low)
     }
 }
 
-Fiber *fiber_new(void (*work)(void *what), void *what)
+/* Begin a fiber that has a stack; return whether this can be done. */
+static int is_begun(Fiber *const f)
 {
-    Fiber *f = calloc(1, sizeof *f);
     const uint64_t address = (uintptr_t)f;
-    if (f)
-        f->stack = malloc(STACK);
-    if (!f || !f->stack || getcontext(&f->context)) {
-        fiber_free(f);
-        return NULL;
-    }
-    f->work = work;
-    f->what = what;
+    if (getcontext(&f->context))
+        return 0;
     f->context.uc_stack.ss_sp = f->stack;
     f->context.uc_stack.ss_size = STACK;
     makecontext(&f->context, (void (*)(void))begin, 2, (unsigned)(address >> 32), (unsigned)address);
-    swapcontext(&f->caller, &f->context);
-    return f;
+    return !swapcontext(&f->caller, &f->context);
+}
+
+Fiber *fiber_new(void (*work)(void *what), void *what)
+{
+    Fiber *f = calloc(1, sizeof *f);
+    if (!f)
+        return NULL;
+    f->work = work;
+    f->what = what;
+    f->stack = malloc(STACK);
+    if (f->stack && is_begun(f))
+        return f;
+    fiber_free(f);
+    return NULL;
 }
 
 void fiber_free(Fiber *f)
