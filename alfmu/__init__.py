@@ -36,6 +36,7 @@ _HOME = {
     "Sweep": "sweeps.results",
     "System": "systems.system",
     "WriteError": "model.errors",
+    "convert": "api",
     "couple": "systems.coupling",
     "derivatives": "gradients",
     "derive": "runtime.pipeline",
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
     from .analysis.freedoms import mobility as mobility
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
+    from .api import convert as convert
     from .api import export as export
     from .api import load as load
     from .api import mechanisms as mechanisms
