@@ -10,15 +10,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from oracles.converted import BUILT
+from oracles.converted import BUILT, floating, robot, shaper
 from oracles.linkages import by_pinocchio, mujoco_accelerations
 
 import alfmu
 from alfmu import Mechanism
+from alfmu.cli import main
 
 HERE = Path(__file__).parent / "linkages"
 MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed (extra bench)")
 PINOCCHIO = pytest.mark.skipif(importlib.util.find_spec("pinocchio") is None, reason="Pinocchio is not installed")
+FORMS = (".xml", ".urdf", ".sdf")
 EXACT = {"solver.relative_tolerance": 1e-12}
 
 PLANE = {
@@ -56,19 +58,9 @@ def measured(mechanism: Mechanism) -> Mechanism:
     return mechanism
 
 
-def named(joint: str, what: str) -> list[str]:
-    """Names that an output of a joint of a file can have."""
-    base, _, which = joint.partition(".")
-    digit = which[-1:] if which[-1:].isdigit() else ""
-    words = {"": ("angle", "position"), "velocity": ("angular_velocity", "velocity"),
-             "acceleration": ("angular_acceleration", "acceleration")}[what]  # fmt: skip
-    chosen = words if not which else words[:1] if which.startswith("angle") else words[1:]
-    return [f"{base}.{word}{digit}" for word in chosen]
-
-
-def readings(name: str, given: dict[str, float], inputs: dict[str, float], what: str) -> dict[str, float]:
+def readings(mechanism: Mechanism, given: dict[str, float], inputs: dict[str, float], what: str) -> dict[str, float]:
     """Rates or accelerations at the start, by the names of joints in files."""
-    run = alfmu.simulate(measured(ALL[name]()), 1e-4, 1e-4, parameters=given | EXACT, inputs=inputs)
+    run = alfmu.simulate(measured(mechanism), 1e-4, 1e-4, parameters=given | EXACT, inputs=inputs)
     found = {}
     for output in run.names:
         match = re.fullmatch(rf"(\w+)\.(angular_)?{what}(\d?)", output)
@@ -79,8 +71,11 @@ def readings(name: str, given: dict[str, float], inputs: dict[str, float], what:
     return found
 
 
-def motions(mechanism: Mechanism, seconds: float, given: dict[str, float] | None = None) -> dict[str, np.ndarray]:
-    run = alfmu.simulate(measured(mechanism), seconds, seconds / 10, parameters=EXACT | (given or {}))
+def motions(
+    mechanism: Mechanism, seconds: float, given: dict[str, float] | None = None, inputs: dict[str, float] | None = None
+) -> dict[str, np.ndarray]:
+    step = seconds / 10
+    run = alfmu.simulate(measured(mechanism), seconds, step, parameters=EXACT | (given or {}), inputs=inputs)
     return {x: run[x] for x in run.names if re.fullmatch(r"\w+\.(angle|position)\d?", x)}
 
 
@@ -138,7 +133,7 @@ def test_accelerations_are_those_of_mujoco(name: str, tmp_path: Path):
             controls[k] = inputs.get(model.actuator(k).name, 0.0)
         reference, _, opens = mujoco_accelerations(path, key.qpos, key.qvel, controls, rubs=True)
         assert opens < 1e-11
-        found, rates = (readings(name, given, inputs, what) for what in ("acceleration", "velocity"))
+        found, rates = (readings(ALL[name](), given, inputs, what) for what in ("acceleration", "velocity"))
         compared = 0
         for j in range(model.njnt):
             joint, d = model.joint(j).name, model.jnt_dofadr[j]
@@ -173,10 +168,127 @@ def test_accelerations_are_those_of_pinocchio(name: str, tmp_path: Path):
         root = ElementTree.parse(path).getroot()
         inputs = {x.name: 0.3 - 0.2 * k for k, x in enumerate(ALL[name]().inputs)}
         efforts = {x.find("joint").get("name"): inputs[x.get("name")] for x in root.findall("transmission")}
-        found, rates = (readings(name, given, inputs, what) for what in ("acceleration", "velocity"))
+        found, rates = (readings(ALL[name](), given, inputs, what) for what in ("acceleration", "velocity"))
         moved = [x.get("name") for x in root.findall("joint") if x.get("type") != "fixed"]
         reference, opens = by_pinocchio(path, {x: rates[x] for x in moved}, efforts)
         assert opens < 1e-11
         size = max(map(abs, reference.values()))
         for joint in moved:
             np.testing.assert_allclose(found[joint], reference[joint], atol=1e-10 * size, rtol=0)
+
+
+@PINOCCHIO
+def test_a_flying_base_with_a_loop_moves_as_in_pinocchio(tmp_path: Path):
+    """At rest, as its base has rates that Pinocchio counts in other axes."""
+    given = starts("floating", 0, rests=True)
+    path = alfmu.convert(floating(springs=False), tmp_path / "file.urdf", parameters=given)
+    found = readings(floating(springs=False), given, {"torque": 0.4}, "acceleration")
+    joints_ = {x.get("name") for x in ElementTree.parse(path).getroot().findall("joint")} & found.keys()
+    reference, _ = by_pinocchio(path, {}, {"A": 0.4})
+    assert len(joints_) == 3
+    for joint in joints_:
+        assert abs(found[joint] - reference[joint]) < 1e-10 * max(map(abs, reference.values()))
+
+
+FILES = {"five_bar.xml": FORMS, "carried.xml": FORMS, "slider_crank.xml": FORMS[:2], "slider_crank.sdf": FORMS,
+         "four_bar.urdf": FORMS, "biped.xml": FORMS}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_files_that_are_read_and_written_move_alike(name: str, tmp_path: Path):
+    own = alfmu.imported(HERE / name).mechanism
+    pushed = {x.name: 0.1 for x in own.inputs}
+    one = motions(own, 0.2, inputs=pushed)
+    for suffix in FILES[name]:
+        path = alfmu.convert(str(HERE / name), tmp_path / f"file{suffix}")
+        options = {".xml": {"key": "start"}, ".sdf": {"drives": "all"}}.get(suffix, {})
+        back = alfmu.imported(path, **options).mechanism
+        driven = {drive.joint.name for drive in own.drives}
+        names = {x.name: x.name.removesuffix("_drive") for x in back.inputs}
+        again = {x: 0.1 for x, joint in names.items() if joint in driven | pushed.keys()}
+        assert len(again) == len(pushed)
+        assert same(one, motions(back, 0.2, inputs=again), shift=suffix != ".xml") >= 3
+
+
+def test_what_a_format_cannot_hold_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture):
+    path = tmp_path / "file.urdf"
+    with pytest.raises(alfmu.InputError, match="shaper is refused for 3 reasons") as refused:
+        alfmu.convert(shaper(), path)
+    for part in ("motor: its input is scaled", "motor: a constant effort", "pivot: URDF holds no springs"):
+        assert part in str(refused.value)
+    assert main(["convert", "bennett", "-o", str(path)]) == 1
+    assert "declare bodies and joints" in capsys.readouterr().err
+    with pytest.raises(alfmu.InputError, match=r"the suffix \.txt; alfmu converts to \.xml, \.urdf, \.sdf"):
+        alfmu.convert(robot(), tmp_path / "file.txt")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_links_without_mass_or_inertia_are_refused_where_the_other_program_refuses_them(mass: float, tmp_path: Path):
+    m = Mechanism("thin")
+    rod = m.spatial_body("rod", mass=mass, inertia=(0.0, mass, mass), relative=True)
+    other = m.spatial_body("other", mass=1.0, inertia=(1.0, 1.0, 1.0), relative=True)
+    turns = [m.coordinate(f"q{i}", "rad", start=0.0, independent=True) for i in range(3)]
+    m.spatial_revolute("A", m.spatial_ground.at(), rod.at(), axis=(0, 1, 0), coordinate=turns[0])
+    m.spatial_revolute("B", rod.at(1, 0, 0), other.at(), axis=(0, 0, 1), coordinate=turns[1])
+    third = m.spatial_body("third", mass=1.0, inertia=(1.0, 1.0, 1.0), relative=True)
+    m.spatial_revolute("C", rod.at(0.5, 0, 0), third.at(), axis=(0, 0, 1), coordinate=turns[2])
+    m.gravity(0, 0, -9.81)
+    with pytest.raises(alfmu.InputError, match=r"thin: rod: it has (no mass|a moment of inertia that is zero)"):
+        alfmu.convert(m, tmp_path / "file.xml")
+    if mass:
+        alfmu.convert(m, tmp_path / "file.sdf")
+    else:
+        with pytest.raises(alfmu.InputError, match="thin: rod: it has no mass, and links of SDF have one"):
+            alfmu.convert(m, tmp_path / "file.sdf")
+    alfmu.convert(m, tmp_path / "file.urdf")
+    assert same(motions(m, 0.2), motions(alfmu.imported(tmp_path / "file.urdf").mechanism, 0.2), shift=True) == 3
+
+
+def alone(what: str) -> Mechanism:
+    """A pendulum with one part that no file holds."""
+    m = Mechanism("pendulum")
+    th = m.coordinate("th", "rad", start=0.3, independent=True)
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    pin = m.revolute("A", m.ground.at(), bar.start, coordinate=th)
+    m.gravity(0, -9.81)
+    if what == "world":
+        m.revolute("B", m.ground.at(1, 0), m.body("world", mass=1.0, inertia=1.0).at(),
+                   coordinate=m.coordinate("other", "rad", start=0.0, independent=True))  # fmt: skip
+    if what == "pose":
+        m.body("block", mass=1.0, inertia=1.0, pose=(m.coordinate("x", "m", start=0.0, independent=True), 0.0, 0.0))
+    parts = {
+        "spring": lambda: m.spring_damper((m.ground.at(1, 0), bar.end), stiffness=1.0),
+        "friction": lambda: m.friction(pin, coulomb=0.1, radius=0.1),
+        "static": lambda: m.friction(pin, coulomb=0.1, static=0.2, load=1.0),
+        "lock": lambda: m.lock(pin),
+        "law": lambda: m.motion(th, 0.3 + 0.1 * m.time),
+        "effort": lambda: m.drive(pin, th**2),
+        "force": lambda: m.force(bar.end, 1.0, 0.0),
+        "rod": lambda: m.distance("rod", m.ground.at(0, 1), bar.end, length=float(np.sqrt(2 - 2 * np.sin(0.3)))),
+        "energy": lambda: m.potential_energy(th**2),
+        "blade": lambda: m.blade("blade", bar.end),
+        "stiffness": lambda: m.spring_damper(pin, damping=th**2),
+        "gravity": lambda: m.gravity(0, -9.0),
+    }
+    if what in parts:
+        parts[what]()
+    return m
+
+
+REFUSED = {
+    "spring": "a spring acts between points", "friction": "in proportion to the reaction", "static": "static friction",
+    "lock": "it is a lock", "law": "depend on time", "effort": "no sum of inputs", "force": "a force from the ground",
+    "rod": "a rod without mass", "energy": "it is an expression", "blade": "it is a blade",
+    "world": "call the ground so", "stiffness": "no constant",
+    "gravity": r"it is 9 m/s2; in a URDF",
+    "pose": "leave 4 motions, and the coordinates 2",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_parts_that_no_file_holds_are_refused_by_name(what: str, tmp_path: Path):
+    with pytest.raises(alfmu.InputError, match=REFUSED[what]):
+        alfmu.convert(alone(what), tmp_path / "file.urdf")
+    assert not list(tmp_path.iterdir())

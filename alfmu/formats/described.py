@@ -128,6 +128,8 @@ class _Describing:
         m = self.m
         if not (m.bodies or m.spatial_bodies):
             self.refuse("bodies", "it has none; declare bodies and joints instead of energies")
+        if "world" in self.taken:
+            self.refuse("world", "files call the ground so; take another name")
         for each in m.releases:
             self.refuse(each.name, "an input can release it")
         if m.moves:

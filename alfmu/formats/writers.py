@@ -167,8 +167,7 @@ def _mjcf(linkage: Linkage) -> Element:
 def _urdf(linkage: Linkage) -> Element:
     _without_screws(linkage)
     root = Element("robot", name=linkage.name)
-    taken = {link.name for link in linkage.links}
-    names: dict[Link | None, str] = {None: next(x for x in ("world", "ground", "fixed_ground") if x not in taken)}
+    names: dict[Link | None, str] = {None: "world"}
     shifts: dict[Link | None, Array] = {None: np.zeros(3)}
     """Origins of the links of the file, which are points of their joints, in the frames of links."""
     _add(root, "link", name=names[None])
@@ -265,7 +264,7 @@ def _moments(inertia: Array) -> dict[str, float]:
 
 def _sdf(linkage: Linkage) -> Element:
     root = Element("sdf", version="1.11" if linkage.couplings else "1.9")
-    world = _add(root, "world", name="world")
+    world = _add(root, "world", name="default")
     _add(world, "gravity", linkage.gravity)
     model = _add(world, "model", name=linkage.name)
     poses: dict[Link | None, Pose] = {None: Pose()}
