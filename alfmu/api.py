@@ -194,7 +194,6 @@ def convert(
     defaults give; docs/howto/convert.md has what each format holds. Raises InputError with all that it does not hold,
     and warns of what does nothing at first, such as rates at the start in URDF.
     """
-    from .formats.linkage import rank
     from .formats.writers import FORMS, written
 
     path = Path(path)
@@ -203,8 +202,8 @@ def convert(
     found = subject(mechanism, parameters)
     names = [c.name for c in found.coordinates]
     numbers = [dict(zip(names, x.tolist(), strict=False)) for x in (found.state.q, found.state.v)] + [found.parameters]
-    motions = len(names) - rank(found.value("C", found.state)[found.held][:, : len(names)])
-    content, linkage = written(found.source.drawn(), numbers, motions, path.suffix)
+    constraints = found.value("C", found.state)[found.held][:, : len(names)]
+    content, linkage = written(found.source.drawn(), numbers, constraints, path.suffix)
     for what in linkage.warned:
         warnings.warn(f"{path}: left out, and may matter: {what}", AlfmuWarning, stacklevel=2)
     write(path, content)

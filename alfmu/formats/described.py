@@ -20,7 +20,7 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Constraint, Friction, Rigidity, key_of, stack, symbolic
 from ..model.relations import Pair, Rack
 from ..model.spatial import SpatialJoint
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, rank
 from .markup import Node
 from .poses import Array, Pose, cleaned, quaternion, vector
 from .solids import Inertial
@@ -51,14 +51,14 @@ class _Edge:
     joints: list[Joint] = field(default_factory=list)
 
 
-def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], motions: int, form: Form) -> Linkage:
-    """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the number of motions of its
-    start; raise InputError with all that the format cannot hold."""
-    return _Describing(mechanism, numbers, motions, form).linkage
+def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
+    """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the Jacobian of constraints
+    at its start; raise InputError with all that the format cannot hold."""
+    return _Describing(mechanism, numbers, constraints, form).linkage
 
 
 class _Describing:
-    def __init__(self, mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], motions: int, form: Form):
+    def __init__(self, mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form):
         self.m, self.form, self.kinematics = mechanism, form, mechanism._kinematics()
         self.node = Node("mechanism", {}, Path(mechanism.name), 0)
         self.linkage = Linkage(mechanism.name, form.name, self.node)
@@ -84,6 +84,7 @@ class _Describing:
             part()
             self.linkage.judge()
         self._merge()
+        motions = constraints.shape[1] - rank(constraints)
         if (found := self.linkage.freedoms) != motions:
             what = f"they leave {found} motions, and the coordinates {motions}"
             self.refuse("joints", f"{what}; declare a joint for each constraint that the poses of bodies imply")

@@ -34,11 +34,11 @@ _SDF = {"spherical": "ball", "weld": "fixed"}
 
 
 def written(
-    mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], motions: int, suffix: str
+    mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, suffix: str
 ) -> tuple[bytes, Linkage]:
     """Return a file, and what it describes; see `described` for the arguments and for what is refused."""
     form, write = FORMS[suffix]
-    linkage = described(mechanism, numbers, motions, form)
+    linkage = described(mechanism, numbers, constraints, form)
     root = write(linkage)
     linkage.judge()
     indent(root)

@@ -200,10 +200,8 @@ def by_pinocchio(
             placed = frame.placement * pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), xyz)
             name = f"{loop.get('name')}{len(frames)}"
             frames.append(model.addFrame(pinocchio.Frame(name, frame.parentJoint, 0, placed, pinocchio.OP_FRAME)))
-        axis = loop.find("axis")
-        loops.append(
-            (loop.get("type"), frames, None if axis is None else np.array(axis.get("xyz").split(), dtype=float))
-        )
+        axes = [np.array(axis.get("xyz").split(), dtype=float) for axis in loop.findall("axis")]
+        loops.append((loop.get("type"), frames, axes))
     data, q, n = model.createData(), pinocchio.neutral(model), model.nv
     v, tau = np.zeros(n), np.zeros(n)
     for given, into in ((rates, v), (efforts, tau)):
