@@ -185,8 +185,9 @@ class _Describing:
     def _in_space(self, joint: SpatialJoint, edge: _Edge) -> None:
         if joint.kind == "spherical":
             spin = self.spins[edge.ends[1]][1] - self.spins[edge.ends[0]][1]
-            quaternion_ = (1.0, 0.0, 0.0, 0.0)
-            edge.joints.append(Joint(joint.name, "spherical", self.node, edge.point, (), 0.0, quaternion_, tuple(spin)))
+            ball = Joint(joint.name, "spherical", self.node, edge.point, rates=tuple(spin))
+            ball.start = ball.zero
+            edge.joints.append(ball)
             return
         normal, other, axis = (self.number(x).ravel() for x in joint.triad())
         axes = {"position1": normal, "position2": other}
@@ -195,8 +196,14 @@ class _Describing:
         (lead,) = self.constant(joint.name, "lead", joint.lead)
         for which in sorted(joint.freedoms, key=lambda x: x.startswith("angle")):
             name = joint.name if len(joint.freedoms) == 1 else f"{joint.name}.{which}"
-            kind = "screw" if joint.kind == "screw" else "revolute" if which.startswith("angle") else "prismatic"
-            self._move(edge, name, kind, axes.get(which, axis), joint.displacement(which), lead)
+            kind = "screw" if edge.kind in self.form.closures else "revolute"
+            kind = "prismatic" if which.startswith("position") else kind if edge.kind == "screw" else "revolute"
+            self._move(edge, name, kind, axes.get(which, axis), joint.displacement(which), lead * (kind == "screw"))
+        if edge.kind == "screw" and "screw" not in self.form.closures:  # a hinge, and a slide that follows it
+            way, pitch = self.fresh(f"{joint.name}_way"), lead / (2 * math.pi)
+            self._move(edge, way, "prismatic", axis, pitch * joint.displacement("angle"))
+            if not edge.placing:
+                self._couple(f"{way}_follows", [(self.motions[way], 1.0), (self.motions[joint.name], -pitch)])
 
     def _move(self, edge: _Edge, name: str, kind: str, axis: Any, along: Any, lead: float = 0.0) -> None:
         """Add a motion with its displacement to a joint; none if the displacement is constant."""
@@ -251,13 +258,9 @@ class _Describing:
             efforts[joint] = efforts.get(joint, ca.SX(0)) + load.torque
         for each in m.spatial_loads:
             self.refuse(each.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
-        for what, expressions in (
-            ("potential", m.potential),
-            ("kinetic", m.kinetic),
-            ("force", [x for _, x in m.generalized]),
-        ):
-            for x in expressions:
-                self.refuse(f"{what} {str(x)[:60]}", "it is an expression; declare bodies, springs and drives")
+        for x in (*m.potential, *m.kinetic, *(x for _, x in m.generalized)):
+            what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+            self.refuse(str(x)[:60], what)
         for joint, effort in efforts.items():
             self._drive(joint, self.fixed(effort))
         for joint in self.motions.values():
@@ -270,7 +273,7 @@ class _Describing:
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
         if pull and not k and self.form.full:  # an actuator whose control does nothing
-            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, (pull, 0.0, 0.0))
+            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=pull)
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
@@ -299,30 +302,25 @@ class _Describing:
             x = other
         terms = self._linear(factor * x)
         own = [("1", None), ("q", joint), ("v", joint)]
-        inputs = [key for key in terms or {} if key[0] == "u"]
-        limited = math.isfinite(limits[0]) or math.isfinite(limits[1])
-        if terms is None or terms.keys() - {*own, *inputs}:
+        if terms is None or any(key not in own and key[0] != "u" for key in terms):
             self.refuse(joint.name, "its effort is no sum of inputs, its displacement and its rate")
             return
-        bias = [terms.get(key, 0.0) for key in own]
-        if limited and any(bias) and len(inputs) != 1:
-            self.refuse(joint.name, "an effort of more than one input is limited")
-        joint.effort = (limits[0], limits[1]) if limited and not any(bias) else None
-        for key in inputs:
-            feedback = limited and any(bias)
-            self._motor(joint, key[1].name, terms[key], tuple(bias) if feedback else (0.0,) * 3, key[1].start)
-            self.linkage.motors[-1].force = (limits[0], limits[1]) if feedback else None
-        if not limited:
-            self._spring(joint, -bias[1], -bias[2], bias[0])
+        bias, k, d = (terms.pop(key, 0.0) for key in own)
+        if limits != [-math.inf, math.inf]:
+            joint.effort = (limits[0], limits[1])
+            if bias or k or d or not (self.form.full or limits[0] == -limits[1]):
+                self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
+        for (_, given), gain in terms.items():
+            self._motor(joint, given.name, gain, given.start)
+        self._spring(joint, -k, -d, bias)
 
-    def _motor(self, joint: Joint, name: str, gain: float, bias: tuple[float, ...], start: float = 0.0) -> None:
+    def _motor(self, joint: Joint, name: str, gain: float, start: float = 0.0, bias: float = 0.0) -> None:
         if any(motor.name == name for motor in self.linkage.motors):
             self.refuse(name, "this input drives several joints; declare one for each")
-        if not self.form.full and (gain != 1 or any(bias)):
-            self.refuse(joint.name, f"its input is scaled or has a feedback; {self.form.name} holds plain efforts")
-        self.linkage.motors.append(
-            Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, (bias[0], bias[1], bias[2]), start=start)
-        )
+        if gain != 1 and not self.form.full:
+            self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
+        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, (bias, 0.0, 0.0), start=start)
+        self.linkage.motors.append(motor)
 
     # Closures ---------------------------------------------------------------------------------------------------
 

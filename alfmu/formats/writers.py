@@ -14,7 +14,7 @@ import numpy as np
 
 from ..model.mechanism import Mechanism
 from .described import Form, described
-from .linkage import ANYWHERE, Coupling, Joint, Link, Linkage
+from .linkage import ANYWHERE, Joint, Link, Linkage
 from .poses import Array, Pose, about, quaternion
 
 __all__ = ["FORMS", "written"]
@@ -65,19 +65,6 @@ def _limits(joint: Joint, zero: float = 0.0) -> tuple[float, float] | None:
     return (low - zero, high - zero) if low > -ANYWHERE or high < ANYWHERE else None
 
 
-def _without_screws(linkage: Linkage) -> None:
-    """Make screws of a hinge and a slide that follows it."""
-    for link in linkage.links:
-        for k, joint in reversed(list(enumerate(link.joints))):
-            if joint.kind == "screw":
-                pitch = joint.lead / (2 * np.pi)
-                slide = Joint(f"{joint.name}_way", "prismatic", joint.node, joint.point, joint.axes)
-                slide.rates, joint.kind, joint.lead = (pitch * joint.rates[0],), "revolute", 0.0
-                link.joints.insert(k + 1, slide)
-                follows = Coupling(f"{joint.name}_thread", joint.node, ((slide, 1.0),), ((joint, 1.0),), [0.0, pitch])
-                linkage.couplings.append(follows)
-
-
 def _started(linkage: Linkage, hint: str) -> None:
     """Tell of what the start has and files do not hold."""
     if any(any(joint.rates) for joint in linkage.joints):
@@ -95,7 +82,6 @@ def _started(linkage: Linkage, hint: str) -> None:
 
 
 def _mjcf(linkage: Linkage) -> Element:
-    _without_screws(linkage)
     twists, paths, _ = linkage.twists
     root = Element("mujoco", model=linkage.name)
     _add(root, "compiler", angle="radian")
@@ -150,10 +136,11 @@ def _mjcf(linkage: Linkage) -> Element:
         which = {"joint1": coupling.of[0][0].name} | ({"joint2": coupling.by[0][0].name} if coupling.by else {})
         _add(equality, "joint", name=coupling.name, **which, polycoef=numbers)
     for motor in linkage.motors:
-        plain = not any(motor.bias)
-        given = {"gear": motor.gain} if plain else {"gainprm": motor.gain, "biastype": "affine", "biasprm": motor.bias}
-        where = motor.along[0][0].name
-        _add(actuator, "motor" if plain else "general", name=motor.name, joint=where, **given, forcerange=motor.force)
+        bias = {"gainprm": motor.gain, "biastype": "affine", "biasprm": motor.bias}
+        given = {"name": motor.name, "joint": motor.along[0][0].name} | (
+            bias if any(motor.bias) else {"gear": motor.gain}
+        )
+        _add(actuator, "general" if any(motor.bias) else "motor", **given)
     root.extend(part for part in (tendon, equality, actuator) if len(part))
     start, rates = ([x for j in linkage.joints for x in getattr(j, which)] for which in ("start", "rates"))
     controls = [motor.start for motor in linkage.motors]
@@ -165,7 +152,6 @@ def _mjcf(linkage: Linkage) -> Element:
 
 
 def _urdf(linkage: Linkage) -> Element:
-    _without_screws(linkage)
     root = Element("robot", name=linkage.name)
     names: dict[Link | None, str] = {None: "world"}
     shifts: dict[Link | None, Array] = {None: np.zeros(3)}

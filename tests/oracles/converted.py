@@ -202,6 +202,24 @@ def joints() -> Mechanism:
     return m
 
 
+def vice() -> Mechanism:
+    """A spindle whose thread moves a jaw in its guide, so that a screw closes the loop, with a disc that is welded on."""
+    m = Mechanism("vice")
+    axis = (0.6, 0.0, 0.8)
+    turn = m.coordinate("turn", "rad", start=0.4, rate=3.0, independent=True)
+    way = m.coordinate("way", "m", start=0.4 * 0.05 / (2 * math.pi))
+    spindle = m.spatial_body("spindle", mass=0.5, inertia=SOLID, center=(0.02, 0.0, 0.01), relative=True)
+    jaw = m.spatial_body("jaw", mass=2.0, inertia=SOLID, relative=True)
+    disc = m.spatial_body("disc", mass=1.0, inertia=SOLID, center=(0.05, 0.0, 0.0), relative=True)
+    hinge = m.spatial_revolute("hinge", m.spatial_ground.at(), spindle.at(), axis=axis, coordinate=turn)
+    m.spatial_prismatic("guide", m.spatial_ground.at(), jaw.at(), axis=axis, coordinate=way)
+    m.spatial_screw("thread", jaw.at(), spindle.at(), axis=axis, lead=-0.05)
+    m.spatial_weld("fixed", spindle.at(0, 0.1, 0), disc.at())
+    m.drive(hinge, m.input("motor", "N.m"))
+    m.gravity(0, 0, -9.81)
+    return m
+
+
 BUILT: dict[str, Callable[[], Mechanism]] = {
-    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints)
+    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints, vice)
 }
