@@ -53,7 +53,7 @@ class _Edge:
 
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
     """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the Jacobian of constraints
-    at its start; raise InputError with all that the format cannot hold."""
+    at its start; its causes are all that the format cannot hold."""
     return _Describing(mechanism, numbers, constraints, form).linkage
 
 
@@ -80,15 +80,14 @@ class _Describing:
         """Velocity and spin of the frames of bodies in ground axes."""
         self.inertia: dict[Any, Inertial] = {}
         self.links: dict[Any, Link | None] = dict.fromkeys(grounds)
-        for part in (self._bodies, self._joints, self._forces, self._closures, self._tree):
+        for part in (self._bodies, self._joints, self._forces, self._closures, self._tree, self._merge):
             part()
-            self.linkage.judge()
-        self._merge()
+        if "world" in (link.name for link in self.linkage.links):
+            self.refuse("world", "files call the ground so; take another name")
         motions = constraints.shape[1] - rank(constraints)
-        if (found := self.linkage.freedoms) != motions:
+        if not self.linkage.causes and (found := self.linkage.freedoms) != motions:
             what = f"they leave {found} motions, and the coordinates {motions}"
             self.refuse("joints", f"{what}; declare a joint for each constraint that the poses of bodies imply")
-        self.linkage.judge()
 
     def refuse(self, part: str, why: str) -> None:
         self.linkage.refuse(part, why)
@@ -129,8 +128,6 @@ class _Describing:
         m = self.m
         if not (m.bodies or m.spatial_bodies):
             self.refuse("bodies", "it has none; declare bodies and joints instead of energies")
-        if "world" in self.taken:
-            self.refuse("world", "files call the ground so; take another name")
         for each in m.releases:
             self.refuse(each.name, "an input can release it")
         if m.moves:
@@ -356,7 +353,7 @@ class _Describing:
         for joint, factor in terms:
             whole[joint] = whole.get(joint, 0.0) + factor
         found = [(joint, factor) for joint, factor in whole.items() if joint and factor]
-        if None in whole or (len(found) != 2 and not self.form.full):
+        if None in whole or not found or (len(found) != 2 and not self.form.full):
             self.refuse(name, "it couples motions that are none of joints, or other than two")
             return
         self.coupled |= {joint for joint, _ in found}
@@ -458,7 +455,9 @@ class _Describing:
         for link in list(links):
             children = [each for each in links if each.parent is link]
             closed = any(x[0] is link for c in self.linkage.closures for x in (c.first, c.second))
-            if link.inertial.mass or link.inertial.inertia.any() or (link.joints and (closed or len(children) != 1)):
+            free = any(joint.kind == "free" for joint in link.joints)
+            needed = bool(link.joints) and (closed or len(children) != 1 or free)
+            if link.inertial.mass or link.inertial.inertia.any() or needed:
                 continue
             for child in children:
                 for joint in link.joints:

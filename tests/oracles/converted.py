@@ -203,7 +203,7 @@ def joints() -> Mechanism:
 
 
 def vice() -> Mechanism:
-    """A spindle whose thread moves a jaw in its guide, so that a screw closes the loop, with a disc that is welded on."""
+    """A spindle whose thread moves a jaw in its guide, so that a screw closes the loop; a disc is welded on."""
     m = Mechanism("vice")
     axis = (0.6, 0.0, 0.8)
     turn = m.coordinate("turn", "rad", start=0.4, rate=3.0, independent=True)
