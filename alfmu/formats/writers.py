@@ -73,9 +73,7 @@ def _started(linkage: Linkage, hint: str) -> None:
         if motor.start:
             linkage.warn(f"the start value of {motor.name}", linkage.node)
         if hint:
-            linkage.warn(
-                f"the input {motor.name}; {hint}{motor.along[0][0].name} adds it to what is read", linkage.node
-            )
+            linkage.warn(f"the input {motor.name}; {hint}{motor.along[0][0].name} adds it again", linkage.node)
 
 
 # MJCF -----------------------------------------------------------------------------------------------------------
@@ -136,11 +134,11 @@ def _mjcf(linkage: Linkage) -> Element:
         which = {"joint1": coupling.of[0][0].name} | ({"joint2": coupling.by[0][0].name} if coupling.by else {})
         _add(equality, "joint", name=coupling.name, **which, polycoef=numbers)
     for motor in linkage.motors:
-        bias = {"gainprm": motor.gain, "biastype": "affine", "biasprm": motor.bias}
-        given = {"name": motor.name, "joint": motor.along[0][0].name} | (
-            bias if any(motor.bias) else {"gear": motor.gain}
-        )
-        _add(actuator, "general" if any(motor.bias) else "motor", **given)
+        given = {"name": motor.name, "joint": motor.along[0][0].name}
+        if any(motor.bias):
+            _add(actuator, "general", **given, gainprm=motor.gain, biastype="affine", biasprm=motor.bias)
+        else:
+            _add(actuator, "motor", **given, gear=motor.gain)
     root.extend(part for part in (tendon, equality, actuator) if len(part))
     start, rates = ([x for j in linkage.joints for x in getattr(j, which)] for which in ("start", "rates"))
     controls = [motor.start for motor in linkage.motors]
@@ -159,10 +157,8 @@ def _urdf(linkage: Linkage) -> Element:
     _add(root, "link", name=names[None])
     upright, joints = Pose(np.zeros(3), _upright(linkage)), dict[Joint, Element]()
     for link in linkage.links:
-        before, x = names[link.parent], link.inertial
-        pose = (
-            upright @ link.pose if link.parent is None else Pose(link.pose.place - shifts[link.parent], link.pose.turn)
-        )
+        before, x, pose = names[link.parent], link.inertial, link.pose
+        pose = Pose(pose.place - shifts[link.parent], pose.turn) if link.parent else upright @ pose
         shift = np.zeros(3)
         for joint in link.joints or [Joint(f"{link.name}_fixed", "weld", linkage.node)]:
             names[link] = link.name if not link.joints or joint is link.joints[-1] else f"{link.name}_{joint.name}"
@@ -321,7 +317,8 @@ def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Li
         for coupling in linkage.couplings:
             if coupling.of[0][0] is joint:
                 mimic = _add(axis, "mimic", joint=coupling.by[0][0].name)
-                _add(mimic, "multiplier", coupling.coefficients[1])
+                for key, x in (("multiplier", coupling.coefficients[1]), ("offset", 0.0), ("reference", 0.0)):
+                    _add(mimic, key, x)
 
 
 FORMS: dict[str, tuple[Form, Callable[[Linkage], Element]]] = {
