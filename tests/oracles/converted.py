@@ -202,6 +202,22 @@ def joints() -> Mechanism:
     return m
 
 
+def gears() -> Mechanism:
+    """Two gears and a follower, and a torque from the ground on a hinged body."""
+    m = Mechanism("gears")
+    a, b = (m.coordinate(k, "rad", start=x, rate=r, independent=k == "a") for k, x, r in (("a", 0.4, 1.0), ("b", 0, 0)))
+    wheel = m.body("wheel", mass=1.0, inertia=4e-3, center=(0.05, 0.0))
+    other = m.body("other", mass=0.5, inertia=1e-3, center=(0.01, 0.02))
+    lever = m.body("lever", mass=0.3, inertia=1e-3, center=(0.1, 0.0))
+    m.revolute("A", m.ground.at(), wheel.at(), coordinate=a)
+    m.revolute("B", m.ground.at(0.3, 0), other.at(), coordinate=b)
+    m.revolute("C", m.ground.at(1, 1), lever.at(), coordinate=2 * a + 0.1)
+    m.gear("mesh", wheel.at(), other.at(), radii=(0.1, 0.2))
+    m.torque(wheel, m.input("torque", "N.m"))
+    m.gravity(0, -9.81)
+    return m
+
+
 def vice() -> Mechanism:
     """A spindle whose thread moves a jaw in its guide, so that a screw closes the loop; a disc is welded on."""
     m = Mechanism("vice")
@@ -221,5 +237,5 @@ def vice() -> Mechanism:
 
 
 BUILT: dict[str, Callable[[], Mechanism]] = {
-    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints, vice)
+    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints, gears, vice)
 }
