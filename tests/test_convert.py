@@ -214,6 +214,26 @@ def test_files_that_are_read_and_written_move_alike(name: str, tmp_path: Path):
         assert same(one, motions(back, 0.2, inputs=again), shift=suffix != ".xml") >= 3
 
 
+def test_limits_and_springs_stand_where_they_were(tmp_path: Path):
+    """In MJCF by their own numbers, in the other formats from the start."""
+    roots = {}
+    for name, suffixes in (("press", FORMS), ("stewart", (".xml", ".sdf"))):
+        for suffix in suffixes:
+            path = alfmu.convert(ALL[name](), tmp_path / f"{name}{suffix}")
+            root = ElementTree.parse(path).getroot()
+            roots[name + suffix] = {x.get("name"): x for x in root.iter("joint")}
+    guide, leg = roots["press.xml"]["guide"], roots["stewart.xml"]["leg2"]
+    assert guide.get("range").split() == ["-1e+16", "2.0"]
+    start = float(guide.get("ref"))
+    assert float(roots["press.urdf"]["guide"].find("limit").get("upper")) == pytest.approx(2.0 - start, abs=1e-15)
+    assert float(roots["press.sdf"]["guide"].find("axis/limit/upper").text) == pytest.approx(2.0 - start, abs=1e-15)
+    assert [float(x) for x in leg.get("range").split()] == [0.2, 0.9]
+    assert float(leg.get("springref")) == pytest.approx(0.5, abs=1e-15)
+    axis, start = roots["stewart.sdf"]["leg2"].find("axis"), float(leg.get("ref"))
+    for where, x in (("limit/lower", 0.2), ("limit/upper", 0.9), ("dynamics/spring_reference", 0.5)):
+        assert float(axis.find(where).text) == pytest.approx(x - start, abs=1e-15)
+
+
 def test_what_a_format_cannot_hold_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture):
     path = tmp_path / "file.urdf"
     with pytest.raises(alfmu.InputError, match="shaper is refused for 3 reasons") as refused:
@@ -222,7 +242,7 @@ def test_what_a_format_cannot_hold_is_refused_at_once(tmp_path: Path, capsys: py
         assert part in str(refused.value)
     assert main(["convert", "bennett", "-o", str(path)]) == 1
     assert "declare bodies and joints" in capsys.readouterr().err
-    with pytest.raises(alfmu.InputError, match=r"the suffix \.txt; alfmu converts to \.xml, \.urdf, \.sdf"):
+    with pytest.raises(alfmu.InputError, match=r"file\.txt is none of .* converts to: \.xml, \.urdf"):
         alfmu.convert(robot(), tmp_path / "file.txt")
     assert not list(tmp_path.iterdir())
 
