@@ -40,6 +40,7 @@ _HOME = {
     "System": "systems.system",
     "VectorEnvironment": "sweeps.environment",
     "WriteError": "model.errors",
+    "convert": "api",
     "couple": "systems.coupling",
     "derivatives": "gradients",
     "derive": "runtime.pipeline",
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
     from .analysis.kinematics import kinematics as kinematics
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
+    from .api import convert as convert
     from .api import export as export
     from .api import load as load
     from .api import mechanisms as mechanisms

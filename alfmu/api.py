@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .analysis.equilibria import Equilibrium
+from .analysis.situation import subject
 from .analysis.start import prepare, rest_of, simulated
 from .catalogue.registry import load, mechanisms
 from .equations import Equations
@@ -14,8 +16,8 @@ from .fmi.export import described as _described
 from .fmi.export import export as _written
 from .fmi.recipe import Recipe
 from .fmi.recipe import load as recipe_of
-from .model.errors import AlfmuError, InputError
-from .model.files import scratch
+from .model.errors import AlfmuError, AlfmuWarning, InputError
+from .model.files import scratch, write
 from .model.mechanism import Mechanism
 from .runtime import Instance
 from .runtime.shipped import installed
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "animate",
+    "convert",
     "described",
     "draw",
     "drawing_of",
@@ -177,6 +180,34 @@ def export(
     own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi, "interface": interface}
     recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference)
     return _written(recipe, path, rest_of(recipe))
+
+
+def convert(
+    mechanism: str | Path | Mechanism | Recipe,
+    path: str | Path,
+    *,
+    parameters: Mapping[str, float | str] | None = None,
+) -> Path:
+    """Write a mechanism as MJCF (`.xml`), URDF (`.urdf`) or SDF (`.sdf`) and return the path.
+
+    Bodies, joints, loops, limits, springs, dampers, friction and inputs are those at the start that `parameters` and
+    defaults give; docs/howto/convert.md has what each format holds. Raises InputError with all that it does not hold,
+    and warns of what does nothing at first, such as rates at the start in URDF.
+    """
+    from .formats.writers import FORMS, written
+
+    path = Path(path)
+    if path.suffix not in FORMS:
+        raise InputError(f"{path} is none of the files that alfmu converts to: {', '.join(FORMS)}")
+    found = subject(mechanism, parameters)
+    names = [c.name for c in found.coordinates]
+    numbers = [dict(zip(names, x.tolist(), strict=False)) for x in (found.state.q, found.state.v)] + [found.parameters]
+    constraints = found.value("C", found.state)[found.held][:, : len(names)]
+    content, linkage = written(found.source.drawn(), numbers, constraints, path.suffix)
+    for what in linkage.warned:
+        warnings.warn(f"{path}: left out, and may matter: {what}", AlfmuWarning, stacklevel=2)
+    write(path, content)
+    return path
 
 
 def described(recipe: Recipe) -> tuple[Element, dict[str, bytes]]:

@@ -24,11 +24,11 @@ from pathlib import Path
 
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
-from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
+from alfmu import Batch, Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 from alfmu import Derivatives, Fit, Gradient, LibraryError, derivatives, fit, gradient
-from alfmu import Kinematics, System, couple, kinematics, validate
+from alfmu import Kinematics, System, convert, couple, kinematics, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -66,6 +66,7 @@ reveal_type(pendulum().draw().svg())
 i = Instance(derive(load("five_bar")))
 linkage: Imported = imported(Path("robot.xml"), drives="all")
 text: str = linkage.source()
+written: Path = convert(linkage.mechanism, "robot.urdf", parameters={"start.angle": 0.1})
 i.initialize()
 i.step(0.02)
 reveal_type(i.get("link1.angle"))

@@ -25,7 +25,7 @@ COMMANDS = (looks, fmus, runs, many, fits, systems, analyses, judged, shells)
 """Modules with commands; `add` adds them."""
 
 GROUPS = {
-    "make": ("export", "import"),
+    "make": ("export", "import", "convert"),
     "look": ("list", "info", "draw", "live", "animate"),
     "run": ("simulate", "sweep", "fit"),
     "judge": ("equilibrium", "linearize", "mobility", "kinematics", "validate", "report", "stability"),

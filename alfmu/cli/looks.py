@@ -33,6 +33,10 @@ The Python file declares the same mechanism with the same numbers, to change and
 the motion are left out, and named by --all; elements that do not map are told all at once, each with its line. Options
 are those of the file's format: `alfmu info FILE`."""
 
+_CONVERT = """What the format cannot hold is refused, all causes at once. The positions are those of the start, with the
+loops closed: in MJCF displacements keep their numbers, and the keyframe `start` has the rates; in URDF and SDF
+displacements count from the start. Loops of a URDF are <loop_joint> elements; inputs are <transmission> elements."""
+
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
 of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
@@ -78,6 +82,15 @@ def add(command: Command) -> None:
     sub.add_argument("--limits", choices=("stop", "ignore"), help="take limits of joints as end stops (default)")
     sub.add_argument("--all", action="store_true", help="name what was left out although it does nothing, too")
     add_option(sub)
+
+    sub = command("convert", _convert, "write a mechanism as MJCF, URDF or SDF, for other programs")
+    sub.epilog = _CONVERT
+    add_name(sub, "mechanism", "NAME|FILE", EITHER_HELP)
+    sub.add_argument(
+        "-o", "--output", metavar="FILE", required=True, help="where to write it: a name in .xml (MJCF), .urdf or .sdf"
+    )
+    add_option(sub)
+    add_set(sub)
 
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
     sub.epilog = _LIVE
@@ -164,6 +177,14 @@ def _draw(chosen: argparse.Namespace) -> None:
     drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
     said = once_written(path)
     drawn.save(path)
+    print(said)
+
+
+def _convert(chosen: argparse.Namespace) -> None:
+    from ..api import convert
+
+    said = once_written(Path(chosen.output))
+    convert(chosen_recipe(chosen, chosen.mechanism), chosen.output)
     print(said)
 
 

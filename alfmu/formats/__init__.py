@@ -1,4 +1,7 @@
-"""Mechanisms from the files of other programs: MJCF, SDF and URDF, with their loops."""
+"""Mechanisms from the files of other programs, and as such files: MJCF, SDF and URDF, with their loops.
+
+Other rooms import `writers`.
+"""
 
 from .imports import Imported, factory, imported
 

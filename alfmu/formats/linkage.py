@@ -28,6 +28,9 @@ ANYWHERE = 1e15
 LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
 """Words of what a user may leave out although it affects the motion: of `free` joints, what resists their motion."""
 
+_RANK = 1e-7
+"""Singular value of constraints over the largest up to which it counts as zero."""
+
 _PARTICULAR = r"'[^']*'|\"[^\"]*\"|\[[^]]*\]|[-+.\d]+"
 """Parts of a message that differ between refusals of one kind."""
 
@@ -69,6 +72,14 @@ class Joint:
     limits: tuple[tuple[float, float], ...] = ()
     """Lower and upper limits of its coordinates, if any: loops are closed within them."""
 
+    def seen_from(self, pose: Pose, sign: float) -> None:
+        """Change the axes of its numbers to those of a frame at a pose; a sign of -1 lets it lead the other way."""
+        if self.kind != "free":
+            self.point = pose.inverse.at(self.point)
+            self.axes = tuple(sign * pose.turn.T @ axis for axis in self.axes)
+        if self.kind == "spherical":
+            self.rates = tuple((sign * pose.turn.T @ self.rates).tolist())
+
     def moved(self, values: Sequence[float]) -> Pose:
         """Return the transformation of the link's frame at given values."""
         value = values[0] - self.reference
@@ -107,6 +118,12 @@ class Link:
                 return Pose(np.array(values[joint][:3]), of_quaternion(values[joint][3:])) if joint in values else pose
             pose = pose @ joint.moved(values.get(joint, joint.zero))
         return pose
+
+
+def rank(matrix: Array) -> int:
+    """Return the rank of constraints at a position that closes loops to some ten digits."""
+    sizes = np.linalg.svd(matrix, compute_uv=False) if matrix.size else np.zeros(0)
+    return int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
 
 
 def place(link: Link | None, values: Values, known: dict[Link, Pose]) -> Pose:
@@ -258,6 +275,10 @@ class Linkage:
             if not (isinstance(error, UnknownName) and self.causes):
                 self.causes.append(str(error))
 
+    def refuse(self, part: str, why: str) -> None:
+        """Keep the refusal of a part of a mechanism that is written."""
+        self.causes.append(f"{self.name}: {part}: {why}")
+
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if the user says its word."""
         if word not in self.leaves:
@@ -293,35 +314,63 @@ class Linkage:
         return {j: (j.reference,) if len(j.zero) == 1 else j.zero for j in self.joints if j.kind != "free"}
 
     @cached_property
-    def masses(self) -> tuple[Array, Array, dict[Joint, range]]:
-        """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
-
-        A diagonal entry is the inertia of all that a joint carries, and the size of a momentum its mass times its arm.
-        """
-        twists, armatures = list[Array](), list[float]()
-        paths: dict[Link | None, list[int]] = {None: []}
+    def twists(self) -> tuple[Array, dict[Link | None, list[int]], dict[Joint, range]]:
+        """Return spins, and velocities at the ground's origin, per rate (n, 6) at the references; the rates that move
+        each link; and the rates of each joint."""
+        found, paths = list[Array](), dict[Link | None, list[int]]({None: []})
         columns, known = dict[Joint, range](), dict[Link, Pose]()
         for link in self.links:
             paths[link] = list(paths[link.parent])
             for j, joint in enumerate(link.joints):
                 pose = link.before(j, self.references, known)
-                axes = [pose.turn @ axis / np.linalg.norm(axis) for axis in joint.axes]
-                turns = np.array(axes) if axes else np.eye(3)
-                own = np.hstack((turns, np.cross(pose.at(joint.point), turns)))
+                turns = np.array([pose.turn @ axis / np.linalg.norm(axis) for axis in joint.axes] or np.eye(3))
+                own = np.hstack((turns, np.cross(pose.at(joint.point), turns) + joint.lead / (2 * np.pi) * turns))
                 if joint.kind in ("prismatic", "free"):
-                    own = np.hstack((np.zeros_like(turns), turns)) if axes else np.eye(6)
-                columns[joint] = range(len(twists), len(twists) + len(own))
+                    own = np.hstack((np.zeros_like(turns), turns)) if joint.axes else np.eye(6)
+                columns[joint] = range(len(found), len(found) + len(own))
                 paths[link] += columns[joint]
-                twists += list(own)
-                armatures += [joint.armature] * len(own)
-        M, momenta = np.diag(armatures), np.zeros((3, len(twists)))
+                found += list(own)
+        return np.array(found).reshape(-1, 6), paths, columns
+
+    @cached_property
+    def masses(self) -> tuple[Array, Array, dict[Joint, range]]:
+        """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
+
+        A diagonal entry is the inertia of all that a joint carries, and the size of a momentum its mass times its arm.
+        """
+        twists, paths, columns = self.twists
+        M, momenta = np.diag([j.armature for j in columns for _ in columns[j]]), np.zeros((3, len(twists)))
+        known = dict[Link, Pose]()
         for link in self.links:
             x, at, path = link.inertial, place(link, self.references, known), paths[link]
-            spins, moves = np.split(np.array([twists[i] for i in path]).reshape(-1, 6), 2, axis=1)
+            spins, moves = np.split(twists[path], 2, axis=1)
             moves = moves + np.cross(spins, at.at(x.center))
             M[np.ix_(path, path)] += x.mass * moves @ moves.T + spins @ at.turn @ x.inertia @ at.turn.T @ spins.T
             momenta[:, path] += x.mass * moves.T
         return M, momenta, columns
+
+    @property
+    def freedoms(self) -> int:
+        """Return the number of independent rates at the references, where loops are closed."""
+        twists, paths, columns = self.twists
+        rows, known = [np.zeros((0, len(twists)))], dict[Link, Pose]()
+        for closure in self.closures:
+            at = place(closure.first[0], self.references, known) @ closure.first[1]
+            apart = np.zeros((6, len(twists)))
+            for (link, _), sign in ((closure.first, -1.0), (closure.second, 1.0)):
+                spins, ways = np.split(twists[paths[link]], 2, axis=1)
+                apart[:, paths[link]] += sign * np.hstack((spins, ways + np.cross(spins, at.place))).T
+            axes = [at.turn @ axis for axis in closure.joint.axes] or list(np.eye(3))
+            pitch = np.inf if closure.joint.kind == "prismatic" else closure.joint.lead / (2 * np.pi)
+            free = [np.append(x, pitch * x) if np.isfinite(pitch) else np.append(0 * x, x) for x in axes]
+            kept = np.linalg.svd(free)[2][len(free) :] if closure.joint.kind != "weld" else np.eye(6)
+            rows.append(kept @ apart)
+        for coupling in self.couplings:
+            row = np.zeros((1, len(twists)))
+            for joint, factor in (*coupling.of, *((j, -coupling.coefficients[1] * x) for j, x in coupling.by)):
+                row[0, columns[joint]] += factor
+            rows.append(row)
+        return len(twists) - rank(np.vstack(rows))
 
     def mass_along(self, along: Sum) -> float:
         """Return the mass that an effort along a sum of coordinates accelerates at the references, 1/(J M^-1 J'), where

@@ -22,7 +22,10 @@ from .solids import Inertial
 
 __all__ = ["File"]
 
-_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free"}
+_KINDS = {
+    "revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free",
+    "ball": "spherical",
+}  # fmt: skip
 _LOOPS = {
     "revolute": "revolute", "continuous": "revolute", "spherical": "spherical", "ball": "spherical", "fixed": "weld",
     "prismatic": "prismatic",
@@ -61,7 +64,7 @@ class File:
         self.joints: dict[str, Joint] = {}
         self.other = self._other(root.file, loops)
         self.changed = dict(zip(self.other.get("joint_name", []), self.other.get("joint_type", []), strict=False))
-        links, joints = root.all("link"), root.all("joint")
+        links, joints = root.all("link"), root.all("joint", "drake:joint")
         nodes = {each.attributes.get("name", ""): each for each in links}
         if len(nodes) < len(links) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
@@ -198,11 +201,11 @@ class File:
         """Return the joint that places a link, with its mimic element."""
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
-        if kind not in _KINDS:
+        if kind not in _KINDS or (kind == "ball") != (node.tag == "drake:joint"):
             node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
         left = {each: each for each in ("safety_controller", "calibration")}
-        if kind in ("fixed", "floating"):
-            for child in node.all("mimic", *(_RESISTING if kind == "floating" else ())):
+        if kind in ("fixed", "floating", "ball"):
+            for child in node.all("mimic", *(_RESISTING if kind != "fixed" else ())):
                 child.fail(f"<{child.tag}> of a {kind} joint does not map")
             left |= dict.fromkeys(("axis", "limit", *_RESISTING), "what joints without an axis say of one")
         self.linkage.pass_over(node, left)
@@ -217,10 +220,12 @@ class File:
             at = place(link.parent, {}, {}) @ link.pose
             link.parent, link.pose = None, at
             joint.start, joint.rates = (*at.place.tolist(), *quaternion(at.turn).tolist()), (0.0,) * 6
+        elif kind == "ball":
+            joint.start, joint.rates = joint.zero, (0.0,) * 3
         else:
             joint.axes = (self._axis(node),)
             self._limits(joint, kind)
-        for dynamics in node.all(*_RESISTING) if kind != "floating" else ():
+        for dynamics in node.all(*_RESISTING) if joint.axes else ():
             given = Reading(dynamics)
             joint.damping = (given.positive("damping", joint.damping[0]),)
             joint.friction = (given.positive("friction", joint.friction[0]),)

@@ -1,9 +1,11 @@
-"""Accelerations of MJCF files by MuJoCo's mass matrix, bias and Jacobians, with rigid constraints (KKT)."""
+"""Accelerations of files by the mass matrix, bias and Jacobians of MuJoCo and Pinocchio, with rigid constraints."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,9 +116,10 @@ def _follow(model: Any, data: Any, unknown: NDArray, places: NDArray, rates: NDA
 
 
 def mujoco_accelerations(
-    path: Path, qpos: NDArray | None, qvel: NDArray, controls: NDArray
+    path: Path, qpos: NDArray | None, qvel: NDArray, controls: NDArray, rubs: bool = False
 ) -> tuple[NDArray, NDArray, float]:
-    """Accelerations, the places they were taken at, and the largest rate at which a constraint opens."""
+    """Accelerations, the places they were taken at, and the largest rate at which a constraint opens; if it rubs, with
+    the dry friction of joints, all of which slide."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -132,7 +135,7 @@ def mujoco_accelerations(
         unit[i] = 1.0
         mujoco.mj_mulM(model, data, column, unit)
         M[:, i] = column
-    f = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
+    f = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias - rubs * model.dof_frictionloss * np.sign(qvel)
     rows, drifts = [np.zeros((0, n))], [np.zeros(0)]
 
     def at(body: int, point: NDArray) -> tuple[NDArray, NDArray]:
@@ -176,3 +179,75 @@ def mujoco_accelerations(
     whole = np.block([[M, J.T], [J, np.zeros((l, l))]])
     found, *_ = np.linalg.lstsq(whole, np.concatenate([f, -drift]), rcond=1e-13)
     return found[:n], data.qpos.copy(), float(np.abs(J @ qvel).max(initial=0.0))
+
+
+def by_pinocchio(
+    path: Path, rates: Mapping[str, float], efforts: Mapping[str, float]
+) -> tuple[dict[str, float], float]:
+    """Accelerations of the joints of a URDF at its zero, with its loops rigid, and the largest rate at which a loop
+    opens."""
+    import pinocchio
+
+    root = ElementTree.parse(path).getroot()
+    model = pinocchio.buildModelFromUrdf(str(path))
+    at = {name: model.joints[model.getJointId(name)].idx_v for name in list(model.names)[1:]}
+    loops = []
+    for loop in root.findall("loop_joint"):
+        frames = []
+        for end in (loop.find("link1"), loop.find("link2")):
+            frame = model.frames[model.getFrameId(end.get("link"))]
+            xyz, rpy = (np.array(end.get(k).split(), dtype=float) for k in ("xyz", "rpy"))
+            placed = frame.placement * pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), xyz)
+            name = f"{loop.get('name')}{len(frames)}"
+            frames.append(model.addFrame(pinocchio.Frame(name, frame.parentJoint, 0, placed, pinocchio.OP_FRAME)))
+        axes = [np.array(axis.get("xyz").split(), dtype=float) for axis in loop.findall("axis")]
+        loops.append((loop.get("type"), frames, axes))
+    data, q, n = model.createData(), pinocchio.neutral(model), model.nv
+    v, tau = np.zeros(n), np.zeros(n)
+    for given, into in ((rates, v), (efforts, tau)):
+        for name, x in given.items():
+            into[at[name]] = x
+    for joint in root.findall("joint"):
+        resists = joint.find("dynamics")
+        if resists is not None:
+            k = at[joint.get("name")]
+            tau[k] -= float(resists.get("damping")) * v[k] + float(resists.get("friction")) * np.sign(v[k])
+    M, h = pinocchio.crba(model, data, q).copy(), pinocchio.nonLinearEffects(model, data, q, v).copy()
+    M = np.triu(M) + np.triu(M, 1).T
+    pinocchio.forwardKinematics(model, data, q, v, np.zeros(n))
+    pinocchio.computeJointJacobians(model, data, q)
+    pinocchio.updateFramePlacements(model, data)
+    rows, drifts = [np.zeros((0, n))], [np.zeros(0)]
+    for kind, frames, axes in loops:
+        which = pinocchio.LOCAL_WORLD_ALIGNED
+        J = [pinocchio.getFrameJacobian(model, data, each, which) for each in frames]
+        a = [pinocchio.getFrameClassicalAcceleration(model, data, each, which).vector for each in frames]
+        apart, drift, spins = J[1] - J[0], a[1] - a[0], [x[3:] @ v for x in J]
+        assert np.abs(data.oMf[frames[0]].translation - data.oMf[frames[1]].translation).max() < 1e-12
+        if kind == "fixed":
+            kept, more = np.eye(6), np.zeros(6)
+        elif kind == "spherical":
+            kept, more = np.eye(6)[:3], np.zeros(3)
+        else:
+            along = data.oMf[frames[0]].rotation @ axes[0]
+            normals = np.linalg.svd(along[None])[2][1:]
+            turning = np.cross(spins[0], normals)
+            if kind == "revolute":
+                kept = np.vstack((np.eye(6)[:3], np.hstack((np.zeros((2, 3)), normals))))
+                more = np.concatenate((np.zeros(3), turning @ (spins[1] - spins[0])))
+            else:
+                kept = np.vstack((np.hstack((normals, np.zeros((2, 3)))), np.eye(6)[3:]))
+                more = np.concatenate((2 * turning @ (apart[:3] @ v), np.zeros(3)))
+        rows.append(kept @ apart)
+        drifts.append(kept @ drift + more)
+    for joint in root.findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            row = np.zeros((1, n))
+            row[0, at[joint.get("name")]], row[0, at[mimic.get("joint")]] = 1.0, -float(mimic.get("multiplier"))
+            rows.append(row)
+            drifts.append(np.zeros(1))
+    C, drift = np.vstack(rows), np.concatenate(drifts)
+    whole = np.block([[M, C.T], [C, np.zeros((len(C),) * 2)]])
+    found = np.linalg.lstsq(whole, np.concatenate([tau - h, -drift]), rcond=1e-13)[0]
+    return {name: float(found[k]) for name, k in at.items()}, float(np.abs(C @ v).max(initial=0.0))

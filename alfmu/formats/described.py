@@ -1,0 +1,478 @@
+"""A mechanism as a linkage: a tree of its joints, whatever its coordinates are, and closures for the joints beside it.
+
+Links have the frames of their bodies. The poses, and the references of joints, are those of the start; a plane is that
+of x and y. A joint that closes a loop, where its format cannot close one with it or with its forces, places a body of
+its own with half of the mass of one of its bodies, welded to the other half: the same rigid body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..model.mechanism import Mechanism
+from ..model.parts import Constraint, Friction, Rigidity, key_of, stack, symbolic
+from ..model.relations import Pair, Rack
+from ..model.spatial import SpatialJoint
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, rank
+from .markup import Node
+from .poses import Array, Pose, cleaned, quaternion, vector
+from .solids import Inertial
+
+__all__ = ["Form", "described"]
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a format holds: kinds of joints that can close a loop, springs, and if it is `full` scaled and constant
+    efforts, and couplings of more than two joints."""
+
+    name: str
+    closures: Collection[str]
+    springs: bool = True
+    full: bool = False
+
+
+@dataclass(eq=False)
+class _Edge:
+    """A joint between two bodies; its motions, from the first to the second, are about ground axes at the start."""
+
+    name: str
+    ends: tuple[Any, Any]
+    kind: str
+    point: Array
+    placing: bool = False
+    joints: list[Joint] = field(default_factory=list)
+
+
+def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
+    """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the Jacobian of constraints
+    at its start; its causes are all that the format cannot hold."""
+    return _Describing(mechanism, numbers, constraints, form).linkage
+
+
+class _Describing:
+    def __init__(self, mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form):
+        self.m, self.form, self.kinematics = mechanism, form, mechanism._kinematics()
+        self.node = Node("mechanism", {}, Path(mechanism.name), 0)
+        self.linkage = Linkage(mechanism.name, form.name, self.node)
+        coordinates, parameters = mechanism.coordinates, mechanism.parameters
+        self.symbols = [
+            stack([c.q for c in coordinates]), stack([c.v for c in coordinates]), stack([x.symbol for x in parameters])
+        ]  # fmt: skip
+        names = [[c.name for c in coordinates]] * 2 + [[x.name for x in parameters]]
+        self.values = [[given[name] for name in some] for given, some in zip(numbers, names, strict=True)]
+        self.taken = set(mechanism._names)
+        self.motions: dict[str, Joint] = {}
+        self.along: dict[int | None, tuple[str, Any]] = {key_of(x.symbol): ("u", x) for x in mechanism.inputs}
+        """Inputs ("u"), displacements ("q") and rates ("v") of joints by their symbols."""
+        self.coupled: set[Joint] = set()
+        self.edges: list[_Edge] = []
+        grounds = (mechanism.ground, mechanism.spatial_ground)
+        self.poses: dict[Any, Pose] = dict.fromkeys(grounds, Pose())
+        self.spins: dict[Any, tuple[Array, Array]] = dict.fromkeys(grounds, (np.zeros(3), np.zeros(3)))
+        """Velocity and spin of the frames of bodies in ground axes."""
+        self.inertia: dict[Any, Inertial] = {}
+        self.links: dict[Any, Link | None] = dict.fromkeys(grounds)
+        for part in (self._bodies, self._joints, self._forces, self._closures, self._tree, self._merge):
+            part()
+        if "world" in (link.name for link in self.linkage.links):
+            self.refuse("world", "files call the ground so; take another name")
+        motions = constraints.shape[1] - rank(constraints)
+        if not self.linkage.causes and (found := self.linkage.freedoms) != motions:
+            what = f"they leave {found} motions, and the coordinates {motions}"
+            self.refuse("joints", f"{what}; declare a joint for each constraint that the poses of bodies imply")
+
+    def refuse(self, part: str, why: str) -> None:
+        self.linkage.refuse(part, why)
+
+    # Numbers ----------------------------------------------------------------------------------------------------
+
+    def number(self, expression: Any) -> Array:
+        """Return the value of an expression at the start."""
+        return np.array(ca.Function("f", self.symbols, [ca.densify(ca.SX(expression))])(*self.values))
+
+    def scalar(self, expression: Any) -> float:
+        return float(self.number(expression)[0, 0])
+
+    def rate(self, expression: ca.SX) -> Array:
+        return self.number(ca.jtimes(expression, self.symbols[0], self.symbols[1]))
+
+    def fixed(self, expression: Any) -> ca.SX:
+        """Return an expression with the numbers of parameters."""
+        return ca.substitute(symbolic(expression), self.symbols[2], ca.SX(ca.DM(self.values[2])))
+
+    def constant(self, part: str, what: str, *values: Any) -> list[float]:
+        """Return numbers, which must be the same in any motion."""
+        found = [self.fixed(x) for x in values]
+        if not all(x.is_constant() for x in found):
+            self.refuse(part, f"its {what} is no constant")
+        return [float(x) if x.is_constant() else 0.0 for x in found]
+
+    def fresh(self, name: str) -> str:
+        """Return an unused name."""
+        tries = (f"{name}{i or ''}" for i in range(len(self.taken) + 1))
+        self.taken.add(found := next(x for x in tries if x not in self.taken))
+        return found
+
+    # Bodies and joints ------------------------------------------------------------------------------------------
+
+    def _bodies(self) -> None:
+        """Find poses, velocities and inertia of bodies."""
+        m = self.m
+        if not (m.bodies or m.spatial_bodies):
+            self.refuse("bodies", "it has none; declare bodies and joints instead of energies")
+        for each in m.releases:
+            self.refuse(each.name, "an input can release it")
+        if m.moves:
+            self.refuse("motions", "places, constraints or energies depend on time or on an input")
+            self.linkage.judge()
+        x, y, z = self.constant("gravity", "vector", *m.gravity_vector)
+        self.linkage.gravity = (x, y, z)
+        for body in m.bodies:
+            frame = self.kinematics.frame(body)
+            turn = ca.blockcat([[frame.ex, -frame.ey, 0], [frame.ey, frame.ex, 0], [0, 0, 1]])
+            # Moments about x and y, which do nothing in a plane, are that about z, so that such a body exists.
+            self._body(body, ca.vertcat(*frame.place(0, 0), 0), turn, (*body.center, 0), ca.SX.eye(3) * body.inertia)
+        for solid in m.spatial_bodies:
+            origin = solid.anchor[1] + solid.turned((0.0, 0.0, 0.0))
+            self._body(solid, origin, solid.rotation, solid.center, solid.inertia_matrix)
+
+    def _body(self, body: Any, origin: ca.SX, turn: ca.SX, center: Sequence[Any], inertia: ca.SX) -> None:
+        self.poses[body] = Pose(self.number(origin).ravel(), self.number(turn))
+        spin = self.rate(turn) @ self.poses[body].turn.T
+        self.spins[body] = self.rate(origin).ravel(), np.array((spin[2, 1], spin[0, 2], spin[1, 0]))
+        at = self.number(ca.vertcat(*center)).ravel()
+        self.inertia[body] = Inertial(self.scalar(body.mass), at, self.number(inertia))
+
+    def _joints(self) -> None:
+        joints: list[Any] = [*self.m.joints, *self.m.spatial_joints]
+        for joint in joints:
+            if joint.kind == "distance":
+                self.refuse(joint.name, "it is a rod without mass; give it a body and two joints")
+            spatial = isinstance(joint, SpatialJoint)
+            points = [x.point if spatial else (x.x, x.y, 0.0) for x in (joint.first, joint.second)]
+            _, local = (self.constant(joint.name, "point", *point) for point in points)
+            at, ends = self.poses[joint.second.body].at(vector(local)), (joint.first.body, joint.second.body)
+            placing = (joint.coordinates if spatial else joint.coordinate) is not None
+            self.edges.append(edge := _Edge(joint.name, ends, joint.kind, at, placing))
+            (self._in_space if spatial else self._in_plane)(joint, edge)
+
+    def _in_plane(self, joint: Any, edge: _Edge) -> None:
+        self.constant(joint.name, "geometry", joint.offset, joint.angle, joint.axis, joint.length)
+        one, two = joint.first, joint.second
+        pin = joint.kind == "point_on_line"
+        if joint.kind == "prismatic" or pin:
+            ux, uy, _, _ = self.kinematics.axes(joint)
+            (x1, y1), (x2, y2) = self.kinematics.place(one), self.kinematics.place(two)
+            along = joint.coordinate if edge.placing else ux * (x2 - x1) + uy * (y2 - y1)
+            name = self.fresh(f"{joint.name}_slide") if pin else joint.name
+            self._move(edge, name, "prismatic", self.number(ca.vertcat(ux, uy, 0)).ravel(), along)
+        if joint.kind == "revolute" or pin:
+            turned = self.kinematics.frame(two.body).angle - self.kinematics.frame(one.body).angle
+            name = self.fresh(f"{joint.name}_turn") if pin else joint.name
+            self._move(edge, name, "revolute", (0.0, 0.0, 1.0), joint.coordinate if edge.placing else turned)
+
+    def _in_space(self, joint: SpatialJoint, edge: _Edge) -> None:
+        if joint.kind == "spherical":
+            spin = self.spins[edge.ends[1]][1] - self.spins[edge.ends[0]][1]
+            ball = Joint(joint.name, "spherical", self.node, edge.point, rates=tuple(spin))
+            ball.start = ball.zero
+            edge.joints.append(ball)
+            return
+        normal, other, axis = (self.number(x).ravel() for x in joint.triad())
+        axes = {"position1": normal, "position2": other}
+        if joint.kind == "universal":
+            axes["angle2"] = self.number(joint.triad(second=True)[2]).ravel()
+        (lead,) = self.constant(joint.name, "lead", joint.lead)
+        for which in sorted(joint.freedoms, key=lambda x: x.startswith("angle")):
+            name = joint.name if len(joint.freedoms) == 1 else f"{joint.name}.{which}"
+            kind = "screw" if edge.kind in self.form.closures else "revolute"
+            kind = "prismatic" if which.startswith("position") else kind if edge.kind == "screw" else "revolute"
+            self._move(edge, name, kind, axes.get(which, axis), joint.displacement(which), lead * (kind == "screw"))
+        if edge.kind == "screw" and "screw" not in self.form.closures:  # a hinge, and a slide that follows it
+            way, pitch = self.fresh(f"{joint.name}_way"), lead / (2 * math.pi)
+            self._move(edge, way, "prismatic", axis, pitch * joint.displacement("angle"))
+            if not edge.placing:
+                self._couple(f"{way}_follows", [(self.motions[way], 1.0), (self.motions[joint.name], -pitch)])
+
+    def _move(self, edge: _Edge, name: str, kind: str, axis: Any, along: Any, lead: float = 0.0) -> None:
+        """Add a motion with its displacement to a joint; none if the displacement is constant."""
+        x = self.fixed(along)
+        if edge.placing and x.is_constant():
+            return
+        value, rate = self.scalar(x), float(self.rate(x)[0, 0])
+        joint = Joint(name, kind, self.node, edge.point, (vector(axis),), value, (value,), (rate,), lead=lead)
+        edge.joints.append(joint)
+        self.motions[name] = joint
+        if x.is_symbolic() and key_of(x) not in self.along:
+            self.along[key_of(x)], self.along[key_of(self.m.rate(x))] = ("q", joint), ("v", joint)
+        elif edge.placing:
+            leaders = [(key[1], -factor) for key, factor in (self._linear(x) or {}).items() if key[0] == "q"]
+            if len(leaders) == 1:
+                self._couple(f"{name}_follows", [(joint, 1.0), *leaders])
+            else:
+                self.refuse(edge.name, "its coordinate is an expression that no file holds")
+
+    # Forces -----------------------------------------------------------------------------------------------------
+
+    def _motion(self, of: Any, what: str) -> Joint:
+        """Return the motion of a joint that a force acts along; refuse others."""
+        name = getattr(of, "name", "")
+        if name not in self.motions:
+            self.refuse(name or what, f"{what} acts between points or along an expression; files hold those of joints")
+        return self.motions.get(name) or Joint("", "revolute", self.node)
+
+    def _forces(self) -> None:
+        m = self.m
+        for spring in m.springs:
+            joint = self._motion(spring.between, "a spring")
+            k, d, rest = self.constant(joint.name, "spring", spring.stiffness, spring.damping, spring.rest)
+            self._spring(joint, k, d, k * rest)
+        for stop in m.end_stops:
+            joint = self._motion(stop.of, "an end stop")
+            ends = (-1e16 if stop.lower is None else stop.lower, 1e16 if stop.upper is None else stop.upper)
+            low, high = self.constant(stop.name, "limit", *ends)
+            old = joint.limits[0] if joint.limits else (low, high)
+            joint.limits = ((max(low, old[0]), min(high, old[1])),)
+            self.linkage.warn("how hard end stops are", self.node)
+        efforts: dict[Joint, ca.SX] = {}
+        for drive in m.drives:
+            joint = self._motion(drive.joint, "a drive")
+            efforts[joint] = efforts.get(joint, ca.SX(0)) + drive.effort
+        hinges = {x.ends[1]: x.joints for x in self.edges if x.ends[0] is m.ground and x.kind == "revolute"}
+        for load in m.loads:
+            if not hinges.get(load.at.body) or not all(symbolic(x).is_zero() for x in load.force):
+                self.refuse(load.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
+                continue
+            joint = hinges[load.at.body][0]
+            efforts[joint] = efforts.get(joint, ca.SX(0)) + load.torque
+        for each in m.spatial_loads:
+            self.refuse(each.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
+        for x in (*m.potential, *m.kinetic, *(x for _, x in m.generalized)):
+            what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+            self.refuse(str(x)[:60], what)
+        for joint, effort in efforts.items():
+            self._drive(joint, self.fixed(effort))
+        for joint in self.motions.values():
+            if joint.stiffness[0] and not self.form.springs:
+                self.refuse(joint.name, f"{self.form.name} holds no springs")
+
+    def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
+        """Add a stiffness, a damping and an effort at zero to those of a joint."""
+        pull, k, d = pull + joint.stiffness[0] * joint.rest[0], k + joint.stiffness[0], d + joint.damping[0]
+        if k < 0 or d < 0:
+            self.refuse(joint.name, "its stiffness or damping is negative")
+        if pull and not k and self.form.full:  # an actuator whose control does nothing
+            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=pull)
+        elif pull and not k:
+            self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
+        joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
+
+    def _linear(self, expression: Any) -> dict[tuple[str, Any], float] | None:
+        """Return factors of inputs, displacements and rates of joints, and the constant of a linear expression; None of
+        any other."""
+        x = self.fixed(expression)
+        symbols = ca.symvar(x)
+        factors = [ca.gradient(x, each) for each in symbols]
+        if not all(f.is_constant() and key_of(each) in self.along for f, each in zip(factors, symbols, strict=True)):
+            return None
+        found = {self.along[key_of(each)]: float(f) for f, each in zip(factors, symbols, strict=True)}
+        return found | {("1", None): float(ca.substitute(x, stack(symbols), ca.SX.zeros(len(symbols))))}
+
+    def _drive(self, joint: Joint, effort: ca.SX) -> None:
+        """Take an effort along a joint as motors, a spring and a damper, limited all together."""
+        x, factor, limits = effort, 1.0, [-math.inf, math.inf]
+        while x.op() in (ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX) and (x.dep(0).is_constant() or x.dep(1).is_constant()):
+            other, constant = (x.dep(0), x.dep(1)) if x.dep(1).is_constant() else (x.dep(1), x.dep(0))
+            if x.op() == ca.OP_MUL:
+                factor *= float(constant)
+            else:
+                upper = (x.op() == ca.OP_FMIN) == (factor > 0)
+                limits[upper] = (min if upper else max)(limits[upper], factor * float(constant))
+            x = other
+        terms = self._linear(factor * x)
+        own = [("1", None), ("q", joint), ("v", joint)]
+        if terms is None or any(key not in own and key[0] != "u" for key in terms):
+            self.refuse(joint.name, "its effort is no sum of inputs, its displacement and its rate")
+            return
+        bias, k, d = (terms.pop(key, 0.0) for key in own)
+        if limits != [-math.inf, math.inf]:
+            joint.effort = (limits[0], limits[1])
+            if bias or k or d or not (self.form.full or limits[0] == -limits[1]):
+                self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
+        for (_, given), gain in terms.items():
+            self._motor(joint, given.name, gain, given.start)
+        self._spring(joint, -k, -d, bias)
+
+    def _motor(self, joint: Joint, name: str, gain: float, start: float = 0.0, bias: float = 0.0) -> None:
+        if any(motor.name == name for motor in self.linkage.motors):
+            self.refuse(name, "this input drives several joints; declare one for each")
+        if gain != 1 and not self.form.full:
+            self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
+        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, (bias, 0.0, 0.0), start=start)
+        self.linkage.motors.append(motor)
+
+    # Closures ---------------------------------------------------------------------------------------------------
+
+    def _closures(self) -> None:
+        units = {x.unit_length for x in self.m.spatial_bodies} | {x.unit_length for x in self.m.spatial_joints}
+        for each in self.m.closures:
+            if isinstance(each, Pair | Rack):
+                sums, terms = [], list[tuple[Joint | None, float]]()
+                if isinstance(each, Pair):
+                    sums = list(zip(each.ways, each.radii, strict=True))
+                else:
+                    sums, terms = [(each.way, -each.side * each.radius)], [(self.motions.get(each.guide.name), 1.0)]
+                terms += [(self.motions.get(x.name), sign * self.scalar(R)) for way, R in sums for x, sign in way]
+                self._couple(each.name, terms)
+            elif isinstance(each, Friction):
+                joint = self._motion(each.of, "friction")
+                if each.load is None:
+                    self.refuse(each.name, "its dry friction is in proportion to the reaction; give it a constant load")
+                given = (0.0 if x is None else x for x in (each.coulomb, each.static, each.load))
+                coulomb, static, load = self.constant(each.name, "friction", *given)
+                if coulomb != static:
+                    self.refuse(each.name, "its static friction differs from that while it slides")
+                joint.friction = (coulomb * load,)
+            elif isinstance(each, Constraint) and each.name not in units:
+                found = self._linear(each.expression) or {("", None): 1.0}
+                self._couple(each.name, [(x[1] if x[0] == "q" else None, y) for x, y in found.items() if x[0] != "1"])
+            elif not isinstance(each, Constraint | Rigidity) and each not in (*self.m.joints, *self.m.spatial_joints):
+                self.refuse(each.name, f"it is a {type(each).__name__.lower()}, which no file holds")
+
+    def _couple(self, name: str, terms: Sequence[tuple[Joint | None, float]]) -> None:
+        """Let a sum of displacements stay as it is at the start."""
+        whole: dict[Joint | None, float] = {}
+        for joint, factor in terms:
+            whole[joint] = whole.get(joint, 0.0) + factor
+        found = [(joint, factor) for joint, factor in whole.items() if joint and factor]
+        if None in whole or not found or (len(found) != 2 and not self.form.full):
+            self.refuse(name, "it couples motions that are none of joints, or other than two")
+            return
+        self.coupled |= {joint for joint, _ in found}
+        coupling = Coupling(name, self.node, tuple(found), (), [0.0])
+        if len(found) == 2:
+            (one, a), (two, b) = found
+            coupling = Coupling(name, self.node, ((one, 1.0),), ((two, 1.0),), [0.0, -b / a])
+        self.linkage.couplings.append(coupling)
+
+    # The tree ---------------------------------------------------------------------------------------------------
+
+    def _closes(self, edge: _Edge) -> bool:
+        """Return whether a joint may close a loop in this format."""
+        used = self.coupled | {motor.along[0][0] for motor in self.linkage.motors}
+        forced = (any((*x.damping, *x.stiffness, *x.friction, x.armature, *x.limits, x in used)) for x in edge.joints)
+        return edge.kind in self.form.closures and not any(forced)
+
+    def _tree(self) -> None:
+        """Place bodies by joints from the ground outwards, first by those that cannot close loops; free ones float."""
+        ground, spatial = self.m.ground, self.m.spatial_ground
+        bodies = [*self.m.bodies, *self.m.spatial_bodies]
+        trees: dict[Any, set[Any]] = {body: {body} for body in bodies}
+        trees[ground] = trees[spatial] = {ground, spatial}
+        near: dict[Any, list[_Edge]] = {body: [] for body in trees}
+        rest = []
+        for edge in sorted(self.edges, key=lambda x: (self._closes(x), not x.placing, x.kind == "spherical")):
+            one, two = (trees[body] for body in edge.ends)
+            if one is two:
+                rest.append(edge)
+                continue
+            one |= two
+            trees |= dict.fromkeys(two, one)
+            for body in edge.ends:
+                near[body].append(edge)
+        for root in (ground, spatial, *bodies):
+            if root not in self.links:
+                self._link(root, self._flying(root), None)
+            waiting = [root]
+            while waiting:
+                here = waiting.pop()
+                for edge in near.pop(here, ()):
+                    other = edge.ends[edge.ends[0] is here]
+                    if other not in self.links:
+                        self._link(other, edge, self.links[here])
+                        waiting.append(other)
+        for edge in rest:
+            self._close(edge)
+
+    def _flying(self, body: Any) -> _Edge:
+        """Return the joint of a body that no other joins to the ground."""
+        pose, (velocity, spin) = self.poses[body], self.spins[body]
+        edge = _Edge(body.name, (self.m.ground, body), "free", pose.place)
+        if body in self.m.spatial_bodies:
+            start = (*pose.place.tolist(), *quaternion(pose.turn).tolist())
+            rates = (*velocity.tolist(), *(pose.turn.T @ spin).tolist())
+            edge.joints = [Joint(self.fresh(f"{body.name}_free"), "free", self.node, start=start, rates=rates)]
+            return edge
+        frame = self.kinematics.frame(body)
+        edge.point = self.number(ca.vertcat(frame.x, frame.y, 0.0)).ravel()
+        for i, (way, along) in enumerate((("x", frame.x), ("y", frame.y), ("angle", frame.angle))):
+            kind = "revolute" if way == "angle" else "prismatic"
+            self._move(edge, self.fresh(f"{body.name}_{way}"), kind, np.eye(3)[i], along)
+        return edge
+
+    def _link(self, body: Any, edge: _Edge, parent: Link | None, name: str = "") -> Link:
+        """Add the link of a body, placed by a joint from either of its ends."""
+        pose, before = self.poses[body], self.poses[edge.ends[edge.ends[0] is body]]
+        forward = body is edge.ends[1]
+        link = Link(name or body.name, self.node, parent, before.inverse @ pose, self.inertia[body])
+        link.joints = edge.joints if forward else edge.joints[::-1]
+        for joint in link.joints:
+            joint.seen_from(pose, 1.0 if forward else -1.0)
+        self.links.setdefault(body, link)
+        self.linkage.links.append(link)
+        return link
+
+    def _close(self, edge: _Edge) -> None:
+        """Close a loop by a joint, or by one that places half of a body, which is welded to the other half."""
+        links = [self.links[body] for body in edge.ends]
+        if self._closes(edge):
+            frames = [self.poses[body].inverse @ Pose(edge.point, np.eye(3)) for body in edge.ends]
+            joint = replace(edge.joints[0], name=edge.name) if edge.joints else Joint(edge.name, "weld", self.node)
+            joint.kind, joint.axes = edge.kind, tuple(x.axes[0] for x in edge.joints if x.axes)
+            self.linkage.closures.append(Closure(joint, (links[0], frames[0]), (links[1], frames[1])))
+            return
+        for k, body in ((1, edge.ends[1]), (0, edge.ends[0])):
+            if (whole := links[k]) is not None and (x := whole.inertial).mass:
+                self.inertia[body] = whole.inertial = Inertial(x.mass / 2, x.center, x.inertia / 2)
+                half = self._link(body, edge, links[1 - k], self.fresh(f"{body.name}_half"))
+                weld = Joint(self.fresh(f"{edge.name}_weld"), "weld", self.node)
+                self.linkage.closures.append(Closure(weld, (half, Pose()), (whole, Pose())))
+                return
+        self.refuse(edge.name, f"its bodies have no mass, and {self.form.name} closes no loop by such a joint")
+
+    def _merge(self) -> None:
+        """Leave out links that are mere frames, let links have the joints of frames without mass before them, and put
+        links in the order in which they stand in each other."""
+        links = self.linkage.links
+        for link in list(links):
+            children = [each for each in links if each.parent is link]
+            closed = any(x[0] is link for c in self.linkage.closures for x in (c.first, c.second))
+            free = any(joint.kind == "free" for joint in link.joints)
+            needed = bool(link.joints) and (closed or len(children) != 1 or free)
+            if link.inertial.mass or link.inertial.inertia.any() or needed:
+                continue
+            for child in children:
+                for joint in link.joints:
+                    joint.seen_from(child.pose, 1.0)
+                child.joints = [*link.joints, *child.joints]
+                child.parent, child.pose = link.parent, link.pose @ child.pose
+            for closure in self.linkage.closures:
+                closure.first, closure.second = (
+                    (link.parent, link.pose @ frame) if of is link else (of, frame)
+                    for of, frame in (closure.first, closure.second)
+                )
+            links.remove(link)
+        waiting, found = [link for link in links if link.parent is None][::-1], []
+        while waiting:
+            found.append(link := waiting.pop())
+            waiting += [each for each in links if each.parent is link][::-1]
+            link.pose = Pose(cleaned(link.pose.place), link.pose.turn)
+        self.linkage.links = found

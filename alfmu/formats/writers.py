@@ -1,0 +1,329 @@
+"""Write a mechanism as MJCF, URDF or SDF.
+
+In MJCF displacements of joints keep their numbers (`ref`); in URDF and SDF they are counted from the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from ..model.mechanism import Mechanism
+from .described import Form, described
+from .linkage import ANYWHERE, Joint, Link, Linkage
+from .poses import Array, Pose, about, quaternion
+
+__all__ = ["FORMS", "written"]
+
+_LEAST = 1e-15
+"""Least mass [kg] and moment of inertia [kg.m2] of a moving body in MuJoCo."""
+
+_NEAR = 1e-9
+"""Distance [m] and share of a right angle within which two hinges are a universal joint."""
+
+_GRAVITY = 9.81
+"""Gravity [m/s2] of a URDF, along -z."""
+
+_HINGED = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball", "free": "free"}
+_URDF = {"spherical": "ball", "free": "floating", "weld": "fixed"}
+_SDF = {"spherical": "ball", "weld": "fixed"}
+
+
+def written(
+    mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, suffix: str
+) -> tuple[bytes, Linkage]:
+    """Return a file, and what it describes; see `described` for the arguments and for what is refused."""
+    form, write = FORMS[suffix]
+    linkage = described(mechanism, numbers, constraints, form)
+    root = write(linkage)
+    linkage.judge()
+    indent(root)
+    return tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", linkage
+
+
+def _text(*values: Any) -> str:
+    """Return text, or numbers with all their digits."""
+    if isinstance(values[0], str):
+        return values[0]
+    return " ".join(repr(float(x) + 0.0) for value in values for x in np.clip(np.ravel(value), -1e16, 1e16))
+
+
+def _add(parent: Element, tag: str, *text: Any, **given: Any) -> Element:
+    """Add an element with numbers or text in it, and in its attributes except those that are None."""
+    child = SubElement(parent, tag, {key: _text(x) for key, x in given.items() if x is not None})
+    child.text = _text(*text) if text else None
+    return child
+
+
+def _limits(joint: Joint, zero: float = 0.0) -> tuple[float, float] | None:
+    """Return the limits of a joint, if any."""
+    low, high = joint.limits[0] if joint.limits else (-ANYWHERE, ANYWHERE)
+    return (low - zero, high - zero) if low > -ANYWHERE or high < ANYWHERE else None
+
+
+def _started(linkage: Linkage, hint: str) -> None:
+    """Tell of what the start has and files do not hold."""
+    if any(any(joint.rates) for joint in linkage.joints):
+        linkage.warn("rates at the start", linkage.node)
+    for motor in linkage.motors:
+        if motor.start:
+            linkage.warn(f"the start value of {motor.name}", linkage.node)
+        if hint:
+            linkage.warn(f"the input {motor.name}; {hint}{motor.along[0][0].name} adds it again", linkage.node)
+
+
+# MJCF -----------------------------------------------------------------------------------------------------------
+
+
+def _mjcf(linkage: Linkage) -> Element:
+    twists, paths, _ = linkage.twists
+    root = Element("mujoco", model=linkage.name)
+    _add(root, "compiler", angle="radian")
+    _add(root, "option", gravity=linkage.gravity)
+    bodies: dict[Link | None, Element] = {None: _add(root, "worldbody")}
+    massive = {link for link in linkage.links if link.inertial.mass}
+    for link in linkage.links[::-1]:  # links without joints are part of the body that carries them
+        massive |= {link.parent} if link in massive and not link.joints and link.parent else set()
+    for link in linkage.links:
+        x, inertia, at = link.inertial, link.inertial.inertia, link.pose
+        body = _add(bodies[link.parent], "body", name=link.name, pos=at.place, quat=quaternion(at.turn))
+        bodies[link] = body
+        if not inertia.any() and not twists[paths[link], :3].any():
+            inertia = x.mass * np.eye(3)  # it does not turn, and MuJoCo wants an inertia
+        if link.joints and (link not in massive or (x.mass and np.linalg.eigvalsh(inertia).min() < _LEAST)):
+            what = "a moment of inertia that is zero" if link in massive else "no mass"
+            linkage.refuse(link.name, f"it has {what}, and moving bodies of MuJoCo have both; give it small ones")
+        if x.mass or inertia.any():
+            full = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
+            given: dict[str, Any] = {"fullinertia": full} if any(full[3:]) else {"diaginertia": full[:3]}
+            _add(body, "inertial", pos=x.center, mass=x.mass, **given)
+        for joint in link.joints:
+            given = {"name": joint.name, "type": _HINGED[joint.kind]}
+            if joint.kind != "free":
+                given |= {"pos": joint.point, "damping": joint.damping[0]}
+            if joint.axes:
+                given |= {"axis": joint.axes[0], "ref": joint.reference, "range": _limits(joint)}
+                given |= {"stiffness": joint.stiffness[0], "springref": joint.rest[0]}
+                given |= {"frictionloss": joint.friction[0], "actuatorfrcrange": joint.effort}
+            _add(body, "joint", **{key: x for key, x in given.items() if not isinstance(x, float) or x})
+    tendon, equality, actuator = (Element(tag) for tag in ("tendon", "equality", "actuator"))
+    flat = not twists[:, (0, 1, 5)].any()
+    for closure in linkage.closures:
+        (one, frame), (two, _) = sorted((closure.first, closure.second), key=lambda x: x[0] is None)
+        assert one is not None
+        ends = {"body1": one.name, "body2": two.name if two else "world"}
+        if closure.joint.kind == "weld":
+            _add(equality, "weld", name=closure.joint.name, **ends)
+            continue
+        # Two points of its axis keep a hinge; in a plane one does.
+        for k in (0, 1) if closure.joint.axes and not flat else (0,):
+            anchor = frame.at(k * closure.joint.axes[0] if k else np.zeros(3))
+            _add(equality, "connect", name=closure.joint.name + "_axis" * k, anchor=anchor, **ends)
+    for coupling in linkage.couplings:
+        if len(coupling.of) > 1:
+            fixed = _add(tendon, "fixed", name=coupling.name)
+            for joint, factor in coupling.of:
+                _add(fixed, "joint", joint=joint.name, coef=factor)
+            _add(equality, "tendon", name=coupling.name, tendon1=coupling.name, polycoef=(0.0,) * 5)
+            continue
+        numbers = [*coupling.coefficients, *[0.0] * 5][:5]
+        which = {"joint1": coupling.of[0][0].name} | ({"joint2": coupling.by[0][0].name} if coupling.by else {})
+        _add(equality, "joint", name=coupling.name, **which, polycoef=numbers)
+    for motor in linkage.motors:
+        given = {"name": motor.name, "joint": motor.along[0][0].name}
+        if any(motor.bias):
+            _add(actuator, "general", **given, gainprm=motor.gain, biastype="affine", biasprm=motor.bias)
+        else:
+            _add(actuator, "motor", **given, gear=motor.gain)
+    root.extend(part for part in (tendon, equality, actuator) if len(part))
+    start, rates = ([x for j in linkage.joints for x in getattr(j, which)] for which in ("start", "rates"))
+    controls = [motor.start for motor in linkage.motors]
+    _add(_add(root, "keyframe"), "key", name="start", qpos=start, qvel=rates, ctrl=controls if any(controls) else None)
+    return root
+
+
+# URDF -----------------------------------------------------------------------------------------------------------
+
+
+def _urdf(linkage: Linkage) -> Element:
+    root = Element("robot", name=linkage.name)
+    names: dict[Link | None, str] = {None: "world"}
+    shifts: dict[Link | None, Array] = {None: np.zeros(3)}
+    """Origins of the links of the file, which are points of their joints, in the frames of links."""
+    _add(root, "link", name=names[None])
+    upright, joints = Pose(np.zeros(3), _upright(linkage)), dict[Joint, Element]()
+    for link in linkage.links:
+        before, x, pose = names[link.parent], link.inertial, link.pose
+        pose = Pose(pose.place - shifts[link.parent], pose.turn) if link.parent else upright @ pose
+        shift = np.zeros(3)
+        for joint in link.joints or [Joint(f"{link.name}_fixed", "weld", linkage.node)]:
+            names[link] = link.name if not link.joints or joint is link.joints[-1] else f"{link.name}_{joint.name}"
+            at = Pose(pose.at(joint.point - shift), pose.turn)
+            joints[joint] = _urdf_joint(root, joint, before, names[link], at)
+            pose, shift, before = Pose(), joint.point, names[link]
+            made = _add(root, "link", name=before)
+        shifts[link] = shift
+        if x.mass or x.inertia.any():
+            inertial = _add(made, "inertial")
+            _add(inertial, "origin", xyz=x.center - shift)
+            _add(inertial, "mass", value=x.mass)
+            _add(inertial, "inertia", **_moments(x.inertia))
+        if link in linkage.lifted:
+            _add(_add(root, "gazebo", reference=link.name), "turnGravityOff", "true")
+    for closure in linkage.closures:
+        kind = _URDF.get(closure.joint.kind, closure.joint.kind)
+        loop = _add(root, "loop_joint", name=closure.joint.name, type=kind)
+        for tag, (end, frame) in (("link1", closure.first), ("link2", closure.second)):
+            at = upright @ frame if end is None else Pose(frame.place - shifts[end], frame.turn)
+            _add(loop, tag, link=names[end], xyz=at.place, rpy=_angles(at.turn))
+        for axis in closure.joint.axes:
+            _add(loop, "axis", xyz=axis)
+    for coupling in linkage.couplings:
+        follower = joints[coupling.of[0][0]]
+        if follower.find("mimic") is not None:
+            linkage.refuse(coupling.name, f"{coupling.of[0][0].name} follows another joint already")
+        _add(follower, "mimic", joint=coupling.by[0][0].name, multiplier=coupling.coefficients[1], offset=0.0)
+    for motor in linkage.motors:
+        transmission = _add(root, "transmission", name=motor.name)
+        _add(transmission, "type", "transmission_interface/SimpleTransmission")
+        moved = _add(transmission, "joint", name=motor.along[0][0].name)
+        _add(moved, "hardwareInterface", "hardware_interface/EffortJointInterface")
+        _add(transmission, "actuator", name=f"{motor.name}_actuator")
+    _started(linkage, "")
+    return root
+
+
+def _urdf_joint(root: Element, joint: Joint, parent: str, child: str, at: Pose) -> Element:
+    """Add a joint, at the origin of its second link."""
+    limits = _limits(joint, joint.reference)
+    kind = "continuous" if joint.kind == "revolute" and not limits else _URDF.get(joint.kind, joint.kind)
+    made = _add(root, "drake:joint" if kind == "ball" else "joint", name=joint.name, type=kind)
+    _add(made, "parent", link=parent)
+    _add(made, "child", link=child)
+    _add(made, "origin", xyz=at.place, rpy=_angles(at.turn))
+    for axis in joint.axes:
+        _add(made, "axis", xyz=axis)
+        _add(made, "dynamics", damping=joint.damping[0], friction=joint.friction[0])
+        low, high = limits or (-1e16, 1e16)
+        effort = joint.effort[1] if joint.effort else 1e16
+        if kind != "continuous" or joint.effort:
+            _add(made, "limit", lower=low, upper=high, effort=effort, velocity=1e16)
+    return made
+
+
+def _upright(linkage: Linkage) -> Array:
+    """Return the rotation of the ground that lets gravity act along -z, as it does in a URDF."""
+    g, down = np.array(linkage.gravity), np.array((0.0, 0.0, -1.0))
+    size = float(np.linalg.norm(g))
+    if not size:
+        linkage.lifted |= {link: 1.0 for link in linkage.links if link.inertial.mass}
+        return np.eye(3)
+    if abs(size - _GRAVITY) > _NEAR:
+        linkage.refuse("gravity", f"it is {size:g} m/s2; in a URDF it is {_GRAVITY} m/s2, or turned off")
+    across = np.cross(g, down)
+    sine = float(np.linalg.norm(across)) / size
+    return about(across if sine > _NEAR else np.array((1.0, 0.0, 0.0)), float(np.arctan2(sine, g @ down / size)))
+
+
+def _angles(turn: Array) -> Array:
+    """Return roll, pitch and yaw about fixed axes, which are exact where the pitch is a right angle, too."""
+    yaw = np.arctan2(turn[1, 0], turn[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-turn[2, 0], c * turn[0, 0] + s * turn[1, 0])
+    return np.array((np.arctan2(s * turn[0, 2] - c * turn[1, 2], c * turn[1, 1] - s * turn[0, 1]), pitch, yaw))
+
+
+def _moments(inertia: Array) -> dict[str, float]:
+    return {f"i{'xyz'[i]}{'xyz'[k]}": inertia[i, k] for i in range(3) for k in range(i, 3)}
+
+
+# SDF ------------------------------------------------------------------------------------------------------------
+
+
+def _sdf(linkage: Linkage) -> Element:
+    root = Element("sdf", version="1.11" if linkage.couplings else "1.9")
+    world = _add(root, "world", name="default")
+    _add(world, "gravity", linkage.gravity)
+    model = _add(world, "model", name=linkage.name)
+    poses: dict[Link | None, Pose] = {None: Pose()}
+    for link in linkage.links:
+        x, poses[link] = link.inertial, poses[link.parent] @ link.pose
+        made = _add(model, "link", name=link.name)
+        _add(made, "pose", poses[link].place, _angles(poses[link].turn))
+        if not x.mass:
+            linkage.refuse(link.name, "it has no mass, and links of SDF have one; give it a small one")
+        inertial = _add(made, "inertial")
+        _add(inertial, "pose", x.center, np.zeros(3))
+        _add(inertial, "mass", x.mass)
+        moments = _add(inertial, "inertia")
+        for tag, moment in _moments(x.inertia).items():
+            _add(moments, tag, moment)
+    for link in linkage.links:
+        if not any(joint.kind == "free" for joint in link.joints):
+            _sdf_joint(linkage, model, link.joints, link.parent, link)
+    for closure in linkage.closures:
+        (one, at), (two, frame) = closure.first, closure.second
+        sign = -1 if two is None else 1
+        child = two or one
+        if two is None:
+            one, frame = None, at
+        parts = [replace(closure.joint, axes=(axis,)) for axis in closure.joint.axes] or [closure.joint]
+        for part in parts:
+            part.point, part.axes = frame.place, tuple(sign * frame.turn @ axis for axis in part.axes)
+            part.kind = "revolute" if part.kind == "universal" else part.kind
+        assert child is not None
+        _sdf_joint(linkage, model, parts[::sign], one, child)
+    _started(linkage, "--option drives=")
+    return root
+
+
+def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Link | None, child: Link) -> None:
+    """Add the joint of SDF that has the motions of joints, in the frame of the child."""
+    first = joints[0] if joints else Joint(f"{child.name}_fixed", "weld", linkage.node)
+    kind, name = _SDF.get(first.kind, first.kind), first.name
+    if len(joints) > 1:
+        one, two = joints[:2]
+        square = one.kind == two.kind == "revolute" and abs(one.axes[0] @ two.axes[0]) < _NEAR
+        if len(joints) > 2 or not square or np.abs(one.point - two.point).max() > _NEAR:
+            what = "motions that no joint of SDF has together, where links without mass are none"
+            linkage.refuse(child.name, f"it has {what}; give a body with mass between them")
+        kind, name = "universal", name.removesuffix(".angle1").removesuffix(".angle2")
+    made = _add(model, "joint", name=name, type=kind)
+    _add(made, "pose", first.point, np.zeros(3))
+    _add(made, "parent", parent.name if parent else "world")
+    _add(made, "child", child.name)
+    if kind == "screw":
+        _add(made, "screw_thread_pitch", first.lead)
+    for tag, joint in zip(("axis", "axis2"), joints if first.axes else (), strict=False):
+        axis, limits = _add(made, tag), _limits(joint, joint.reference)
+        _add(axis, "xyz", joint.axes[0])
+        low, high = limits or (None, None)
+        groups: dict[str, dict[str, float | None]] = {
+            "limit": {"lower": low, "upper": high, "effort": joint.effort[1] if joint.effort else None},
+            "dynamics": {"damping": joint.damping[0] or None, "friction": joint.friction[0] or None},
+        }
+        if joint.stiffness[0]:
+            spring = {"spring_stiffness": joint.stiffness[0], "spring_reference": joint.rest[0] - joint.reference}
+            groups["dynamics"] |= spring
+        for group, sizes in groups.items():
+            found = {key: x for key, x in sizes.items() if x is not None}
+            inner = _add(axis, group) if found else axis
+            for key, x in found.items():
+                _add(inner, key, x)
+        for coupling in linkage.couplings:
+            if coupling.of[0][0] is joint:
+                mimic = _add(axis, "mimic", joint=coupling.by[0][0].name)
+                for key, x in (("multiplier", coupling.coefficients[1]), ("offset", 0.0), ("reference", 0.0)):
+                    _add(mimic, key, x)
+
+
+FORMS: dict[str, tuple[Form, Callable[[Linkage], Element]]] = {
+    ".xml": (Form("MJCF", ("revolute", "spherical", "weld"), full=True), _mjcf),
+    ".urdf": (Form("URDF", ("revolute", "prismatic", "spherical", "weld"), springs=False), _urdf),
+    ".sdf": (Form("SDF", ("revolute", "prismatic", "spherical", "weld", "universal", "screw")), _sdf),
+}
+"""Formats by the suffixes of files: what they hold, and the function that writes them."""
