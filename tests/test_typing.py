@@ -24,11 +24,11 @@ from pathlib import Path
 
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
-from alfmu import Batch, Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
+from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 from alfmu import Derivatives, Fit, Gradient, LibraryError, derivatives, fit, gradient
-from alfmu import Kinematics, System, convert, couple, kinematics, validate
+from alfmu import Batch, Environment, Kinematics, System, VectorEnvironment, convert, couple, kinematics, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
