@@ -17,6 +17,7 @@
 #include "rare_operations.h"
 #include "record.h"
 #include "scene.h"
+#include "sums.h"
 
 #ifndef HAS_WIDE
 #define HAS_WIDE 1 /* functions whose places have 32 bits */
@@ -26,11 +27,6 @@
    of 16 and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an
    operation in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n
    operands. */
-#define SUM1(a, b, c) (a) + (b) * (c)
-#define SUM2(a, b, c, d, e) (a) + (b) * (c) + (d) * (e)
-#define SUM4(a, b, c, d, e, f, g, h, i) (a) + (b) * (c) + (d) * (e) + (f) * (g) + (h) * (i)
-#define PRODUCTS(a, b, c, d) (a) * (b) + (c) * (d)
-
 #define BINARY(kind, value) \
     case kind: \
         for (; count; count--, NEXT(2)) { \

@@ -10,15 +10,16 @@
 
 #include "operations.h"
 #include "scene.h"
+#include "sums.h"
 
 #if defined(__GNUC__)
 
-#define SUM(kind, operands, value) \
+#define LANES_OF(k) r[at[k]].part[part]
+#define SIDE_BY_SIDE(kind, operands, value) \
     case kind: \
         for (; count; count--, at += operands, d++) \
             EACH_PART d->part[part] = value; \
         break;
-#define OPERAND(k) r[at[k]].part[part]
 #define IN_LANES(kind, value) \
     case kind: \
         for (int lane = 0; lane < LANES; lane++) { \
@@ -44,17 +45,16 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, cons
         const uint32_t head = *at++;
         uint32_t count = *at++;
         switch (head) {
-            SUM(SUM1_KIND, 3, OPERAND(0) + OPERAND(1) * OPERAND(2))
-            SUM(SUM2_KIND, 5, OPERAND(0) + OPERAND(1) * OPERAND(2) + OPERAND(3) * OPERAND(4))
-            SUM(SUM4_KIND, 9,
-                OPERAND(0) + OPERAND(1) * OPERAND(2) + OPERAND(3) * OPERAND(4) + OPERAND(5) * OPERAND(6)
-                    + OPERAND(7) * OPERAND(8))
-            SUM(PRODUCTS_KIND, 4, OPERAND(0) * OPERAND(1) + OPERAND(2) * OPERAND(3))
-            SUM(PRODUCT_KIND, 2, OPERAND(0) * OPERAND(1))
-            SUM(PLUS_KIND, 2, OPERAND(0) + OPERAND(1))
-            SUM(MINUS_KIND, 2, OPERAND(0) - OPERAND(1))
-            SUM(OVER_KIND, 2, OPERAND(0) / OPERAND(1))
-            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
+            SIDE_BY_SIDE(SUM1_KIND, 3, SUM1(LANES_OF(0), LANES_OF(1), LANES_OF(2)))
+            SIDE_BY_SIDE(SUM2_KIND, 5, SUM2(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3), LANES_OF(4)))
+            SIDE_BY_SIDE(SUM4_KIND, 9,
+                SUM4(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3), LANES_OF(4), LANES_OF(5), LANES_OF(6), LANES_OF(7), LANES_OF(8)))
+            SIDE_BY_SIDE(PRODUCTS_KIND, 4, PRODUCTS(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3)))
+            SIDE_BY_SIDE(PRODUCT_KIND, 2, LANES_OF(0) * LANES_OF(1))
+            SIDE_BY_SIDE(PLUS_KIND, 2, LANES_OF(0) + LANES_OF(1))
+            SIDE_BY_SIDE(MINUS_KIND, 2, LANES_OF(0) - LANES_OF(1))
+            SIDE_BY_SIDE(OVER_KIND, 2, LANES_OF(0) / LANES_OF(1))
+            SIDE_BY_SIDE(NEGATIVE_KIND, 1, -LANES_OF(0))
         case SINE_COSINE_KIND:
             for (; count; count--, at++, d += 2)
                 for (int lane = 0; lane < LANES; lane++) {

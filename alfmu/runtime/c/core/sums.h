@@ -1,0 +1,11 @@
+/* Sums of products, which are operations of functions: in this order in every way to run them. */
+
+#ifndef ALFMU_SUMS_H
+#define ALFMU_SUMS_H
+
+#define SUM1(a, b, c) (a) + (b) * (c)
+#define SUM2(a, b, c, d, e) (a) + (b) * (c) + (d) * (e)
+#define SUM4(a, b, c, d, e, f, g, h, i) (a) + (b) * (c) + (d) * (e) + (f) * (g) + (h) * (i)
+#define PRODUCTS(a, b, c, d) (a) * (b) + (c) * (d)
+
+#endif
