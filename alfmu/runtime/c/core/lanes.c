@@ -14,7 +14,7 @@
 
 #if defined(__GNUC__)
 
-#define LANES_OF(k) r[at[k]].part[part]
+#define PLACED(k) r[at[k]].part[part]
 #define SIDE_BY_SIDE(kind, operands, value) \
     case kind: \
         for (; count; count--, at += operands, d++) \
@@ -45,16 +45,16 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, cons
         const uint32_t head = *at++;
         uint32_t count = *at++;
         switch (head) {
-            SIDE_BY_SIDE(SUM1_KIND, 3, SUM1(LANES_OF(0), LANES_OF(1), LANES_OF(2)))
-            SIDE_BY_SIDE(SUM2_KIND, 5, SUM2(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3), LANES_OF(4)))
+            SIDE_BY_SIDE(SUM1_KIND, 3, SUM1(PLACED(0), PLACED(1), PLACED(2)))
+            SIDE_BY_SIDE(SUM2_KIND, 5, SUM2(PLACED(0), PLACED(1), PLACED(2), PLACED(3), PLACED(4)))
             SIDE_BY_SIDE(SUM4_KIND, 9,
-                SUM4(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3), LANES_OF(4), LANES_OF(5), LANES_OF(6), LANES_OF(7), LANES_OF(8)))
-            SIDE_BY_SIDE(PRODUCTS_KIND, 4, PRODUCTS(LANES_OF(0), LANES_OF(1), LANES_OF(2), LANES_OF(3)))
-            SIDE_BY_SIDE(PRODUCT_KIND, 2, LANES_OF(0) * LANES_OF(1))
-            SIDE_BY_SIDE(PLUS_KIND, 2, LANES_OF(0) + LANES_OF(1))
-            SIDE_BY_SIDE(MINUS_KIND, 2, LANES_OF(0) - LANES_OF(1))
-            SIDE_BY_SIDE(OVER_KIND, 2, LANES_OF(0) / LANES_OF(1))
-            SIDE_BY_SIDE(NEGATIVE_KIND, 1, -LANES_OF(0))
+                SUM4(PLACED(0), PLACED(1), PLACED(2), PLACED(3), PLACED(4), PLACED(5), PLACED(6), PLACED(7), PLACED(8)))
+            SIDE_BY_SIDE(PRODUCTS_KIND, 4, PRODUCTS(PLACED(0), PLACED(1), PLACED(2), PLACED(3)))
+            SIDE_BY_SIDE(PRODUCT_KIND, 2, PLACED(0) * PLACED(1))
+            SIDE_BY_SIDE(PLUS_KIND, 2, PLACED(0) + PLACED(1))
+            SIDE_BY_SIDE(MINUS_KIND, 2, PLACED(0) - PLACED(1))
+            SIDE_BY_SIDE(OVER_KIND, 2, PLACED(0) / PLACED(1))
+            SIDE_BY_SIDE(NEGATIVE_KIND, 1, -PLACED(0))
         case SINE_COSINE_KIND:
             for (; count; count--, at++, d += 2)
                 for (int lane = 0; lane < LANES; lane++) {
