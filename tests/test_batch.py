@@ -69,6 +69,23 @@ def test_members_are_instances_to_the_bit(case):
         assert batch.time[k] == single.time
 
 
+def test_interface_jacobians_are_those_of_instances():
+    """Their tapes and numbers are each member's own."""
+    names = ["link1.angle", "link1.angle/A.torque"]
+    batch = Batch("four_bar", 5, {"solver.method": "rk4"}, outputs=names, threads=1)
+    batch.set("start.angle", np.linspace(0.5, 0.9, 5))
+    batch.initialize()
+    for _ in range(3):
+        batch.step(0.02)
+    for k, found in enumerate(batch.get(*names)):
+        single = Instance(batch.equations)
+        single.set("start.angle", np.linspace(0.5, 0.9, 5)[k])
+        single.initialize()
+        for _ in range(3):
+            single.step(0.02)
+        assert found.tolist() == [single.get(name) for name in names]
+
+
 def test_threads_change_nothing():
     found = []
     for threads in (1, 3):
