@@ -1,13 +1,18 @@
 """Batches: members are instances to the bit, whatever the others do, and nothing of one reaches another."""
 
+import copy
 import logging
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import double_pendulum
 
 import alfmu
 from alfmu import AlfmuError, Batch, InputError, Instance
@@ -136,6 +141,69 @@ def test_a_reset_member_begins_again_and_a_restored_one_goes_on():
     assert batch.get("link1.angle")[2] != after[2]
 
 
+def test_values_and_states_go_to_members_in_the_order_given():
+    batch = Batch("four_bar", 4)
+    batch.set("m2", [10.0, 20.0], [3, 1])
+    batch.set("m2", 5.0, [])
+    assert batch.get("m2").tolist() == [1.0, 20.0, 1.0, 10.0]
+    batch.initialize([2])
+    found = batch.get("m2", "link1.angle")
+    assert found[:, 0].tolist() == [1.0, 20.0, 1.0, 10.0]
+    assert np.isnan(found[:, 1]).tolist() == [True, True, False, True]
+    batch.initialize()
+    states = batch.save([3, 1])
+    np.testing.assert_array_equal(states, batch.save()[[3, 1]])
+    batch.step(0.1)
+    before = batch.save()
+    batch.restore(states, [3, 1])
+    np.testing.assert_array_equal(batch.save([3, 1]), states)
+    batch.restore(before)
+    spoilt = states.copy()
+    spoilt[1] = 0
+    with pytest.raises(InputError, match="four_bar: the saved state is not one of this mechanism"):
+        batch.restore(spoilt, [3, 1])
+    np.testing.assert_array_equal(batch.save(), before)
+
+
+def test_boolean_inputs_are_true_or_false():
+    batch = Batch(double_pendulum(), 3)
+    batch.set("elbow.locked", [True, False, True])
+    assert batch.get("elbow.locked").tolist() == [1.0, 0.0, 1.0]
+    for wrong in (0.5, np.nan):
+        with pytest.raises(InputError, match=f"double_pendulum: elbow.locked is {wrong}; it must be true or false"):
+            batch.set("elbow.locked", [1.0, wrong, 0.0])
+
+
+def test_a_copy_owns_the_same_members():
+    batch = Batch("four_bar", 3)
+    batch.initialize()
+    copy.copy(batch)
+    batch.step(0.1)
+    assert set(batch.time) == {0.1}
+
+
+def test_one_thread_at_a_time_moves_a_batch():
+    batch = Batch("four_bar", 2 * COUNT, threads=2)
+    batch.initialize()
+    with ThreadPoolExecutor(2) as pool:
+        assert not any(failed.any() for failed in pool.map(lambda _: batch.step(0.02), range(10)))
+    np.testing.assert_allclose(batch.time, 0.2, rtol=1e-14)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no such signal to a thread")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_waits_for_all_members(threads):
+    batch = Batch("four_bar", 600, threads=threads)
+    batch.initialize()
+    threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        all(not batch.step(0.5).any() for _ in range(1000))
+    assert len({*batch.time}) == 1
+    at = batch.time
+    batch.step(0.5)
+    np.testing.assert_array_equal(batch.time, at + 0.5)
+
+
 def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
     """Links that cannot be closed at the start."""
     batch = Batch("slider_crank", 20, {"start.angle": 1.4})
@@ -222,6 +290,29 @@ def test_members_whose_redundant_constraints_would_brake():
         ),
         (lambda b: b.restore(np.zeros((1, 8), np.uint8), [0]), "four_bar"),
         (lambda b: b.restore(np.zeros((2, 8), np.uint8), [0]), "four_bar: 2 states for 1 members"),
+        (lambda b: b.set("m2", [1.0, 2.0]), r"four_bar: m2 takes one number, or numbers \(3,\)"),
+        (lambda b: b.set("m2", "heavy"), "four_bar: m2 takes one number"),
+        (lambda b: b.set("m2", 1.0, [1, 1]), "four_bar: member 1 is given more than once"),
+        (lambda b: b.set("m2", 1.0, slice(0.5)), "four_bar: there are no such members"),
+        (
+            lambda b: b.set_many(["m2", "m3"], np.ones((3, 3))),
+            r"four_bar: m2, m3 takes one number, or numbers \(3, 2\)",
+        ),
+        (lambda b: b.set("solver.max_iterations", [1, 2.5, 3]), "max_iterations is 2.5; it must be a whole number"),
+        (lambda b: b.set(3, 1.0), "four_bar has no input or parameter '3'"),
+        (lambda b: b.get(3), "four_bar has no number 3"),
+        (lambda b: b.get("solver.method"), "four_bar has no number 'solver.method'"),
+        (lambda b: b.message(7), "four_bar: there are no such members"),
+        (lambda b: (b.initialize(), b.step("long")), "four_bar: a communication step of 'long' s"),
+        (lambda b: b.restore(None), "four_bar: 0 states for 3 members"),
+        (lambda b: Batch("four_bar", 2.5), "four_bar: a batch of 2.5 members"),
+        (lambda b: Batch("four_bar", 10**30), "four_bar: a batch of 1000000000000000000000000000000 members"),
+        (lambda b: Batch("four_bar", 2, threads=0), "four_bar: a batch of 0 threads"),
+        (
+            lambda b: Batch("four_bar", 2, {"m2": [1.0, 2.0]}),
+            r"four_bar: m2 is \[1.0, 2.0\], but common to all members",
+        ),
+        (lambda b: Batch("four_bar.fmu", 2), "four_bar.fmu is an FMU; give the mechanism instead"),
         (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),
         (lambda b: Batch("four_bar", 2, {"solver.method": "euler"}), "euler"),
