@@ -440,3 +440,41 @@ def test_names_of_an_environment_are_checked():
         alfmu.VectorEnvironment("four_bar", 2, **{**SWING, "observations": {"nothing": (0, 1)}})
     with pytest.raises(InputError, match="four_bar: equations have no pictures"):
         alfmu.VectorEnvironment(alfmu.derive(alfmu.load("four_bar")), 2, render_mode="rgb_array", **SWING)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"step": 0}, "four_bar: step is 0; it must be a finite time above zero"),
+        ({"horizon": "long"}, "four_bar: horizon is 'long'; it must be a finite time above zero"),
+        ({"actions": {"A.torque": (5.0, -5.0)}}, r"four_bar: bounds of A.torque are \(5.0, -5.0\)"),
+        ({"actions": {"A.torque": 5.0}}, "four_bar: bounds of A.torque are 5.0; give its least and largest value"),
+        ({"render_mode": "human"}, "there is no render_mode 'human'"),
+        (
+            {"reward": lambda values, actions: np.ones((2, 1))},
+            r"four_bar: reward must be one number, or numbers \(2,\)",
+        ),
+        ({"reward": lambda values, actions: None}, "four_bar: reward is nan for member 0; it must be finite"),
+        ({"done": lambda values: np.zeros((2, 1), bool)}, r"four_bar: done must be one number, or numbers \(2,\)"),
+        ({"start": lambda random, count: None}, "four_bar: start returned None; it must return values by name"),
+        ({"start": lambda random, count: {"nothing": 1.0}}, "four_bar has no input or parameter 'nothing'"),
+        ({"start": lambda random, count: {"m2": np.ones(3)}}, r"four_bar: m2 takes one number, or numbers \(2,\)"),
+    ],
+)
+def test_what_is_wrong_with_an_environment_is_named(changed, message):
+    def use() -> None:
+        many = alfmu.VectorEnvironment("four_bar", 2, **{**SWING, **changed})
+        many.reset(seed=[1, 2])
+        many.step(np.zeros((2, 1)))
+
+    with pytest.raises(InputError, match=message):
+        use()
+
+
+def test_an_environment_takes_actions_of_its_shape_alone():
+    many = alfmu.VectorEnvironment("four_bar", 2, **SWING)
+    seen, _ = many.reset(seed=np.int64(1), options={"reset_mask": [1, 0]})
+    assert np.isnan(seen).any(axis=1).tolist() == [False, True]
+    for wrong in (np.zeros(2), np.zeros((1, 1)), 0.0, "push"):
+        with pytest.raises(InputError, match=r"four_bar: actions have the shape .*; they must be \(2, 1\)"):
+            many.step(wrong)
