@@ -272,7 +272,7 @@ class _Seats:
         table = np.ascontiguousarray(np.vstack([table, np.zeros((self.count - count, table.shape[1]))]))
         refused = {k: why for k, member in enumerate(self.members[:count]) if (why := self._ready(member))}
         chosen = np.array([k < count and k not in refused for k in range(self.count)], np.uint8)
-        outcomes, made = np.full(self.count, REFUSED, np.int32), np.zeros(self.count, np.int64)
+        outcomes, made = np.full(self.count, REFUSED, np.int32), np.zeros(self.count, ctypes.c_long)
         times, inputs, rows = (x.ctypes.data for x in (given.times, given.table, self.rows))
         run = Run(times, len(given.times), self.inputs, inputs, self.wanted, rows)
         references = (ctypes.c_int * len(self.set))(*self.set)
