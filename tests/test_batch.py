@@ -91,6 +91,19 @@ def test_interface_jacobians_are_those_of_instances():
         assert found.tolist() == [single.get(name) for name in names]
 
 
+def test_inputs_are_extrapolated_as_those_of_instances():
+    batch, single = Batch("four_bar", 2, {"solver.input_order": 1}), Instance("four_bar")
+    single.set("solver.input_order", 1)
+    batch.initialize()
+    single.initialize()
+    for torque in (0.0, 1.0, 3.0):
+        batch.set("A.torque", torque)
+        single.set("A.torque", torque)
+        batch.step(0.02)
+        single.step(0.02)
+    assert batch.get("link1.angle").tolist() == [single.get("link1.angle")] * 2
+
+
 def test_threads_change_nothing():
     found = []
     for threads in (1, 3):

@@ -23,7 +23,7 @@ from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from .library import BRAKES, DONE, REFUSED, Scene
-from .pipeline import derive, loaded, ready, with_brakes
+from .pipeline import derive, loaded, ready, with_brakes, with_defaults
 
 __all__ = ["Batch", "Members"]
 
@@ -83,12 +83,14 @@ class Batch:
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
             if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
-        for name, value in dict(parameters or {}).items():
+        own = dict(parameters or {})
+        for name, value in own.items():
             if not isinstance(value, str | int | float | np.number):
                 raise InputError(
                     f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
                 )
-        traced, self._common = ready(e, dict(parameters or {}), outputs, None, DEFAULT)
+        order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # which the scene has
+        traced, self._common = ready(with_defaults(e, order), own, outputs, None, DEFAULT)
         self.name: str = e.name
         self.count: int = count
         wanted = threads or max(1, min(_processors(), count // LEAST))
