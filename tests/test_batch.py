@@ -326,6 +326,7 @@ def test_members_whose_redundant_constraints_would_brake():
             r"four_bar: m2 is \[1.0, 2.0\], but common to all members",
         ),
         (lambda b: Batch("four_bar.fmu", 2), "four_bar.fmu is an FMU; give the mechanism instead"),
+        (lambda b: Batch(alfmu.Recipe("four_bar"), 2), "four_bar is of the type Recipe; give a name, a file"),
         (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),
         (lambda b: Batch("four_bar", 2, {"solver.method": "euler"}), "euler"),
