@@ -235,6 +235,18 @@ def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
     assert np.flatnonzero(np.isnan(batch.get("crank.angle"))).tolist() == [3, 7]
 
 
+def test_what_the_runtime_warns_of_is_told(caplog):
+    given = {"solver.method": "rk4", "solver.tolerance": 1e-3, "start.angular_velocity": -60.0}
+    batch = Batch("five_bar", 2, given)
+    batch.set("solver.step_size", [0.001, 0.02])
+    batch.initialize()
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        for _ in range(50):
+            batch.step(0.02)
+    assert "five_bar: 1 of 2 members warn; member 1: five_bar" in caplog.text
+    assert caplog.text.count("the balance of energies is off") == 1
+
+
 def test_a_failed_step_leaves_the_state_before_it(caplog):
     batch = Batch("four_bar", 9)
     batch.initialize()

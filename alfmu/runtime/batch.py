@@ -114,6 +114,7 @@ class Batch:
         self._parts = [_Part(self._scene, own) for own in self._slices]
         member = self._scene.library.alfmu_batch_member
         self._members = [member(part.address, k) for part in self._parts for k in range(part.own.stop - part.own.start)]
+        self._warns = [ctypes.c_int.from_address(self._scene.library.alfmu_warns(each)) for each in self._members]
         self._outcomes: NDArray[np.int32] = np.zeros(self.count, np.int32)
         self._ready: _Mask = np.zeros(self.count, bool)
         for member in self._members:
@@ -174,7 +175,14 @@ class Batch:
             wait(made)
 
     def _moved(self, what: str, mask: _Mask) -> _Mask:
-        """Return which of these members failed in the last call, and warn of them."""
+        """Return which of these members failed in the last call, and warn of them and of what the runtime warns."""
+        if told := [k for k, flag in enumerate(self._warns) if flag.value]:
+            why = self._scene.library.alfmu_warning(self._members[told[0]]).decode(errors="replace")
+            _LOGGER.warning(
+                "%s: %d of %d members warn; member %d: %s", *(self.name, len(told), self.count, told[0], why)
+            )
+        for k in told:
+            self._warns[k].value = 0
         failed = mask & (self._outcomes != DONE)
         if failed.any():
             first = int(np.argmax(failed))
