@@ -19,6 +19,7 @@ from ..equations import Equations, Variable
 from ..equations.interface import checked, default_settings, not_there, variables_of
 from ..kernel import DEFAULT
 from ..kernel.form import Traced
+from ..kernel.memory import Layout
 from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
@@ -115,6 +116,8 @@ class Batch:
         member = self._scene.library.alfmu_batch_member
         self._members = [member(part.address, k) for part in self._parts for k in range(part.own.stop - part.own.start)]
         self._warns = [ctypes.c_int.from_address(self._scene.library.alfmu_warns(each)) for each in self._members]
+        states, behind = (self._scene.library.alfmu_state(each) for each in self._members), 8 * Layout(equations).time
+        self._times = [ctypes.c_double.from_address(state + behind) for state in states]
         self._outcomes: NDArray[np.int32] = np.zeros(self.count, np.int32)
         self._ready: _Mask = np.zeros(self.count, bool)
         for member in self._members:
@@ -201,7 +204,7 @@ class Batch:
     @property
     def time(self) -> _Numbers:
         """Time of each member (count,) [s]."""
-        return np.array([self._scene.library.alfmu_time(member) for member in self._members])
+        return np.array([time.value for time in self._times])
 
     @property
     def initialized(self) -> _Mask:
