@@ -1,13 +1,18 @@
 """Batches: members are instances to the bit, whatever the others do, and nothing of one reaches another."""
 
+import copy
 import logging
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import double_pendulum
 
 import alfmu
 from alfmu import AlfmuError, Batch, InputError, Instance
@@ -69,6 +74,36 @@ def test_members_are_instances_to_the_bit(case):
         assert batch.time[k] == single.time
 
 
+def test_interface_jacobians_are_those_of_instances():
+    """Their tapes and numbers are each member's own."""
+    names = ["link1.angle", "link1.angle/A.torque"]
+    batch = Batch("four_bar", 5, {"solver.method": "rk4"}, outputs=names, threads=1)
+    batch.set("start.angle", np.linspace(0.5, 0.9, 5))
+    batch.initialize()
+    for _ in range(3):
+        batch.step(0.02)
+    for k, found in enumerate(batch.get(*names)):
+        single = Instance(batch.equations)
+        single.set("start.angle", np.linspace(0.5, 0.9, 5)[k])
+        single.initialize()
+        for _ in range(3):
+            single.step(0.02)
+        assert found.tolist() == [single.get(name) for name in names]
+
+
+def test_inputs_are_extrapolated_as_those_of_instances():
+    batch, single = Batch("four_bar", 2, {"solver.input_order": 1}), Instance("four_bar")
+    single.set("solver.input_order", 1)
+    batch.initialize()
+    single.initialize()
+    for torque in (0.0, 1.0, 3.0):
+        batch.set("A.torque", torque)
+        single.set("A.torque", torque)
+        batch.step(0.02)
+        single.step(0.02)
+    assert batch.get("link1.angle").tolist() == [single.get("link1.angle")] * 2
+
+
 def test_threads_change_nothing():
     found = []
     for threads in (1, 3):
@@ -119,6 +154,69 @@ def test_a_reset_member_begins_again_and_a_restored_one_goes_on():
     assert batch.get("link1.angle")[2] != after[2]
 
 
+def test_values_and_states_go_to_members_in_the_order_given():
+    batch = Batch("four_bar", 4)
+    batch.set("m2", [10.0, 20.0], [3, 1])
+    batch.set("m2", 5.0, [])
+    assert batch.get("m2").tolist() == [1.0, 20.0, 1.0, 10.0]
+    batch.initialize([2])
+    found = batch.get("m2", "link1.angle")
+    assert found[:, 0].tolist() == [1.0, 20.0, 1.0, 10.0]
+    assert np.isnan(found[:, 1]).tolist() == [True, True, False, True]
+    batch.initialize()
+    states = batch.save([3, 1])
+    np.testing.assert_array_equal(states, batch.save()[[3, 1]])
+    batch.step(0.1)
+    before = batch.save()
+    batch.restore(states, [3, 1])
+    np.testing.assert_array_equal(batch.save([3, 1]), states)
+    batch.restore(before)
+    spoilt = states.copy()
+    spoilt[1] = 0
+    with pytest.raises(InputError, match="four_bar: the saved state is not one of this mechanism"):
+        batch.restore(spoilt, [3, 1])
+    np.testing.assert_array_equal(batch.save(), before)
+
+
+def test_boolean_inputs_are_true_or_false():
+    batch = Batch(double_pendulum(), 3)
+    batch.set("elbow.locked", [True, False, True])
+    assert batch.get("elbow.locked").tolist() == [1.0, 0.0, 1.0]
+    for wrong in (0.5, np.nan):
+        with pytest.raises(InputError, match=f"double_pendulum: elbow.locked is {wrong}; it must be true or false"):
+            batch.set("elbow.locked", [1.0, wrong, 0.0])
+
+
+def test_a_copy_owns_the_same_members():
+    batch = Batch("four_bar", 3)
+    batch.initialize()
+    copy.copy(batch)
+    batch.step(0.1)
+    assert set(batch.time) == {0.1}
+
+
+def test_one_thread_at_a_time_moves_a_batch():
+    batch = Batch("four_bar", 2 * COUNT, threads=2)
+    batch.initialize()
+    with ThreadPoolExecutor(2) as pool:
+        assert not any(failed.any() for failed in pool.map(lambda _: batch.step(0.02), range(10)))
+    np.testing.assert_allclose(batch.time, 0.2, rtol=1e-14)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no such signal to a thread")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_waits_for_all_members(threads):
+    batch = Batch("four_bar", 600, threads=threads)
+    batch.initialize()
+    threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        all(not batch.step(0.5).any() for _ in range(1000))
+    assert len({*batch.time}) == 1
+    at = batch.time
+    batch.step(0.5)
+    np.testing.assert_array_equal(batch.time, at + 0.5)
+
+
 def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
     """Links that cannot be closed at the start."""
     batch = Batch("slider_crank", 20, {"start.angle": 1.4})
@@ -135,6 +233,18 @@ def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
     assert "cannot be closed" in batch.message(7)
     assert not batch.step(0.1, ~failed).any()
     assert np.flatnonzero(np.isnan(batch.get("crank.angle"))).tolist() == [3, 7]
+
+
+def test_what_the_runtime_warns_of_is_told(caplog):
+    given = {"solver.method": "rk4", "solver.tolerance": 1e-3, "start.angular_velocity": -60.0}
+    batch = Batch("five_bar", 2, given)
+    batch.set("solver.step_size", [0.001, 0.02])
+    batch.initialize()
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        for _ in range(50):
+            batch.step(0.02)
+    assert "five_bar: 1 of 2 members warn; member 1: five_bar" in caplog.text
+    assert caplog.text.count("the balance of energies is off") == 1
 
 
 def test_a_failed_step_leaves_the_state_before_it(caplog):
@@ -205,6 +315,30 @@ def test_members_whose_redundant_constraints_would_brake():
         ),
         (lambda b: b.restore(np.zeros((1, 8), np.uint8), [0]), "four_bar"),
         (lambda b: b.restore(np.zeros((2, 8), np.uint8), [0]), "four_bar: 2 states for 1 members"),
+        (lambda b: b.set("m2", [1.0, 2.0]), r"four_bar: m2 takes one number, or numbers \(3,\)"),
+        (lambda b: b.set("m2", "heavy"), "four_bar: m2 takes one number"),
+        (lambda b: b.set("m2", 1.0, [1, 1]), "four_bar: member 1 is given more than once"),
+        (lambda b: b.set("m2", 1.0, slice(0.5)), "four_bar: there are no such members"),
+        (
+            lambda b: b.set_many(["m2", "m3"], np.ones((3, 3))),
+            r"four_bar: m2, m3 takes one number, or numbers \(3, 2\)",
+        ),
+        (lambda b: b.set("solver.max_iterations", [1, 2.5, 3]), "max_iterations is 2.5; it must be a whole number"),
+        (lambda b: b.set(3, 1.0), "four_bar has no input or parameter '3'"),
+        (lambda b: b.get(3), "four_bar has no number 3"),
+        (lambda b: b.get("solver.method"), "four_bar has no number 'solver.method'"),
+        (lambda b: b.message(7), "four_bar: there are no such members"),
+        (lambda b: (b.initialize(), b.step("long")), "four_bar: a communication step of 'long' s"),
+        (lambda b: b.restore(None), "four_bar: 0 states for 3 members"),
+        (lambda b: Batch("four_bar", 2.5), "four_bar: a batch of 2.5 members"),
+        (lambda b: Batch("four_bar", 10**30), "four_bar: a batch of 1000000000000000000000000000000 members"),
+        (lambda b: Batch("four_bar", 2, threads=0), "four_bar: a batch of 0 threads"),
+        (
+            lambda b: Batch("four_bar", 2, {"m2": [1.0, 2.0]}),
+            r"four_bar: m2 is \[1.0, 2.0\], but common to all members",
+        ),
+        (lambda b: Batch("four_bar.fmu", 2), "four_bar.fmu is an FMU; give the mechanism instead"),
+        (lambda b: Batch(alfmu.Recipe("four_bar"), 2), "four_bar is of the type Recipe; give a name, a file"),
         (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),
         (lambda b: Batch("four_bar", 2, {"solver.method": "euler"}), "euler"),
@@ -332,3 +466,41 @@ def test_names_of_an_environment_are_checked():
         alfmu.VectorEnvironment("four_bar", 2, **{**SWING, "observations": {"nothing": (0, 1)}})
     with pytest.raises(InputError, match="four_bar: equations have no pictures"):
         alfmu.VectorEnvironment(alfmu.derive(alfmu.load("four_bar")), 2, render_mode="rgb_array", **SWING)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"step": 0}, "four_bar: step is 0; it must be a finite time above zero"),
+        ({"horizon": "long"}, "four_bar: horizon is 'long'; it must be a finite time above zero"),
+        ({"actions": {"A.torque": (5.0, -5.0)}}, r"four_bar: bounds of A.torque are \(5.0, -5.0\)"),
+        ({"actions": {"A.torque": 5.0}}, "four_bar: bounds of A.torque are 5.0; give its least and largest value"),
+        ({"render_mode": "human"}, "there is no render_mode 'human'"),
+        (
+            {"reward": lambda values, actions: np.ones((2, 1))},
+            r"four_bar: reward must be one number, or numbers \(2,\)",
+        ),
+        ({"reward": lambda values, actions: None}, "four_bar: reward is nan for member 0; it must be finite"),
+        ({"done": lambda values: np.zeros((2, 1), bool)}, r"four_bar: done must be one number, or numbers \(2,\)"),
+        ({"start": lambda random, count: None}, "four_bar: start returned None; it must return values by name"),
+        ({"start": lambda random, count: {"nothing": 1.0}}, "four_bar has no input or parameter 'nothing'"),
+        ({"start": lambda random, count: {"m2": np.ones(3)}}, r"four_bar: m2 takes one number, or numbers \(2,\)"),
+    ],
+)
+def test_what_is_wrong_with_an_environment_is_named(changed, message):
+    def use() -> None:
+        many = alfmu.VectorEnvironment("four_bar", 2, **{**SWING, **changed})
+        many.reset(seed=[1, 2])
+        many.step(np.zeros((2, 1)))
+
+    with pytest.raises(InputError, match=message):
+        use()
+
+
+def test_an_environment_takes_actions_of_its_shape_alone():
+    many = alfmu.VectorEnvironment("four_bar", 2, **SWING)
+    seen, _ = many.reset(seed=np.int64(1), options={"reset_mask": [1, 0]})
+    assert np.isnan(seen).any(axis=1).tolist() == [False, True]
+    for wrong in (np.zeros(2), np.zeros((1, 1)), 0.0, "push"):
+        with pytest.raises(InputError, match=r"four_bar: actions have the shape .*; they must be \(2, 1\)"):
+            many.step(wrong)

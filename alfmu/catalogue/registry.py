@@ -62,6 +62,9 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
         if chosen:
             raise InputError(f"{mechanism.name} is declared already and takes no options")
         return mechanism
+    if not isinstance(mechanism, str | Path):
+        kind = type(mechanism).__name__
+        raise InputError(f"{mechanism} is of the type {kind}; give a name, a file or a Mechanism, not a {kind}")
     factory = _factory(mechanism)
     hints = _hints(mechanism, factory)
     takes = _taken(factory, hints)

@@ -6,9 +6,10 @@ import ctypes
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +19,12 @@ from ..equations import Equations, Variable
 from ..equations.interface import checked, default_settings, not_there, variables_of
 from ..kernel import DEFAULT
 from ..kernel.form import Traced
+from ..kernel.memory import Layout
 from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
+from ..model.words import there_is
 from .library import BRAKES, DONE, REFUSED, Scene
-from .pipeline import derive, loaded, ready, with_brakes
+from .pipeline import derive, loaded, ready, with_brakes, with_defaults
 
 __all__ = ["Batch", "Members"]
 
@@ -31,10 +34,25 @@ LEAST = 64
 """Members of a thread at least: with fewer, lanes are often empty."""
 
 Members = ArrayLike | slice | None
-"""Members of a batch: a mask (count,) of Booleans, their numbers, a slice, or None for all."""
+"""Members of a batch: a mask (count,) of Booleans, their numbers in any order, a slice, or None for all."""
 
 _Numbers = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
+
+
+class _Part:
+    """Consecutive members of a batch, which one thread moves at a time."""
+
+    def __init__(self, scene: Scene, own: slice):
+        self.scene, self.own, self.lock = scene, own, Lock()
+        self.address: int | None = scene.library.alfmu_batch_new(scene.address, own.stop - own.start)
+        if not self.address:
+            raise MemoryError(
+                f"{scene.name}: there is no memory for {own.stop - own.start} members; use a smaller batch"
+            )
+
+    def __del__(self) -> None:
+        self.scene.library.alfmu_batch_free(self.address)
 
 
 class Batch:
@@ -63,21 +81,24 @@ class Batch:
         threads: int | None = None,
     ):
         e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-        if count < 1 or (threads is not None and threads < 1):
-            raise InputError(f"{e.name}: a batch of {count} members in {threads} threads; both are at least 1")
-        traced, self._common = ready(e, dict(parameters or {}), outputs, None, DEFAULT)
+        for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
+            if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
+                raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
+        own = dict(parameters or {})
+        for name, value in own.items():
+            if not isinstance(value, str | int | float | np.number):
+                raise InputError(
+                    f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
+                )
+        order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # which the scene has
+        traced, self._common = ready(with_defaults(e, order), own, outputs, None, DEFAULT)
         self.name: str = e.name
         self.count: int = count
         wanted = threads or max(1, min(_processors(), count // LEAST))
         self._pool = ThreadPoolExecutor(wanted) if wanted > 1 else None
         bounds = np.linspace(0, count, min(wanted, count) + 1).astype(int)
         self._slices = [slice(a, b) for a, b in pairwise(bounds.tolist())]
-        self._parts: list[int] = []
         self._take(traced)
-
-    def __del__(self) -> None:
-        for part in getattr(self, "_parts", []):
-            self._scene.library.alfmu_batch_free(part)
 
     def __len__(self) -> int:
         return self.count
@@ -90,21 +111,13 @@ class Batch:
         found = variables_of(equations, default_settings(equations))
         self.equations: Traced = equations
         self._variables = {v.name: v for _, v in found.causalities}
-        self.__del__()
-        self._parts = []
         self._scene: Scene = loaded(equations)
-        library = self._scene.library
-        for part in self._slices:
-            address = library.alfmu_batch_new(self._scene.address, part.stop - part.start)
-            if not address:
-                raise MemoryError(f"{self.name}: there is no memory for {self.count} members")
-            self._parts.append(address)
-        self._members = [
-            library.alfmu_batch_member(address, k)
-            for address, part in zip(self._parts, self._slices, strict=True)
-            for k in range(part.stop - part.start)
-        ]
-        self._time: _Numbers = np.zeros(self.count)
+        self._parts = [_Part(self._scene, own) for own in self._slices]
+        member = self._scene.library.alfmu_batch_member
+        self._members = [member(part.address, k) for part in self._parts for k in range(part.own.stop - part.own.start)]
+        self._warns = [ctypes.c_int.from_address(self._scene.library.alfmu_warns(each)) for each in self._members]
+        states, behind = (self._scene.library.alfmu_state(each) for each in self._members), 8 * Layout(equations).time
+        self._times = [ctypes.c_double.from_address(state + behind) for state in states]
         self._outcomes: NDArray[np.int32] = np.zeros(self.count, np.int32)
         self._ready: _Mask = np.zeros(self.count, bool)
         for member in self._members:
@@ -129,25 +142,50 @@ class Batch:
 
     # Members -----------------------------------------------------------------------------------------------------
 
+    def _chosen(self, members: Members) -> NDArray[np.intp]:
+        """Return the numbers of members, in the order in which they are given."""
+        try:
+            where = slice(None) if members is None else members if isinstance(members, slice) else np.asarray(members)
+            empty = isinstance(where, np.ndarray) and not where.size
+            chosen = np.ravel(np.arange(self.count)[[] if empty else where])
+        except (IndexError, TypeError, ValueError) as error:
+            raise InputError(f"{self.name}: there are no such members in a batch of {self.count}: {error}") from None
+        if (twice := np.bincount(chosen, minlength=1) > 1).any():
+            raise InputError(f"{self.name}: member {int(np.argmax(twice))} is given more than once; give it once")
+        return chosen
+
     def _mask(self, members: Members) -> _Mask:
         """Return members as a mask (count,)."""
         mask = np.zeros(self.count, bool)
-        try:
-            mask[slice(None) if members is None else members if isinstance(members, slice) else np.asarray(members)] = 1
-        except IndexError as error:
-            raise InputError(f"{self.name}: there are no such members in a batch of {self.count}: {error}") from None
+        mask[self._chosen(members)] = True
         return mask
 
-    def _call(self, task: Callable[[int, slice], None]) -> None:
-        """Do a task for each part, in threads if there are some."""
-        if self._pool:
-            list(self._pool.map(task, self._parts, self._slices))
-        else:
-            for part, members in zip(self._parts, self._slices, strict=True):
-                task(part, members)
+    def _call(self, task: Callable[[int | None, slice], None]) -> None:
+        """Do a task for each part, in threads if there are some; an interrupt waits for all of them."""
+
+        def alone(part: _Part) -> None:
+            with part.lock:
+                task(part.address, part.own)
+
+        if not self._pool:
+            alone(self._parts[0])
+            return
+        made = [self._pool.submit(alone, part) for part in self._parts]
+        try:
+            for each in made:
+                each.result()
+        finally:
+            wait(made)
 
     def _moved(self, what: str, mask: _Mask) -> _Mask:
-        """Return which of these members failed in the last call, and warn of them."""
+        """Return which of these members failed in the last call, and warn of them and of what the runtime warns."""
+        if told := [k for k, flag in enumerate(self._warns) if flag.value]:
+            why = self._scene.library.alfmu_warning(self._members[told[0]]).decode(errors="replace")
+            _LOGGER.warning(
+                "%s: %d of %d members warn; member %d: %s", *(self.name, len(told), self.count, told[0], why)
+            )
+        for k in told:
+            self._warns[k].value = 0
         failed = mask & (self._outcomes != DONE)
         if failed.any():
             first = int(np.argmax(failed))
@@ -159,14 +197,14 @@ class Batch:
 
     def message(self, member: int) -> str:
         """Return why the last call for a member failed, or what its start was like."""
-        return self._text(self._members[member])
+        return self._text(self._members[int(self._chosen([member])[0])])
 
     # Values ------------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> _Numbers:
         """Time of each member (count,) [s]."""
-        return self._time.copy()
+        return np.array([time.value for time in self._times])
 
     @property
     def initialized(self) -> _Mask:
@@ -180,8 +218,8 @@ class Batch:
 
     def variable(self, name: str) -> Variable:
         """Return the variable of this name: its unit, bounds and default; raise InputError if there is none."""
-        if name not in self._variables:
-            raise InputError(not_there(self.equations, name, list(self._variables)))
+        if not isinstance(name, str) or name not in self._variables:
+            raise InputError(f"{self.name} has no variable {name!r}; {there_is(str(name), list(self._variables))}")
         return self._variables[name]
 
     def set(self, name: str, values: ArrayLike, members: Members = None) -> None:
@@ -190,27 +228,35 @@ class Batch:
         `values` is one number, or one for each of `members`. Raises InputError, and keeps the old values, if the name
         is unknown or a value is not finite or out of its bounds.
         """
-        self.set_many([name], np.asarray(values, float)[..., None], members)
+        chosen = self._chosen(members)
+        self.set_many([name], self._given(str(name), values, (len(chosen),))[:, None], chosen)
+
+    def _given(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> _Numbers:
+        """Return values as numbers of this shape."""
+        try:
+            return np.broadcast_to(np.asarray(values, float), shape)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{self.name}: {name} takes one number, or numbers {shape}: {error}") from None
 
     def set_many(self, names: Sequence[str], values: ArrayLike, members: Members = None) -> None:
         """Set several variables to `values` (members, names), as `set` does."""
-        mask, references = self._mask(members), []
-        given = np.broadcast_to(np.asarray(values, float), (int(mask.sum()), len(names)))
+        numbers, references = self._chosen(members), []
+        mask = self._mask(numbers)
+        given = self._given(", ".join(map(str, names)), values, (len(numbers), len(names)))
         for name, column in zip(names, given.T, strict=True):
-            reference = self._scene.references.get(name)
-            if reference is None or reference >= self._scene.first_output or self._scene.types[reference] == "String":
-                settable = [n for n, r in self._scene.references.items() if r < self._scene.first_output]
-                raise InputError(not_there(self.equations, name, settable))
+            reference = self._reference(name)
+            if reference is None or reference >= self._scene.first_output:
+                settable = [n for n, r in self._scene.references.items() if self._kept(r)]
+                raise InputError(not_there(self.equations, str(name), settable))
             if self._scene.kinds[reference] == "parameter" and (mask & self._ready).any():
                 raise InputError(f"{self.name}: {name} is fixed once a member is initialised; reset it first")
-            for value in {column.min(), column.max()} if column.size and np.isfinite(column).all() else column:
-                checked(self.name, self._variables[name], float(value))
+            self._check(self._variables[name], column)
             references.append(reference)
         table, chosen, places = np.zeros((self.count, len(names))), mask.view(np.uint8), (ctypes.c_int * len(names))
-        table[mask] = given
+        table[numbers] = given
         columns = places(*references)
 
-        def task(part: int, own: slice) -> None:
+        def task(part: int | None, own: slice) -> None:
             where = [x[own].ctypes.data for x in (table, chosen, self._outcomes)]
             self._scene.library.alfmu_batch_set(part, columns, len(names), *where)
 
@@ -218,26 +264,45 @@ class Batch:
         if (refused := mask & (self._outcomes != DONE)).any():
             raise InputError(self._text(self._members[int(np.argmax(refused))]))
 
+    def _reference(self, name: str) -> int | None:
+        """Return the reference of a variable that is a number; None if there is none of this name."""
+        reference = self._scene.references.get(name) if isinstance(name, str) else None
+        return None if reference is None or self._scene.types[reference] == "String" else reference
+
+    def _check(self, v: Variable, values: _Numbers) -> None:
+        """Raise InputError if a variable cannot have one of these values."""
+        if v.type == "Boolean":
+            if (wrong := (values != 0) & (values != 1)).any():
+                raise InputError(f"{self.name}: {v.name} is {values[wrong][0]:g}; it must be true or false")
+            return
+        ends = v.type == "Real" and values.size > 0 and np.isfinite(values).all()
+        for value in {values.min(), values.max()} if ends else values:
+            checked(self.name, v, float(value))
+
     def get(self, *names: str) -> _Numbers:
         """Return variables as (count, names), or (count,) for one; NaN for members without outputs."""
         references = []
         for name in names:
-            if name not in self._scene.references or self._scene.types[self._scene.references[name]] == "String":
-                raise InputError(not_there(self.equations, name, list(self._scene.references)))
-            references.append(self._scene.references[name])
+            if (reference := self._reference(name)) is None:
+                numbers = [n for n in self._scene.references if self._reference(n) is not None]
+                raise InputError(f"{self.name} has no number {name!r}; {there_is(str(name), numbers)}")
+            references.append(reference)
         values, columns = np.empty((self.count, len(names))), (ctypes.c_int * len(names))(*references)
         chosen, outcomes = self._ready.view(np.uint8), np.zeros(self.count, np.int32)
         reads = np.array(references) >= self._scene.first_output
         if not reads.any():
             chosen = np.ones(self.count, np.uint8)
 
-        def task(part: int, own: slice) -> None:
+        def task(part: int | None, own: slice) -> None:
             where = [x[own].ctypes.data for x in (values, chosen, outcomes)]
             self._scene.library.alfmu_batch_get(part, columns, len(names), *where)
 
         self._call(task)
         if reads.any():
             values[np.ix_(~self._ready | (outcomes != DONE), reads)] = np.nan
+            if not reads.all():  # parameters and inputs of members that are not initialised, too
+                others = [name for name, read in zip(names, reads, strict=True) if not read]
+                values[:, ~reads] = self.get(*others).reshape(self.count, -1)
         return values[:, 0] if len(names) == 1 else values
 
     # Motion ------------------------------------------------------------------------------------------------------
@@ -246,12 +311,13 @@ class Batch:
         """Assemble members from their start values; return which failed (count,), and say why in a warning."""
         mask = self._mask(members)
 
-        def task(part: int, own: slice) -> None:
+        def task(part: int | None, own: slice) -> None:
             where = [x[own].ctypes.data for x in (mask.view(np.uint8), self._outcomes)]
             self._scene.library.alfmu_batch_initialize(part, *where)
 
         self._call(task)
         if (mask & (self._outcomes == BRAKES)).any():
+            self._ready[mask] = self._outcomes[mask] == DONE
             self._brake(mask)
             self._call(task)
         failed = self._moved("start", mask)
@@ -279,20 +345,21 @@ class Batch:
 
         A member that fails keeps the state before the step. Raises InputError if one of them is not initialised.
         """
-        mask, h = self._mask(members), float(communication_step)
+        mask = self._mask(members)
+        if not isinstance(communication_step, int | float | np.number):
+            raise InputError(f"{self.name}: a communication step of {communication_step!r} s; it must be above zero")
+        h = float(communication_step)
         if (unready := mask & ~self._ready).any():
             raise InputError(f"{self.name}: member {int(np.argmax(unready))} is not initialised; initialise it first")
 
-        def task(part: int, own: slice) -> None:
+        def task(part: int | None, own: slice) -> None:
             where = [x[own].ctypes.data for x in (mask.view(np.uint8), self._outcomes)]
             self._scene.library.alfmu_batch_step(part, h, *where)
 
         self._call(task)
         if (refused := mask & (self._outcomes == REFUSED)).any():
             raise InputError(self._text(self._members[int(np.argmax(refused))]))
-        failed = self._moved("step", mask)
-        self._time[mask & ~failed] += h
-        return failed
+        return self._moved("step", mask)
 
     def reset(self, members: Members = None) -> None:
         """Put members back to time 0 with the common parameters, not initialised."""
@@ -301,11 +368,10 @@ class Batch:
             self._scene.library.alfmu_reset(self._members[k])
             self._begin(self._members[k])
         self._ready[mask] = False
-        self._time[mask] = 0.0
 
     def save(self, members: Members = None) -> NDArray[np.uint8]:
-        """Return the complete states of members (members, bytes)."""
-        library, chosen = self._scene.library, np.flatnonzero(self._mask(members))
+        """Return the complete states of members (members, bytes), in the order of `members`."""
+        library, chosen = self._scene.library, self._chosen(members)
         states = np.empty((len(chosen), library.alfmu_state_size(self._members[0])), np.uint8)
         for state, k in zip(states, chosen, strict=True):
             library.alfmu_save(self._members[k], state.ctypes.data_as(ctypes.c_char_p))
@@ -314,17 +380,22 @@ class Batch:
     def restore(self, states: NDArray[np.uint8], members: Members = None) -> None:
         """Let members continue from states (members, bytes) that `save` returned, of whichever members.
 
-        Raises InputError for any others.
+        Raises InputError for any others; all members then keep their states.
         """
-        library, chosen = self._scene.library, np.flatnonzero(self._mask(members))
-        if len(states) != len(chosen):
-            raise InputError(f"{self.name}: {len(states)} states for {len(chosen)} members")
-        for state, k in zip(states, chosen, strict=True):
-            member, content = self._members[k], np.asarray(state, np.uint8).tobytes()
-            if library.alfmu_restore(member, content, len(content)) != DONE:
-                raise InputError(self._text(member))
-            self._ready[k] = bool(library.alfmu_initialized(member))
-            self._time[k] = library.alfmu_time(member)
+        library, chosen = self._scene.library, self._chosen(members)
+        given = np.asarray(states)
+        if given.dtype != np.uint8 or given.shape[:1] != (len(chosen),):
+            raise InputError(
+                f"{self.name}: {len(given) if given.ndim else 0} states for {len(chosen)} members; give those of save()"
+            )
+        before = self.save(chosen)
+        for state, k in zip(given, chosen, strict=True):
+            content = state.tobytes()
+            if library.alfmu_restore(self._members[k], content, len(content)) != DONE:
+                why = self._text(self._members[k])
+                self.restore(before, chosen)
+                raise InputError(why)
+            self._ready[k] = bool(library.alfmu_initialized(self._members[k]))
 
 
 def _processors() -> int:

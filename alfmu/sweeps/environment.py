@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -60,10 +61,16 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         threads: int | None = None,
         render_mode: str | None = None,
     ):
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(f"there is no render_mode {render_mode!r}; use 'rgb_array', or none")
         if render_mode is not None and isinstance(mechanism, Equations):
             raise InputError(f"{mechanism.name}: equations have no pictures; give the mechanism, or no render_mode")
         declared = mechanism if isinstance(mechanism, Mechanism | Equations) else load(mechanism)
         self._shapes = geometry(declared, parameters) if render_mode and isinstance(declared, Mechanism) else None
+        for what, seconds in (("step", step), ("horizon", horizon)):
+            if not (isinstance(seconds, int | float | np.number) and 0 < seconds < math.inf):
+                raise InputError(f"{declared.name}: {what} is {seconds!r}; it must be a finite time above zero [s]")
+        spaces_of = [_box(declared.name, bounds) for bounds in (actions, observations)]
         drawn = self._shapes.columns if self._shapes else []
         self.batch: Batch = Batch(declared, count, parameters, [*dict.fromkeys([*observations, *drawn])], threads)
         self.metadata: dict[str, Any] = {
@@ -81,8 +88,8 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
             raise InputError(f"{self.batch.name}: {inputs[0]} is no input; use one of {', '.join(self.batch.inputs)}")
         for name in observations:
             self.batch.variable(name)
-        self.single_action_space: spaces.Box = _box(actions)
-        self.single_observation_space: spaces.Box = _box(observations)
+        self.single_action_space: spaces.Box = spaces_of[0]
+        self.single_observation_space: spaces.Box = spaces_of[1]
         self.action_space: spaces.Space[Any] = batch_space(self.single_action_space, count)
         self.observation_space: spaces.Space[Any] = batch_space(self.single_observation_space, count)
         self._over = np.zeros(count, bool)
@@ -92,8 +99,9 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
         """Let all members begin; or those of `options["reset_mask"]`, a mask (count,)."""
-        super().reset(seed=seed if seed is None or isinstance(seed, int) else seed[0])
-        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
+        first = next(iter(seed), None) if isinstance(seed, list) else seed
+        super().reset(seed=None if first is None else int(first))
+        mask = self._shaped("reset_mask", (options or {}).get("reset_mask", True), (self.num_envs,)).astype(bool)
         self._begin(mask)
         return self._observed(), {}
 
@@ -103,6 +111,8 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         for _ in range(TRIES):
             self.batch.reset(left)
             drawn = self._start(self.np_random, int(left.sum())) if self._start else {}
+            if not isinstance(drawn, Mapping):
+                raise InputError(f"{self.batch.name}: start returned {drawn!r}; it must return values by name")
             for name, values in drawn.items():
                 self.batch.set(name, values, left)
             left = self.batch.initialize(left)
@@ -119,7 +129,12 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
     def step(self, actions: Numbers) -> tuple[Numbers, Numbers, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Hold actions (count, inputs) over one step; actions out of their bounds are taken at these."""
         low, high = self.single_action_space.low, self.single_action_space.high
-        taken = np.clip(np.asarray(actions, float), low, high)
+        given = np.asarray(actions)
+        if given.shape != self.action_space.shape:
+            raise InputError(
+                f"{self.batch.name}: actions have the shape {given.shape}; they must be {self.action_space.shape}"
+            )
+        taken = np.clip(self._shaped("actions", given, given.shape), low, high)
         begun = self._over
         on = ~begun
         if begun.any():
@@ -128,12 +143,24 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         failed = self.batch.step(self._step, on)
         seen = self._observed()
         values = dict(zip(self._observations, seen.T, strict=True))
-        reward = np.where(on & ~failed, self._reward(values, dict(zip(self._actions, taken.T, strict=True))), 0.0)
-        done = on & ~failed & self._done(values) if self._done else np.zeros(self.num_envs, bool)
+        found = self._reward(values, dict(zip(self._actions, taken.T, strict=True)))
+        reward = np.where(on & ~failed, self._shaped("reward", found, (self.num_envs,)), 0.0)
+        if not np.isfinite(reward).all():
+            member = int(np.argmin(np.isfinite(reward)))
+            raise InputError(f"{self.batch.name}: reward is {reward[member]} for member {member}; it must be finite")
+        over = self._shaped("done", self._done(values) if self._done else False, (self.num_envs,))
+        done = on & ~failed & over.astype(bool)
         late = on & (failed | (self.batch.time > self._horizon - 0.5 * self._step))
         self._over = done | late
         infos = {"failed": failed, "_failed": failed} if failed.any() else {}
         return seen, reward, done, late & ~done, infos
+
+    def _shaped(self, what: str, values: Any, shape: tuple[int, ...]) -> Numbers:
+        """Return values that a user gave as numbers of this shape."""
+        try:
+            return np.broadcast_to(np.asarray(values, float), shape)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{self.batch.name}: {what} must be one number, or numbers {shape}: {error}") from None
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return pictures (height, width, 3) of all members, if the mode is "rgb_array"."""
@@ -177,7 +204,11 @@ class Environment(gymnasium.Env[Any, Any]):
         return pictures and pictures[0]
 
 
-def _box(bounds: Bounds) -> spaces.Box:
+def _box(name: str, bounds: Bounds) -> spaces.Box:
+    """Return the space of variables with these bounds; raise InputError if one has none."""
+    for each, ends in bounds.items():
+        if np.shape(ends) != (2,) or not ends[0] <= ends[1]:
+            raise InputError(f"{name}: bounds of {each} are {ends!r}; give its least and largest value")
     low, high = np.array(list(bounds.values()), float).reshape(-1, 2).T
     return spaces.Box(low, high, dtype=np.float64)
 

@@ -227,8 +227,7 @@ class _SceneRunner:
         return cast("list[Ran]", made)
 
     def close(self) -> None:
-        for seats in self.units:
-            seats.close()
+        self.units.clear()
 
 
 SEATS, NUMBERS = 64, 4_000_000
@@ -252,7 +251,7 @@ class _Seats:
         self.inputs = [place[name] for name in job.inputs]
         self.wanted = [place[name] for name in job.outputs]
         c = self.scene.library
-        self.address = c.alfmu_batch_new(self.scene.address, self.count)
+        self.address: int | None = c.alfmu_batch_new(self.scene.address, self.count)
         if not self.address:
             raise MemoryError(f"{job.name}: there is no memory for {self.count} instances")
         self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
@@ -272,7 +271,7 @@ class _Seats:
         table = np.ascontiguousarray(np.vstack([table, np.zeros((self.count - count, table.shape[1]))]))
         refused = {k: why for k, member in enumerate(self.members[:count]) if (why := self._ready(member))}
         chosen = np.array([k < count and k not in refused for k in range(self.count)], np.uint8)
-        outcomes, made = np.full(self.count, REFUSED, np.int32), np.zeros(self.count, np.int64)
+        outcomes, made = np.full(self.count, REFUSED, np.int32), np.zeros(self.count, ctypes.c_long)
         times, inputs, rows = (x.ctypes.data for x in (given.times, given.table, self.rows))
         run = Run(times, len(given.times), self.inputs, inputs, self.wanted, rows)
         references = (ctypes.c_int * len(self.set))(*self.set)
@@ -295,8 +294,9 @@ class _Seats:
             outcomes.append(c.alfmu_penalize(member, np.array(self.job.penalty).ctypes.data))
         return "" if set(outcomes) == {DONE} else c.alfmu_text(member).decode(errors="replace")
 
-    def close(self) -> None:
-        self.scene.library.alfmu_batch_free(self.address)
+    def __del__(self) -> None:
+        if getattr(self, "address", None):
+            self.scene.library.alfmu_batch_free(self.address)
 
 
 def machine() -> str:

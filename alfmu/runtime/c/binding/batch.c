@@ -8,6 +8,7 @@
 #include "border.h"
 #include "fibers.h"
 #include "fmi.h"
+#include "gradient.h"
 #include "instance.h"
 #include "interpret.h"
 #include "lanes.h"
@@ -41,6 +42,7 @@ typedef struct {
 struct Batch {
     const Scene *scene;
     size_t count, next; /* members, and the next one whose turn it is */
+    int shares;         /* whether members borrow numbers and wait; a tape of derivatives takes neither */
     Instance *members;
     double *numbers, *lent, *registers;
     Place places[PLACES];
@@ -78,12 +80,16 @@ static void work_at_place(void *what)
         Instance *i = p->instance = b->members + member;
         if (b->chosen && !b->chosen[member])
             continue;
-        instance_borrow(i, p->lent, 1);
-        i->place = p;
-        i->wait = p->fiber ? wait_at_place : NULL;
+        if (b->shares) {
+            instance_borrow(i, p->lent, 1);
+            i->place = p;
+            i->wait = p->fiber ? wait_at_place : NULL;
+        }
         b->outcomes[member] = (int)b->task(b, member);
-        i->wait = NULL;
-        instance_borrow(i, b->places->lent, 1);
+        if (b->shares) {
+            i->wait = NULL;
+            instance_borrow(i, b->places->lent, 1);
+        }
     }
     p->wanted = NOTHING;
 }
@@ -148,6 +154,8 @@ API void alfmu_batch_free(Batch *b)
         return;
     for (Place *p = b->places; p < b->places + PLACES; p++)
         fiber_free(p->fiber);
+    for (size_t k = 0; b->members && k < b->count; k++)
+        gradient_free(b->members[k].of_step);
     free(b->members);
     free(b->numbers);
     free(b->lent);
@@ -182,12 +190,13 @@ static void begin_fibers(Batch *b)
 /* Return a batch of so many members; NULL where there is no memory for them. */
 API Batch *alfmu_batch_new(const Scene *s, size_t count)
 {
-    const size_t kept = instance_kept_length(s), lent = instance_lent_length(s, 1);
+    const size_t lent = instance_lent_length(s, 1), kept = instance_kept_length(s) + (s->entries ? lent : 0);
     Batch *b = calloc(1, sizeof *b);
     if (!b)
         return NULL;
     b->scene = s;
     b->count = count;
+    b->shares = !s->entries;
     if (!has_memory(b, kept, lent)) {
         alfmu_batch_free(b);
         return NULL;
@@ -200,7 +209,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
         instance_lay(b->members, s, b->numbers, b->places[k].lent, 1); /* which loads the constants */
     }
     for (size_t k = 0; k < count; k++)
-        instance_lay(b->members + k, s, b->numbers + k * kept, b->places->lent, 1);
+        instance_lay(b->members + k, s, b->numbers + k * kept, b->shares ? b->places->lent : NULL, 1);
     begin_fibers(b);
     return b;
 }
