@@ -186,7 +186,8 @@ class _Describing:
         axes = {"position1": normal, "position2": other}
         if joint.kind == "universal":
             axes["angle2"] = self.number(joint.triad(second=True)[2]).ravel()
-        (lead,), screw = self.constant(joint.name, "lead", joint.lead), edge.kind == "screw" in self.form.closures
+        (lead,) = self.constant(joint.name, "lead", joint.lead)
+        screw = edge.kind == "screw" and "screw" in self.form.closures
         for which in sorted(joint.freedoms, key=lambda x: x.startswith("angle")):
             name = joint.name if len(joint.freedoms) == 1 else f"{joint.name}.{which}"
             kind = "prismatic" if which.startswith("position") else "screw" if screw else "revolute"
@@ -315,8 +316,9 @@ class _Describing:
         units = {x.unit_length for x in self.m.spatial_bodies} | {x.unit_length for x in self.m.spatial_joints}
         for each in self.m.closures:
             if isinstance(each, Pair | Rack):
-                sums: list[Any] = list(zip(each.ways, each.radii, strict=True)) if isinstance(each, Pair) else []
-                if isinstance(each, Rack):
+                if isinstance(each, Pair):
+                    sums: list[Any] = list(zip(each.ways, each.radii, strict=True))
+                else:
                     sums = [(((each.guide, 1.0),), 1.0), (each.way, -each.side * each.radius)]
                 terms = [(self.motions.get(x.name), sign * self.scalar(R)) for way, R in sums for x, sign in way]
                 self._couple(each.name, terms)
