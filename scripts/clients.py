@@ -24,6 +24,8 @@ from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
+Names, Numbers = dict[str, str], dict[str, float]
+
 PAGE = Path(__file__).parents[1] / "docs" / "howto" / "simulators.md"
 BEGIN, END = "<!-- clients: written by scripts/clients.py -->", "<!-- end of clients -->"
 """Between these lines the page has the table."""
@@ -46,7 +48,7 @@ NONE = "–"
 STEP, STEPS, HALF = 0.02, 50, 25
 OUTPUTS, TORQUE = ("link1.angle", "A.force.x"), "A.torque"
 FINE, ROUNDS = 1e-3, 200
-WATCHED, VOLTAGE = ("motor.speed", "load.speed"), "motor.voltage"
+WATCHED, GIVEN = ("motor.speed", "load.speed"), {"motor.voltage": 12.0}
 LINKS = {
     "motor.speed": "gearbox.motor_speed",
     "load.speed": "gearbox.load_speed",
@@ -71,22 +73,19 @@ def write_files(folder: Path) -> dict[str, list[float]]:
         "gearbox": blocks.gearbox(ratio=5.0, stiffness=50.0, damping=0.5),
         "load": blocks.load(inertia=0.05, damping=0.1),
     }
-    system = alfmu.System(
-        "spindle", components, list(LINKS.items()), {VOLTAGE: 12.0}, stop_time=ROUNDS * FINE, communication_step=FINE
-    )
+    spans = {"stop_time": ROUNDS * FINE, "communication_step": FINE}
+    system = alfmu.System("spindle", components, list(LINKS.items()), GIVEN, **spans)
     with zipfile.ZipFile(system.export(folder / "spindle.ssp")) as archive:
         for name in components:
             (folder / f"{name}.fmu").write_bytes(archive.read(f"resources/{name}.fmu"))
     run, coupled, unit = alfmu.simulate("five_bar", STEPS * STEP, STEP), system.simulate(), Instance("five_bar")
+    single, several = [float(run[name][-1]) for name in OUTPUTS], [float(coupled[name][-1]) for name in WATCHED]
     unit.initialize()
     for _ in range(HALF):
         unit.step(STEP)
     before = [unit.get(name) for name in OUTPUTS]
     unit.set(TORQUE, 1.0)
     slopes = [unit.get(name) - old for name, old in zip(OUTPUTS, before, strict=True)]
-    single, several = (
-        [float(made[name][-1]) for name in names] for made, names in ((run, OUTPUTS), (coupled, WATCHED))
-    )
     return dict.fromkeys(COLUMNS, single) | {"connected": several, "SSP": several, "derivatives": slopes}
 
 
@@ -97,9 +96,8 @@ class Fmpy:
     def run(self, fmi: int, **choices: Any) -> list[float]:
         import fmpy
 
-        found = fmpy.simulate_fmu(
-            f"five_bar{fmi}.fmu", stop_time=STEPS * STEP, output_interval=STEP, output=OUTPUTS, **choices
-        )
+        choices |= {"stop_time": STEPS * STEP, "output_interval": STEP, "output": OUTPUTS}
+        found = fmpy.simulate_fmu(f"five_bar{fmi}.fmu", **choices)
         assert abs(found["time"][-1] - STEPS * STEP) < 1e-9, f"ends at {found['time'][-1]:g} s"
         return [float(found[name][-1]) for name in OUTPUTS]
 
@@ -117,16 +115,9 @@ class Fmpy:
     def half(self) -> tuple[Any, list[int], int]:
         """Return the five-bar after half the run, with references of outputs and of the torque."""
         import fmpy
-        from fmpy.fmi2 import FMU2Slave
 
         text = fmpy.read_model_description("five_bar2.fmu")
-        made = FMU2Slave(
-            guid=text.guid,
-            unzipDirectory=fmpy.extract("five_bar2.fmu"),
-            modelIdentifier=text.coSimulation.modelIdentifier,
-            instanceName="it",
-        )
-        made.instantiate()
+        made = fmpy.instantiate_fmu(fmpy.extract("five_bar2.fmu"), text, "CoSimulation")
         made.setupExperiment(startTime=0.0)
         made.enterInitializationMode()
         made.exitInitializationMode()
@@ -151,7 +142,20 @@ class Fmpy:
         return list(made.getDirectionalDerivative(outputs, [torque], [1.0]))
 
 
-class Ecos:
+class Master:
+    """A program that connects FMUs; `run` adds files by name, links and given values, and returns final values."""
+
+    def single(self, fmi: int) -> list[float]:
+        return self.run(STEP, STEPS, [f"it.{name}" for name in OUTPUTS], {"it": f"five_bar{fmi}.fmu"}, {}, {})
+
+    def connected(self) -> list[float]:
+        files = {name: f"{name}.fmu" for name in ("motor", "gearbox", "load")}
+        return self.run(FINE, ROUNDS, WATCHED, files, LINKS, GIVEN)
+
+    single2, single3 = partialmethod(single, 2), partialmethod(single, 3)
+
+
+class Ecos(Master):
     def __init__(self) -> None:
         import ctypes
         import importlib.metadata as metadata
@@ -159,7 +163,7 @@ class Ecos:
         library = next(each.locate() for each in metadata.files("tbb") or () if each.name == "libtbb.so.12")
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
 
-    def stepped(self, step: float, steps: int, names: Iterable[str], values: str | None = None, **made: Any) -> list:
+    def stepped(self, step: float, steps: int, names: Iterable[str], values: str | None, **made: Any) -> list[float]:
         from ecospy import EcosSimulation
 
         with EcosSimulation(step_size=step, **made) as simulation:
@@ -167,32 +171,22 @@ class Ecos:
             simulation.step(steps)
             return [simulation.get_real(name.replace(".", "::", 1)) for name in names]
 
-    def structure(self, **files: str) -> Any:
+    def run(self, step: float, steps: int, names: Iterable[str], files: Names, links: Names, given: Numbers) -> list:
         from ecospy import EcosSimulationStructure
 
-        made = EcosSimulationStructure()
-        for name, path in files.items():
-            made.add_model(name, path)
-        return made
-
-    def single(self, fmi: int) -> list[float]:
-        with self.structure(it=f"five_bar{fmi}.fmu") as structure:
-            return self.stepped(STEP, STEPS, [f"it.{name}" for name in OUTPUTS], structure=structure)
-
-    single2, single3 = partialmethod(single, 2), partialmethod(single, 3)
-
-    def connected(self) -> list[float]:
-        with self.structure(motor="motor.fmu", gearbox="gearbox.fmu", load="load.fmu") as structure:
-            for source, target in LINKS.items():
-                structure.make_real_connection(source.replace(".", "::", 1), target.replace(".", "::", 1))
-            structure.add_parameter_set("given", {VOLTAGE.replace(".", "::"): 12.0})
-            return self.stepped(FINE, ROUNDS, WATCHED, "given", structure=structure)
+        with EcosSimulationStructure() as made:
+            for name, path in files.items():
+                made.add_model(name, path)
+            for source, target in links.items():
+                made.make_real_connection(source.replace(".", "::", 1), target.replace(".", "::", 1))
+            made.add_parameter_set("given", {name.replace(".", "::"): value for name, value in given.items()})
+            return self.stepped(step, steps, names, "given", structure=made)
 
     def ssp(self) -> list[float]:
         return self.stepped(FINE, ROUNDS, WATCHED, "defaults", ssp_path="spindle.ssp")
 
 
-class Libcosim:
+class Libcosim(Master):
     def of(self, execution: Any, name: str) -> tuple[int, int]:
         """Return the slave of a variable, and its reference."""
         component, _, variable = name.partition(".")
@@ -207,26 +201,18 @@ class Libcosim:
         execution.step(steps)
         return [observer.last_real_values(slave, [at])[0] for slave, at in (self.of(execution, name) for name in names)]
 
-    def made(self, step: float, **files: str) -> Any:
+    def run(self, step: float, steps: int, names: Iterable[str], files: Names, links: Names, given: Numbers) -> list:
         from libcosimpy.CosimExecution import CosimExecution
         from libcosimpy.CosimSlave import CosimLocalSlave
 
         execution = CosimExecution.from_step_size(step_size=round(step * 1e9))
         for name, path in files.items():
             execution.add_local_slave(CosimLocalSlave(fmu_path=path, instance_name=name))
-        return execution
-
-    def single(self, fmi: int) -> list[float]:
-        return self.stepped(self.made(STEP, it=f"five_bar{fmi}.fmu"), STEPS, [f"it.{name}" for name in OUTPUTS])
-
-    single2, single3 = partialmethod(single, 2), partialmethod(single, 3)
-
-    def connected(self) -> list[float]:
-        execution = self.made(FINE, motor="motor.fmu", gearbox="gearbox.fmu", load="load.fmu")
-        for source, target in LINKS.items():
+        for source, target in links.items():
             execution.connect_real_variables(*self.of(execution, source), *self.of(execution, target))
-        execution.real_initial_value(*self.of(execution, VOLTAGE), 12.0)
-        return self.stepped(execution, ROUNDS, WATCHED)
+        for name, value in given.items():
+            execution.real_initial_value(*self.of(execution, name), value)
+        return self.stepped(execution, steps, names)
 
     def ssp(self) -> list[float]:
         from libcosimpy.CosimExecution import CosimExecution

@@ -61,11 +61,8 @@ AROUND = 3.0
 SAME = 1e-6
 """Largest difference [rad, sizes] of positions that count as one solution."""
 
-PACE = 0.05
-"""Step of the search for dead positions [rad, sizes]."""
-
-MOST = 4000
-"""Most such steps [1]: 200 rad."""
+PACE, MOST = 0.05, 4000
+"""Step of the search for dead positions [rad, sizes], and most such steps [1]: 200 rad."""
 
 HALVED = 12
 """Most halvings of a step towards given values [1], before they count as out of reach."""
@@ -91,9 +88,8 @@ class Position:
     """All coordinates (n,), with time if laws move something."""
 
     def __getitem__(self, name: str) -> Any:
-        for known in (self.actuated, self.values):
-            if name in known:
-                return known[name]
+        if name in (known := {**self.values, **self.actuated}):
+            return known[name]
         parts = [x for known, x in self.values.items() if known.rpartition(".")[0] == name]
         if not parts:
             raise InputError(f"{self.mechanism} has no place {name!r}; {there_is(name, list(self.values))}")
@@ -162,10 +158,9 @@ class _Quantities:
         self.wrapped = np.array([name in e.wrapped for name in self.names], bool)
         self.spins = [e.outputs[i].name for i in spin]
         """Components of angular velocities of bodies in space."""
-        bodies = {name.partition(".angular_velocity.")[0] for name in self.spins}
-        bodies |= {o.name.removesuffix(".angular_velocity") for o in e.outputs if o.name.endswith(".angular_velocity")}
-        ends = ("x", "y", "z", "angle")
-        self.of_bodies = [self.place[f"{b}.{k}"] for b in sorted(bodies) for k in ends if f"{b}.{k}" in self.place]
+        bodies = {name[:-2] for name in self.spins} | {o.name for o in e.outputs}
+        bodies = {b.removesuffix(".angular_velocity") for b in bodies if b.endswith(".angular_velocity")}
+        self.of_bodies = [i for b in sorted(bodies) for i in self.ends(b, "x", "y", "z", "angle")]
         y = ca.substitute(y, ca.vertcat(x["a"], x["lam"]), ca.SX.zeros(e.n + e.l))
         w = ca.vertcat(q[: len(known) - len(own)], y[own])
         by_v = [ca.jacobian(w, q[:n]), ca.jacobian(y[spin], v)[:, :n]]
@@ -173,12 +168,13 @@ class _Quantities:
         self.run = ca.Function("quantities", [q, v, x["p"], x["u"], x["t"]], results)
         """w, w_q (w, n), derivatives of spins by v, w_t, second rates at a = 0."""
 
+    def ends(self, name: str, *ends: str) -> list[int]:
+        return [self.place[f"{name}.{end}"] for end in ends if f"{name}.{end}" in self.place]
+
     def parts(self, name: str) -> list[int]:
         """Return the rows that a name stands for: a coordinate, an output, a joint, a body or a watched point."""
-        ends = ("x", "y", "z", "angle", *(f"e{i}" for i in range(4)))
-        whole = [self.place[f"{name}.{end}"] for end in ends if f"{name}.{end}" in self.place]
-        joint = [self.place[each] for each in (f"{name}.angle", f"{name}.displacement") if each in self.place]
-        return [self.place[name]] if name in self.place else whole or joint
+        own = [self.place[name]] if name in self.place else self.ends(name, *"xyz", "angle", "e0", "e1", "e2", "e3")
+        return own or self.ends(name, "displacement")
 
 
 class _Steered(Loops):
@@ -257,14 +253,20 @@ class Kinematics:
         self._where, self._declared = where, declared
         self.name: str = where.name
         self._of = where.equations.kept.latest(_Quantities, lambda: _Quantities(where.equations))
-        self.size: float = _size(declared, where) or Loops(where).size
+        self.size: float = Loops(where).size
         """Length of the mechanism [m]: the longest arm from a centre of mass to a joint."""
+        if declared.joints or declared.spatial_joints or any(body.length is not None for body in declared.bodies):
+            p, arm = [x.symbol for x in declared.parameters], ca.sqrt(square_of_size(declared))
+            self.size = float(ca.Function("size", [stack(p)], [arm])(where.p[: len(p)]))
         self._loops = _Steered(where, self._of, self.size)
         self.freedom: int = self._loops.freedom
         """Degrees of freedom without the motions of the actuated joints."""
         self.actuated: tuple[str, ...] = tuple(actuated)
         """Names of the actuated joints."""
         self._rows = [self._single(name) for name in actuated]
+        self.units: dict[str, str] = dict(zip(self._of.names, self._of.units, strict=True))
+        self.units |= {name: self._of.units[i] for name, i in zip(actuated, self._rows, strict=True)}
+        """Units of all values by name, and of the actuated joints."""
         self._home = home / self._loops.scale
         self._beside, self._ranks = self._regular(), dict[tuple[int, ...], int]()
         self._check_count()
@@ -277,12 +279,6 @@ class Kinematics:
 
     def __repr__(self) -> str:
         return f"Kinematics({self.name!r}, actuated = {', '.join(self.actuated)})"
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units of all values by name, and of the actuated joints."""
-        found = dict(zip(self._of.names, self._of.units, strict=True))
-        return found | {name: self._of.units[i] for name, i in zip(self.actuated, self._rows, strict=True)}
 
     @property
     def notes(self) -> list[str]:
@@ -302,7 +298,7 @@ class Kinematics:
         ends, with the least singular value measured there.
         """
         rows, goal = self._given(values, self._loops.look(self._begin(near))[0][self._rows])
-        return self._position(self._moved(rows, goal, near, self.freedom))
+        return self._position(self._moved(rows, goal, near))
 
     def inverse(self, values: Values, near: Position | None = None) -> Position:
         """Return the position with these values of what is watched, or of any joints, coordinates and outputs.
@@ -312,7 +308,7 @@ class Kinematics:
         """
         rows, goal = self._targets(values, near)
         try:
-            found = self._position(self._moved(rows, goal, near, self._spans(rows)))
+            found = self._position(self._moved(rows, goal, near))
         except InputError as error:
             reason = error
         else:
@@ -352,10 +348,10 @@ class Kinematics:
                 found.append(np.where(kept, y, self._loops.nearer(y.copy(), begin)))
         return [self._position(y) for y in sorted(found, key=lambda y: float(np.abs(y - begin).max(initial=0.0)))]
 
-    def _moved(self, rows: Sequence[int], goal: Vector, near: Position | None, rank: int) -> Vector:
+    def _moved(self, rows: Sequence[int], goal: Vector, near: Position | None) -> Vector:
         """Return the closed position with values, on the straight line in them from another position."""
         y = self._begin(near)
-        loops = self._loops.steered(rows, goal, rank)
+        loops = self._loops.steered(rows, goal, self._spans(rows))
         weights, apart = loops.weights[loops.rows], loops.missed(y)
         here, done, step = goal + apart / weights, 0.0, 1.0
         most = min(1.0, STEP / max(float(np.abs(apart).max(initial=0.0)), 1e-300))
@@ -369,11 +365,9 @@ class Kinematics:
             if step < most / 2**HALVED and done < 1.0:
                 least = float(np.linalg.svd(loops.matrix(y)[:, : loops.moving], compute_uv=False)[loops.rank - 1])
                 wanted, last = (self._said(rows, x) for x in (goal, self._between(rows, here, goal, done)))
-                raise InputError(
-                    f"{self.name}: {wanted} is out of reach; on the straight way there the loops stay closed up to "
-                    f"{last}, where the least singular value is {least:.2g} (0 at a singular position); give values "
-                    "within reach, or another position as near="
-                )
+                text = f"{self.name}: {wanted} is out of reach; on the straight way there the loops stay closed up to"
+                text += f" {last}, where the least singular value is {least:.2g} (0 at a singular position)"
+                raise InputError(f"{text}; give values within reach, or another position as near=")
         return y
 
     def _said(self, rows: Sequence[int], values: Vector) -> str:
@@ -393,9 +387,8 @@ class Kinematics:
         if near is None:
             return self._home.copy()
         if not isinstance(near, Position) or (near.mechanism, len(near.q)) != (self.name, len(self._home)):
-            raise InputError(
-                f"{self.name}: {shown(near)} is no position of it; give one that forward() or inverse() returned"
-            )
+            text = f"{self.name}: {shown(near)} is no position of it"
+            raise InputError(f"{text}; give one that forward() or inverse() returned")
         return near.q / self._loops.scale
 
     def _position(self, y: Vector) -> Position:
@@ -443,8 +436,7 @@ class Kinematics:
         here = self._loops.look(self._begin(near))[0]
         if not isinstance(values, Mapping):
             return self._given(values, here[self._rows])
-        rows: list[int] = []
-        goal: list[float] = []
+        rows, goal = list[int](), list[float]()
         for name, given in values.items():
             parts = [self._rows[self.actuated.index(name)]] if name in self.actuated else self._named(name)
             numbers = self._numbers(name, given)
@@ -497,28 +489,23 @@ class Kinematics:
         """Raise InputError if the actuated joints do not determine the motion."""
         e, count = self._where.equations, counted(self.freedom, "degree")
         if e.slips:
-            raise InputError(
-                f"{self.name}: {e.rows[e.slips[0]].name} constrains a velocity, so that positions depend on the way "
-                "and not on the actuated joints alone; simulate it with m.motion()"
-            )
+            text = f"{self.name}: {e.rows[e.slips[0]].name} constrains a velocity, so that positions depend on the way"
+            raise InputError(f"{text} and not on the actuated joints alone; simulate it with m.motion()")
         if not self.freedom:
             raise InputError(f"{self.name}: it has no degree of freedom that a joint could actuate")
-        rows = self._loops.look(self._beside[-1])[1][self._rows]
-        if len(np.unique(rows.round(12), axis=0)) < len(rows):
+        y = self._beside[-1]
+        if len(np.unique(self._loops.look(y)[1][self._rows].round(12), axis=0)) < len(self._rows):
             raise InputError(f"{self.name}: the actuated joints {', '.join(self.actuated)} name one motion twice")
         if (spans := self._spans(self._rows)) == self.freedom:
             return
-        y = self._beside[-1]
         found = self._loops.rates(y, self._rows)
         sizes = np.abs(self._loops.lasting(y) @ np.linalg.svd(found)[2][spans:].T).max(axis=1)
         most = [self._where.coordinates[i].name for i in np.argsort(-sizes)[:4] if sizes[i] > 0.1 * sizes.max()]
         idle = [k for k, row in zip(self.actuated, found, strict=True) if np.abs(row).max() <= SINGULAR]
         why = f" ({', '.join(idle)} cannot move)" * bool(idle)
         text = f"{self.name} has {count} of freedom, and {', '.join(self.actuated)} determines {spans} of them{why}"
-        raise InputError(
-            f"{text}; most of what is left moves {', '.join(most)}: name more actuated joints, or hold what floats by "
-            "a joint to the ground"
-        )
+        text += f"; most of what is left moves {', '.join(most)}: name more actuated joints, or hold what floats by"
+        raise InputError(f"{text} a joint to the ground")
 
     # Jacobian and efforts ---------------------------------------------------------------------------------------
 
@@ -530,8 +517,7 @@ class Kinematics:
         """
         loops, y = self._loops, self._begin(position)
         by_y, spins = loops.look(y)[1:3]
-        names: list[str] = []
-        table: list[Vector] = []
+        names, table = list[str](), list[Vector]()
         for name, own in self.watched.items():
             turned = [k for k, each in enumerate(self._of.spins) if each.startswith(f"{name}.angular_velocity.")]
             own = [k for k in own if not (turned and k[:-1] == f"{name}.e")]
@@ -568,11 +554,10 @@ class Kinematics:
         where, loops = self._where, self._loops
         y, found = self._begin(position), self.transmission(position)
         if kinds := [kind for kind in found.singular if kind != "serial"]:
-            raise InputError(
-                f"{self.name}: the position is a {kinds[0]} singularity ({kinds[0]} {getattr(found, kinds[0]):.2g}, "
-                f"singular at or below {SINGULAR:g}), where efforts and rates do not follow from the actuated joints; "
-                "take a position beside it"
-            )
+            value = f"{kinds[0]} {getattr(found, kinds[0]):.2g}, singular at or below {SINGULAR:g}"
+            text = f"{self.name}: the position is a {kinds[0]} singularity ({value})"
+            text += ", where efforts and rates do not follow from the actuated joints;"
+            raise InputError(f"{text} take a position beside it")
         s, a = self._motion(y, rates, accelerations)
         left = where.value("M", s) @ a + where.value("d", s) - where.value("f", s)
         load = loops.lasting(y).T @ (loops.scale * left)[: loops.moving]
@@ -623,7 +608,7 @@ class Kinematics:
         if not laws:
             raise InputError(f"{self.name}: no joint moves; give tables (times, values) of actuated joints by name")
         instants, position, rows = self._numbers("times", times), self.start, []
-        positions: list[Position] = []
+        positions = list[Position]()
         for t in instants:
             given, v, a = ({name: float(law(t, k)) for name, law in laws.items()} for k in range(3))
             position = self.forward(given, position)
@@ -669,7 +654,7 @@ class Kinematics:
             lines += [*seen.lines(), *["efforts: " + ", ".join(texts)] * held]
         more: dict[str, Any] = {"mechanism": self.name, "freedom": self.freedom, "positions": data, "notes": self.notes}
         if table is not None:
-            more |= {"table": dict(zip(table.names, _numbers(table.values.T), strict=True))}
+            more |= {"table": dict(zip(table.names, _plain(table.values.T), strict=True))}
             more |= {k: table.facts[k] for k in ("dead", "toggles") if k in table.facts}
             lines += [f"table of {len(table.time)} rows:"]
             for k in (k for k in table.names if k not in self._of.place or k in watched):
@@ -786,7 +771,7 @@ class Kinematics:
         if "constraint" in self.transmission(begin).singular:
             text = f"{self.name}: the cycle begins at a constraint singularity, where several motions begin"
             raise InputError(f"{text}; give a position beside it as near=")
-        row, others = self._rows[at], [self._rows[k] for k in self._others(at)]
+        row, others, start = self._rows[at], [self._rows[k] for k in self._others(at)], begin[self.actuated[at]]
         y0, unit = self._begin(begin), self._of.units[row]
         loops = self._loops.steered(others, self._loops.look(y0)[0][others], self.freedom - 1)
         turn = 2 * math.pi if unit == "rad" else math.inf
@@ -794,8 +779,8 @@ class Kinematics:
 
         def speed(y: Vector, way: Vector) -> float:
             """Return the rate of the joint for the motion in this direction."""
-            t = np.linalg.svd(loops.matrix(y)[:, : loops.moving])[2][loops.moving - 1]
-            return float(loops.look(y)[1][row] @ t) * (float(np.sign(t @ way[: loops.moving])) or 1.0)
+            t = loops.motions(y, 1)[:, 0]
+            return float(loops.look(y)[1][row] @ t[: loops.moving]) * (float(np.sign(t @ way)) or 1.0)
 
         def step(a: Vector, b: Vector) -> float:
             x = float(loops.look(b)[0][row] - loops.look(a)[0][row])
@@ -805,7 +790,7 @@ class Kinematics:
             y = loops.closed(a + part * (b - a), a)
             return a if y is None else y
 
-        first = np.pad(np.linalg.svd(loops.matrix(y0)[:, : loops.moving])[2][-1], (0, len(y0) - loops.moving))
+        first = loops.motions(y0, 1)[:, 0]
         first *= np.sign(speed(y0, first)) or 1.0
         for sign in (1, -1):
             a, moved = y0, 0.0
@@ -813,11 +798,11 @@ class Kinematics:
                 if sign * speed(b, b - a) < 0:
                     part = brentq(lambda t, a=a, b=b: speed(middle(t, a, b), b - a), 0.0, 1.0, xtol=1e-15, rtol=1e-15)
                     y = middle(float(part), a, b)
-                    ends[begin.actuated[self.actuated[at]] + moved + step(a, y)] = self._position(y)
+                    ends[start + moved + step(a, y)] = self._position(y)
                     break
                 moved, a = moved + step(a, b), b
                 if abs(moved) >= turn:
-                    return begin.actuated[self.actuated[at]], begin.actuated[self.actuated[at]] + turn, {}
+                    return start, start + turn, {}
             else:
                 text = f"{self.name}: {self.actuated[at]} has no dead position up to {plain(moved, unit)} from here"
                 raise InputError(f"{text}; give the range as span=")
@@ -828,16 +813,17 @@ class Kinematics:
         m, ground = self._declared, (self._declared.ground, self._declared.spatial_ground)
         joints: list[Any] = [*m.joints, *m.spatial_joints]
 
-        def beside(joint: Any) -> list[list[Any]]:
+        def beside(joint: Any) -> list[Any]:
+            """Return the other joints of its two bodies, if each has one."""
             bodies = joint.first.body, joint.second.body
-            return [[x for x in joints if x is not joint and b in (x.first.body, x.second.body)] for b in bodies]
+            found = [[x for x in joints if x is not joint and b in (x.first.body, x.second.body)] for b in bodies]
+            return [x[0] for x in found] if [len(x) for x in found] == [1, 1] else []
 
         def leads(joint: Any) -> bool:
             """Return whether a coupler leads a link on the ground here that is not actuated itself."""
-            links = [x[0] for x in beside(joint) if len(x) == 1]
-            fixed = [x for x in links if x.first.body in ground or x.second.body in ground]
-            drives = [x for x in fixed if any(_belongs(x, name) for name in self.actuated)]
-            return len(links) == 2 and len(fixed) == 1 and not drives and joint.first.body not in ground
+            fixed = [x for x in beside(joint) if x.first.body in ground or x.second.body in ground]
+            driven = any(_belongs(x, name) for x in fixed for name in self.actuated)
+            return len(fixed) == 1 and not driven and joint.first.body not in ground
 
         found = [j for j in joints if (leads(j) if named is None else j.name == named)]
         if named is None and len(found) != 1:
@@ -845,20 +831,19 @@ class Kinematics:
         if not found:
             raise InputError(f"{self.name} has no joint {named!r}; {there_is(named, [j.name for j in joints])}")
         (hinge,), places = found, m._kinematics()
-        if any(len(x) != 1 for x in beside(hinge)):
+        if not (links := beside(hinge)):
             text = f"{self.name}: {hinge.name} has no transmission angle: it does not join two links of two joints"
             raise InputError(f"{text} each; name another hinge")
 
         def place(at: Any) -> ca.SX:
             return ca.vertcat(*places.place(at), 0) if isinstance(at, Marker) else at.place
 
-        ways: list[ca.SX] = []
-        links = [x[0] for x in beside(hinge)]
+        ways = list[ca.SX]()
         for body, other in zip((hinge.first.body, hinge.second.body), links, strict=True):
-            end = other.first if other.first.body is body else other.second
-            guide = ca.vertcat(*places.axes(other)[:2], 0) if isinstance(other, Joint) else None
-            slides = other.kind == "prismatic"
-            ways.append((other.triad()[2] if guide is None else guide) if slides else place(hinge.first) - place(end))
+            if other.kind == "prismatic":
+                ways += [ca.vertcat(*places.axes(other)[:2], 0) if isinstance(other, Joint) else other.triad()[2]]
+            else:
+                ways += [place(hinge.first) - place(other.first if other.first.body is body else other.second)]
         across, along = ca.norm_2(ca.cross(ways[0], ways[1])), ca.fabs(ca.dot(ways[0], ways[1]))
         angle = ca.atan2(along, across) if any(x.kind == "prismatic" for x in links) else ca.atan2(across, along)
         q = ca.vertcat(*(c.q for c in m.coordinates), *([m.time] if self._where.equations.timed else []))
@@ -867,14 +852,11 @@ class Kinematics:
         return None if run.has_free() else lambda position: float(run(position.q, self._where.p[:count]))
 
 
-def _plain(of: Position | Transmission) -> dict[str, Any]:
-    """Return the fields of a position or a Jacobian as data for JSON."""
-    return {k: _numbers(x) if isinstance(x, float | np.ndarray) else x for k, x in vars(of).items()}
-
-
-def _numbers(x: float | Matrix) -> Any:
-    """Return numbers as data for JSON, which has None for those that are not finite."""
-    return np.where(np.isfinite(x), x, np.array(None)).tolist()
+def _plain(x: Any) -> Any:
+    """Return an object or numbers as data for JSON, which has None for those that are not finite."""
+    if isinstance(x, Position | Transmission):
+        return {name: _plain(each) for name, each in vars(x).items()}
+    return np.where(np.isfinite(x), x, np.array(None)).tolist() if isinstance(x, float | np.ndarray) else x
 
 
 def _belongs(joint: Any, name: str) -> bool:
@@ -885,14 +867,6 @@ def _belongs(joint: Any, name: str) -> bool:
         own = [own[1 + list(whole.freedoms).index(joint.which)]]
     named = [str(x) for x in own if isinstance(x, ca.SX) and x.is_symbolic()]
     return name in (joint.name, f"{joint.name}.angle", f"{joint.name}.displacement", *named)
-
-
-def _size(m: Mechanism, where: Situation) -> float:
-    """Return the longest arm from a centre of mass to a joint [m], 0 if there is no joint and no bar."""
-    if not (m.joints or m.spatial_joints or any(body.length is not None for body in m.bodies)):
-        return 0.0
-    run = ca.Function("size", [stack([x.symbol for x in m.parameters])], [ca.sqrt(square_of_size(m))])
-    return float(run(where.p[: len(m.parameters)]))
 
 
 def kinematics(

@@ -130,10 +130,7 @@ def _equilibrium(chosen: argparse.Namespace) -> None:
     inputs = read_inputs(chosen.input) if chosen.input else {}
     found = equilibrium(chosen_recipe(chosen, chosen.mechanism), inputs=inputs, time=chosen.at, starts=starts)
     _analysed(chosen, [found], path, found.save)
-    if drawn:
-        wrote = once_written(drawn)
-        found.nearest.draw().save(drawn)
-        say(chosen, wrote)
+    _save(chosen, drawn, lambda path: found.nearest.draw().save(path))
 
 
 def _linearize(chosen: argparse.Namespace) -> None:
@@ -152,14 +149,9 @@ def _linearize(chosen: argparse.Namespace) -> None:
     made = linearize(chosen_recipe(chosen, chosen.mechanism), chosen.at, inputs=inputs, outputs=chosen.outputs)
     found = made if isinstance(made, list) else [made]
     _analysed(chosen, found, path, lambda path: save(found, path))
-    if plot:
-        wrote = once_written(plot)
-        figure(found, plot)
-        say(chosen, wrote)
-    if film:
-        wrote = once_written(film)
-        found[0].film(film, chosen.mode, amplitude=AMPLITUDE if chosen.amplitude is None else chosen.amplitude)
-        say(chosen, wrote)
+    amplitude = AMPLITUDE if chosen.amplitude is None else chosen.amplitude
+    _save(chosen, plot, lambda path: figure(found, path))
+    _save(chosen, film, lambda path: found[0].film(path, chosen.mode, amplitude=amplitude))
 
 
 def _mobility(chosen: argparse.Namespace) -> None:
@@ -182,11 +174,10 @@ def _mobility(chosen: argparse.Namespace) -> None:
 
 def _kinematics(chosen: argparse.Namespace) -> None:
     from ..analysis.kinematics import kinematics
-    from ..simulation.result import Result, read_inputs
+    from ..simulation.result import read_inputs
     from ..view.plot import check_name, figure
     from ..view.plot import save as draw
 
-    table: Result | None = None
     output, plot = (Path(x) if x else None for x in (chosen.output, chosen.plot))
     if plot:
         check_name(plot)
@@ -198,27 +189,21 @@ def _kinematics(chosen: argparse.Namespace) -> None:
     if chosen.solutions:
         places = k.solutions({**at, **to})
     else:
-        places = [k.forward(at)]
-        places = [k.inverse(to, places[0])] if to else places
-    if chosen.along:
-        table = k.along(read_inputs(chosen.along))
-    elif chosen.cycle:
-        table = k.cycle(
-            chosen.cycle, near=places[0], span=chosen.span, rows=chosen.rows, transmission=chosen.transmission
-        )
+        place = k.forward(at)
+        places = [k.inverse(to, place) if to else place]
+    table = k.along(read_inputs(chosen.along)) if chosen.along else None
+    if chosen.cycle and not chosen.along:
+        given = {name: getattr(chosen, name) for name in ("span", "rows", "transmission")}
+        table = k.cycle(chosen.cycle, near=places[0], **given)
     motion = tuple(dict(x) if x else None for x in (chosen.rates, chosen.accelerations))
     data, lines = k.said(places, table, *motion)
     print(json.dumps(data, indent=1) if chosen.json else "\n".join(lines))
-    if output and table is not None:
-        wrote = once_written(output)
-        table.to_csv(output)
-        say(chosen, wrote)
-    if plot and table is not None:
-        wrote = once_written(plot)
-        shown = [name for own in k.watched.values() for name in own]
+    if table is not None:
         ends = ("advantage", "transmission_angle", "manipulability", "torque", "force")
-        draw(figure(table, [*shown, *(x for x in table.names if x.rpartition(".")[2] in ends)]), plot, 150)
-        say(chosen, wrote)
+        shown = [name for own in k.watched.values() for name in own]
+        shown += [name for name in table.names if name.rpartition(".")[2] in ends]
+        _save(chosen, output, table.to_csv)
+        _save(chosen, plot, lambda path: draw(figure(table, shown), path, 150))
 
 
 def _values(text: str) -> list[tuple[str, float]]:
@@ -239,9 +224,14 @@ def _analysed(
         print(json.dumps(data[0] if len(data) == 1 else data, indent=1))
     else:
         print("\n\n".join("\n".join(each.lines()) for each in found))
+    _save(chosen, path, save)
+
+
+def _save(chosen: argparse.Namespace, path: Path | None, write: Callable[[Path], object]) -> None:
+    """Write a file that is asked for, and tell of it."""
     if path:
         wrote = once_written(path)
-        save(path)
+        write(path)
         say(chosen, wrote)
 
 

@@ -62,12 +62,11 @@ class _Describing:
         self.m, self.form, self.kinematics = mechanism, form, mechanism._kinematics()
         self.node = Node("mechanism", {}, Path(mechanism.name), 0)
         self.linkage = Linkage(mechanism.name, form.name, self.node)
-        coordinates, parameters = mechanism.coordinates, mechanism.parameters
-        self.symbols = [
-            stack([c.q for c in coordinates]), stack([c.v for c in coordinates]), stack([x.symbol for x in parameters])
-        ]  # fmt: skip
-        names = [[c.name for c in coordinates]] * 2 + [[x.name for x in parameters]]
-        self.values = [[given[name] for name in some] for given, some in zip(numbers, names, strict=True)]
+        self.refuse = self.linkage.refuse
+        c: Any = mechanism.coordinates
+        p: Any = mechanism.parameters
+        self.symbols = [stack([x.q for x in c]), stack([x.v for x in c]), stack([x.symbol for x in p])]
+        self.values = [[given[x.name] for x in some] for given, some in zip(numbers, (c, c, p), strict=True)]
         self.taken = set(mechanism._names)
         self.motions: dict[str, Joint] = {}
         self.along: dict[int | None, tuple[str, Any]] = {key_of(x.symbol): ("u", x) for x in mechanism.inputs}
@@ -88,9 +87,6 @@ class _Describing:
         if not self.linkage.causes and (found := self.linkage.freedoms) != motions:
             what = f"they leave {found} motions, and the coordinates {motions}"
             self.refuse("joints", f"{what}; declare a joint for each constraint that the poses of bodies imply")
-
-    def refuse(self, part: str, why: str) -> None:
-        self.linkage.refuse(part, why)
 
     # Numbers ----------------------------------------------------------------------------------------------------
 
@@ -191,12 +187,12 @@ class _Describing:
         if joint.kind == "universal":
             axes["angle2"] = self.number(joint.triad(second=True)[2]).ravel()
         (lead,) = self.constant(joint.name, "lead", joint.lead)
+        screw = edge.kind == "screw" and "screw" in self.form.closures
         for which in sorted(joint.freedoms, key=lambda x: x.startswith("angle")):
             name = joint.name if len(joint.freedoms) == 1 else f"{joint.name}.{which}"
-            kind = "screw" if edge.kind in self.form.closures else "revolute"
-            kind = "prismatic" if which.startswith("position") else kind if edge.kind == "screw" else "revolute"
+            kind = "prismatic" if which.startswith("position") else "screw" if screw else "revolute"
             self._move(edge, name, kind, axes.get(which, axis), joint.displacement(which), lead * (kind == "screw"))
-        if edge.kind == "screw" and "screw" not in self.form.closures:  # a hinge, and a slide that follows it
+        if edge.kind == "screw" and not screw:  # a hinge, and a slide that follows it
             way, pitch = self.fresh(f"{joint.name}_way"), lead / (2 * math.pi)
             self._move(edge, way, "prismatic", axis, pitch * joint.displacement("angle"))
             if not edge.placing:
@@ -242,24 +238,19 @@ class _Describing:
             old = joint.limits[0] if joint.limits else (low, high)
             joint.limits = ((max(low, old[0]), min(high, old[1])),)
             self.linkage.warn("how hard end stops are", self.node)
-        efforts: dict[Joint, ca.SX] = {}
-        for drive in m.drives:
-            joint = self._motion(drive.joint, "a drive")
-            efforts[joint] = efforts.get(joint, ca.SX(0)) + drive.effort
+        given = [(self._motion(drive.joint, "a drive"), drive.effort) for drive in m.drives]
         hinges = {x.ends[1]: x.joints for x in self.edges if x.ends[0] is m.ground and x.kind == "revolute"}
-        for load in m.loads:
-            if not hinges.get(load.at.body) or not all(symbolic(x).is_zero() for x in load.force):
+        loads: list[Any] = [*m.loads, *m.spatial_loads]
+        for load in loads:
+            if hinges.get(load.at.body) and all(symbolic(x).is_zero() for x in load.force):
+                given.append((hinges[load.at.body][0], load.torque))
+            else:
                 self.refuse(load.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
-                continue
-            joint = hinges[load.at.body][0]
-            efforts[joint] = efforts.get(joint, ca.SX(0)) + load.torque
-        for each in m.spatial_loads:
-            self.refuse(each.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
         for x in (*m.potential, *m.kinetic, *(x for _, x in m.generalized)):
             what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
             self.refuse(str(x)[:60], what)
-        for joint, effort in efforts.items():
-            self._drive(joint, self.fixed(effort))
+        for joint in dict.fromkeys(joint for joint, _ in given):
+            self._drive(joint, self.fixed(sum((effort for moved, effort in given if moved is joint), ca.SX(0))))
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
@@ -325,12 +316,11 @@ class _Describing:
         units = {x.unit_length for x in self.m.spatial_bodies} | {x.unit_length for x in self.m.spatial_joints}
         for each in self.m.closures:
             if isinstance(each, Pair | Rack):
-                sums, terms = [], list[tuple[Joint | None, float]]()
                 if isinstance(each, Pair):
-                    sums = list(zip(each.ways, each.radii, strict=True))
+                    sums: list[Any] = list(zip(each.ways, each.radii, strict=True))
                 else:
-                    sums, terms = [(each.way, -each.side * each.radius)], [(self.motions.get(each.guide.name), 1.0)]
-                terms += [(self.motions.get(x.name), sign * self.scalar(R)) for way, R in sums for x, sign in way]
+                    sums = [(((each.guide, 1.0),), 1.0), (each.way, -each.side * each.radius)]
+                terms = [(self.motions.get(x.name), sign * self.scalar(R)) for way, R in sums for x, sign in way]
                 self._couple(each.name, terms)
             elif isinstance(each, Friction):
                 joint = self._motion(each.of, "friction")
@@ -349,11 +339,10 @@ class _Describing:
 
     def _couple(self, name: str, terms: Sequence[tuple[Joint | None, float]]) -> None:
         """Let a sum of displacements stay as it is at the start."""
-        whole: dict[Joint | None, float] = {}
-        for joint, factor in terms:
-            whole[joint] = whole.get(joint, 0.0) + factor
-        found = [(joint, factor) for joint, factor in whole.items() if joint and factor]
-        if None in whole or not found or (len(found) != 2 and not self.form.full):
+        joints = dict.fromkeys(joint for joint, _ in terms)
+        whole = [(joint, sum(factor for each, factor in terms if each is joint)) for joint in joints]
+        found = [(joint, factor) for joint, factor in whole if joint and factor]
+        if None in joints or not found or (len(found) != 2 and not self.form.full):
             self.refuse(name, "it couples motions that are none of joints, or other than two")
             return
         self.coupled |= {joint for joint, _ in found}
@@ -411,11 +400,11 @@ class _Describing:
             rates = (*velocity.tolist(), *(pose.turn.T @ spin).tolist())
             edge.joints = [Joint(self.fresh(f"{body.name}_free"), "free", self.node, start=start, rates=rates)]
             return edge
-        frame = self.kinematics.frame(body)
+        frame, axes = self.kinematics.frame(body), np.eye(3)
         edge.point = self.number(ca.vertcat(frame.x, frame.y, 0.0)).ravel()
-        for i, (way, along) in enumerate((("x", frame.x), ("y", frame.y), ("angle", frame.angle))):
-            kind = "revolute" if way == "angle" else "prismatic"
-            self._move(edge, self.fresh(f"{body.name}_{way}"), kind, np.eye(3)[i], along)
+        self._move(edge, self.fresh(f"{body.name}_x"), "prismatic", axes[0], frame.x)
+        self._move(edge, self.fresh(f"{body.name}_y"), "prismatic", axes[1], frame.y)
+        self._move(edge, self.fresh(f"{body.name}_angle"), "revolute", axes[2], frame.angle)
         return edge
 
     def _link(self, body: Any, edge: _Edge, parent: Link | None, name: str = "") -> Link:

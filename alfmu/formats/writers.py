@@ -29,8 +29,8 @@ _GRAVITY = 9.81
 """Gravity [m/s2] of a URDF, along -z."""
 
 _HINGED = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball", "free": "free"}
-_URDF = {"spherical": "ball", "free": "floating", "weld": "fixed"}
-_SDF = {"spherical": "ball", "weld": "fixed"}
+_KINDS = {"spherical": "ball", "free": "floating", "weld": "fixed"}
+"""Kinds of joints that are called otherwise in MJCF, and in URDF and SDF."""
 
 
 def written(
@@ -56,6 +56,15 @@ def _add(parent: Element, tag: str, *text: Any, **given: Any) -> Element:
     """Add an element with numbers or text in it, and in its attributes except those that are None."""
     child = SubElement(parent, tag, {key: _text(x) for key, x in given.items() if x is not None})
     child.text = _text(*text) if text else None
+    return child
+
+
+def _filled(parent: Element, tag: str, **given: float | None) -> Element:
+    """Add an element with an element for each number except those that are None; nothing if all are."""
+    found = {key: x for key, x in given.items() if x is not None}
+    child = SubElement(parent, tag) if found else parent
+    for key, x in found.items():
+        _add(child, key, x)
     return child
 
 
@@ -130,9 +139,9 @@ def _mjcf(linkage: Linkage) -> Element:
                 _add(fixed, "joint", joint=joint.name, coef=factor)
             _add(equality, "tendon", name=coupling.name, tendon1=coupling.name, polycoef=(0.0,) * 5)
             continue
+        (joint, _), by = coupling.of[0], coupling.by[0][0].name if coupling.by else None
         numbers = [*coupling.coefficients, *[0.0] * 5][:5]
-        which = {"joint1": coupling.of[0][0].name} | ({"joint2": coupling.by[0][0].name} if coupling.by else {})
-        _add(equality, "joint", name=coupling.name, **which, polycoef=numbers)
+        _add(equality, "joint", name=coupling.name, joint1=joint.name, joint2=by, polycoef=numbers)
     for motor in linkage.motors:
         given = {"name": motor.name, "joint": motor.along[0][0].name}
         if any(motor.bias):
@@ -175,7 +184,7 @@ def _urdf(linkage: Linkage) -> Element:
         if link in linkage.lifted:
             _add(_add(root, "gazebo", reference=link.name), "turnGravityOff", "true")
     for closure in linkage.closures:
-        kind = _URDF.get(closure.joint.kind, closure.joint.kind)
+        kind = _KINDS.get(closure.joint.kind, closure.joint.kind)
         loop = _add(root, "loop_joint", name=closure.joint.name, type=kind)
         for tag, (end, frame) in (("link1", closure.first), ("link2", closure.second)):
             at = upright @ frame if end is None else Pose(frame.place - shifts[end], frame.turn)
@@ -200,7 +209,7 @@ def _urdf(linkage: Linkage) -> Element:
 def _urdf_joint(root: Element, joint: Joint, parent: str, child: str, at: Pose) -> Element:
     """Add a joint, at the origin of its second link."""
     limits = _limits(joint, joint.reference)
-    kind = "continuous" if joint.kind == "revolute" and not limits else _URDF.get(joint.kind, joint.kind)
+    kind = "continuous" if joint.kind == "revolute" and not limits else _KINDS.get(joint.kind, joint.kind)
     made = _add(root, "drake:joint" if kind == "ball" else "joint", name=joint.name, type=kind)
     _add(made, "parent", link=parent)
     _add(made, "child", link=child)
@@ -259,24 +268,19 @@ def _sdf(linkage: Linkage) -> Element:
         inertial = _add(made, "inertial")
         _add(inertial, "pose", x.center, np.zeros(3))
         _add(inertial, "mass", x.mass)
-        moments = _add(inertial, "inertia")
-        for tag, moment in _moments(x.inertia).items():
-            _add(moments, tag, moment)
+        _filled(inertial, "inertia", **_moments(x.inertia))
     for link in linkage.links:
         if not any(joint.kind == "free" for joint in link.joints):
             _sdf_joint(linkage, model, link.joints, link.parent, link)
     for closure in linkage.closures:
-        (one, at), (two, frame) = closure.first, closure.second
-        sign = -1 if two is None else 1
-        child = two or one
-        if two is None:
-            one, frame = None, at
+        sign = -1 if closure.second[0] is None else 1
+        (parent, _), (child, frame) = (closure.first, closure.second)[::sign]
+        assert child is not None
         parts = [replace(closure.joint, axes=(axis,)) for axis in closure.joint.axes] or [closure.joint]
         for part in parts:
             part.point, part.axes = frame.place, tuple(sign * frame.turn @ axis for axis in part.axes)
             part.kind = "revolute" if part.kind == "universal" else part.kind
-        assert child is not None
-        _sdf_joint(linkage, model, parts[::sign], one, child)
+        _sdf_joint(linkage, model, parts[::sign], parent, child)
     _started(linkage, "--option drives=")
     return root
 
@@ -284,7 +288,7 @@ def _sdf(linkage: Linkage) -> Element:
 def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Link | None, child: Link) -> None:
     """Add the joint of SDF that has the motions of joints, in the frame of the child."""
     first = joints[0] if joints else Joint(f"{child.name}_fixed", "weld", linkage.node)
-    kind, name = _SDF.get(first.kind, first.kind), first.name
+    kind, name = _KINDS.get(first.kind, first.kind), first.name
     if len(joints) > 1:
         one, two = joints[:2]
         square = one.kind == two.kind == "revolute" and abs(one.axes[0] @ two.axes[0]) < _NEAR
@@ -302,23 +306,15 @@ def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Li
         axis, limits = _add(made, tag), _limits(joint, joint.reference)
         _add(axis, "xyz", joint.axes[0])
         low, high = limits or (None, None)
-        groups: dict[str, dict[str, float | None]] = {
-            "limit": {"lower": low, "upper": high, "effort": joint.effort[1] if joint.effort else None},
-            "dynamics": {"damping": joint.damping[0] or None, "friction": joint.friction[0] or None},
-        }
+        _filled(axis, "limit", lower=low, upper=high, effort=joint.effort[1] if joint.effort else None)
+        sizes = {"damping": joint.damping[0] or None, "friction": joint.friction[0] or None}
         if joint.stiffness[0]:
-            spring = {"spring_stiffness": joint.stiffness[0], "spring_reference": joint.rest[0] - joint.reference}
-            groups["dynamics"] |= spring
-        for group, sizes in groups.items():
-            found = {key: x for key, x in sizes.items() if x is not None}
-            inner = _add(axis, group) if found else axis
-            for key, x in found.items():
-                _add(inner, key, x)
+            sizes |= {"spring_stiffness": joint.stiffness[0], "spring_reference": joint.rest[0] - joint.reference}
+        _filled(axis, "dynamics", **sizes)
         for coupling in linkage.couplings:
             if coupling.of[0][0] is joint:
-                mimic = _add(axis, "mimic", joint=coupling.by[0][0].name)
-                for key, x in (("multiplier", coupling.coefficients[1]), ("offset", 0.0), ("reference", 0.0)):
-                    _add(mimic, key, x)
+                mimic = _filled(axis, "mimic", multiplier=coupling.coefficients[1], offset=0.0, reference=0.0)
+                mimic.set("joint", coupling.by[0][0].name)
 
 
 FORMS: dict[str, tuple[Form, Callable[[Linkage], Element]]] = {

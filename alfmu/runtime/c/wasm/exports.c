@@ -1,7 +1,7 @@
 /* The functions of FMI 3 as exports of a WebAssembly component, by the draft of FMI-LS-WASM (fmi3.wit).
 
    A result of more than one value is written into `area`: whether it failed, then the status or the values. Lists and
-   texts of arguments are in memory that the host takes by `cabi_realloc`; it is given back when the function returns. */
+   texts of arguments are in memory that the host takes by `cabi_realloc`; functions give it back when they return. */
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -70,6 +70,7 @@ static void give_back(void)
 static union {
     unsigned char bytes[32];
     uint32_t words[8];
+    uint64_t counts[4];
     double numbers[4];
 } area;
 
@@ -106,7 +107,7 @@ static fmi3Status finished(fmi3Status status)
     return status;
 }
 
-/* Instances ---------------------------------------------------------------------------------------------------------- */
+/* Instances -------------------------------------------------------------------------------------------------------- */
 
 static void told(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String text)
 {
@@ -169,15 +170,14 @@ void *instantiate_me(OWNED)
     return owned(o, new_me);
 }
 
-#define DROP(FUNCTION, NAME) \
-    EXPORT(NAME) void FUNCTION(Owner *o) \
-    { \
-        fmi3FreeInstance(o->instance); \
-        free(o); \
-    }
+static void drop(Owner *o)
+{
+    fmi3FreeInstance(o->instance);
+    free(o);
+}
 
-DROP(drop_cs, CS "#[dtor]co-simulation-instance")
-DROP(drop_me, ME "#[dtor]model-exchange-instance")
+EXPORT(CS "#[dtor]co-simulation-instance") void drop_cs(Owner *o) { drop(o); }
+EXPORT(ME "#[dtor]model-exchange-instance") void drop_me(Owner *o) { drop(o); }
 
 EXPORT("fmi:fmi3/common@3.0.0#get-version") void *get_version(void)
 {
@@ -186,26 +186,19 @@ EXPORT("fmi:fmi3/common@3.0.0#get-version") void *get_version(void)
     return &area;
 }
 
-/* Methods of both kinds of instances --------------------------------------------------------------------------------- */
+/* Methods of both kinds of instances ------------------------------------------------------------------------------- */
 
 /* A method of a name with its arguments: in declarations, and as they are passed. */
+#define CS_METHOD(NAME) EXPORT(CS "#[method]co-simulation-instance." NAME)
+#define ME_METHOD(NAME) EXPORT(ME "#[method]model-exchange-instance." NAME)
 #define METHOD(RESULT, FUNCTION, NAME, DECLARED, PASSED) \
     static RESULT FUNCTION DECLARED; \
-    EXPORT(CS "#[method]co-simulation-instance." NAME) RESULT cs_##FUNCTION DECLARED \
-    { \
-        return FUNCTION PASSED; \
-    } \
-    EXPORT(ME "#[method]model-exchange-instance." NAME) RESULT me_##FUNCTION DECLARED \
-    { \
-        return FUNCTION PASSED; \
-    } \
+    CS_METHOD(NAME) RESULT cs_##FUNCTION DECLARED { return FUNCTION PASSED; } \
+    ME_METHOD(NAME) RESULT me_##FUNCTION DECLARED { return FUNCTION PASSED; } \
     static RESULT FUNCTION DECLARED
 
 #define CALL(FUNCTION, NAME) \
-    METHOD(int, own_##FUNCTION, NAME, (Owner * o), (o)) \
-    { \
-        return finished(FUNCTION(o->instance)); \
-    }
+    METHOD(int, own_##FUNCTION, NAME, (Owner * o), (o)) { return finished(FUNCTION(o->instance)); }
 
 CALL(fmi3ExitInitializationMode, "exit-initialization-mode")
 CALL(fmi3EnterEventMode, "enter-event-mode")
@@ -225,11 +218,10 @@ METHOD(int, set_logging, "set-debug-logging", (Owner * o, int on, Text *texts, s
 }
 
 METHOD(int, initialize, "enter-initialization-mode",
-    (Owner * o, int has_tolerance, double tolerance, double start, int has_stop, double stop),
-    (o, has_tolerance, tolerance, start, has_stop, stop))
+    (Owner * o, int bounded, double tolerance, double start, int stops, double stop),
+    (o, bounded, tolerance, start, stops, stop))
 {
-    return finished(
-        fmi3EnterInitializationMode(o->instance, has_tolerance != 0, tolerance, start, has_stop != 0, stop));
+    return finished(fmi3EnterInitializationMode(o->instance, bounded != 0, tolerance, start, stops != 0, stop));
 }
 
 METHOD(void *, update, "update-discrete-states", (Owner * o), (o))
@@ -239,52 +231,45 @@ METHOD(void *, update, "update-discrete-states", (Owner * o), (o))
 }
 
 #define REFERENCES const fmi3ValueReference *references, size_t count
-#define LIST_GET(FUNCTION, NAME, TYPE, ...) \
-    METHOD(void *, own_##FUNCTION, NAME, (Owner * o, REFERENCES), (o, references, count)) \
+#define ARGUMENTS(...) __VA_ARGS__
+
+/* The functions of a type for values that are found and given, and the last arguments of each. */
+#define BOTH(TYPE, NAME, FOUND, GIVEN, LAST_OF_GET, LAST_OF_SET) \
+    METHOD(void *, get_##TYPE, "get-" NAME, (Owner * o, REFERENCES), (o, references, count)) \
     { \
-        TYPE *found = room(count, sizeof *found); \
+        FOUND *found = room(count, sizeof *found); \
         (void)found; \
-        return list(FUNCTION(o->instance, references, count, __VA_ARGS__), count); \
-    }
-#define LIST_SET(FUNCTION, NAME, TYPE, ...) \
-    METHOD(int, own_##FUNCTION, NAME, (Owner * o, REFERENCES, const TYPE *given, size_t given_count), \
+        return list(fmi3Get##TYPE(o->instance, references, count, ARGUMENTS LAST_OF_GET), count); \
+    } \
+    METHOD(int, set_##TYPE, "set-" NAME, (Owner * o, REFERENCES, const GIVEN *given, size_t given_count), \
         (o, references, count, given, given_count)) \
     { \
         (void)given; \
         (void)given_count; \
-        return finished(FUNCTION(o->instance, references, count, __VA_ARGS__)); \
+        return finished(fmi3Set##TYPE(o->instance, references, count, ARGUMENTS LAST_OF_SET)); \
     }
-#define BOTH(TYPE, NAME) \
-    LIST_GET(fmi3Get##TYPE, "get-" NAME, fmi3##TYPE, found, count) \
-    LIST_SET(fmi3Set##TYPE, "set-" NAME, fmi3##TYPE, given, given_count)
+#define NUMBERS(TYPE, NAME) BOTH(TYPE, NAME, fmi3##TYPE, fmi3##TYPE, (found, count), (given, given_count))
 
-BOTH(Float32, "float32")
-BOTH(Float64, "float64")
-BOTH(Int8, "int8")
-BOTH(Int16, "int16")
-BOTH(Int32, "int32")
-BOTH(Int64, "int64")
-BOTH(UInt8, "uint8")
-BOTH(UInt16, "uint16")
-BOTH(UInt32, "uint32")
-BOTH(UInt64, "uint64")
-BOTH(Boolean, "boolean")
+NUMBERS(Float32, "float32")
+NUMBERS(Float64, "float64")
+NUMBERS(Int8, "int8")
+NUMBERS(Int16, "int16")
+NUMBERS(Int32, "int32")
+NUMBERS(Int64, "int64")
+NUMBERS(UInt8, "uint8")
+NUMBERS(UInt16, "uint16")
+NUMBERS(UInt32, "uint32")
+NUMBERS(UInt64, "uint64")
+NUMBERS(Boolean, "boolean")
 
 /* Types that no variable has: the functions refuse every reference. */
-LIST_GET(fmi3GetString, "get-string", fmi3String, NULL, count)
-LIST_SET(fmi3SetString, "set-string", Text, NULL, given_count)
-LIST_GET(fmi3GetBinary, "get-binary", fmi3Binary, NULL, NULL, count)
-LIST_SET(fmi3SetBinary, "set-binary", Text, NULL, NULL, given_count)
-LIST_GET(fmi3GetClock, "get-clock", fmi3Clock, NULL)
-LIST_SET(fmi3SetClock, "set-clock", fmi3Clock, NULL)
-LIST_GET(fmi3GetIntervalDecimal, "get-interval-decimal", double, NULL, NULL)
-LIST_SET(fmi3SetIntervalDecimal, "set-interval-decimal", double, NULL)
-LIST_GET(fmi3GetIntervalFraction, "get-interval-fraction", double, NULL, NULL, NULL)
-LIST_SET(fmi3SetIntervalFraction, "set-interval-fraction", double, NULL, NULL)
-LIST_GET(fmi3GetShiftDecimal, "get-shift-decimal", double, NULL)
-LIST_SET(fmi3SetShiftDecimal, "set-shift-decimal", double, NULL)
-LIST_GET(fmi3GetShiftFraction, "get-shift-fraction", double, NULL, NULL)
-LIST_SET(fmi3SetShiftFraction, "set-shift-fraction", double, NULL, NULL)
+BOTH(String, "string", fmi3String, Text, (NULL, count), (NULL, given_count))
+BOTH(Binary, "binary", fmi3Binary, Text, (NULL, NULL, count), (NULL, NULL, given_count))
+BOTH(Clock, "clock", fmi3Clock, fmi3Clock, (NULL), (NULL))
+BOTH(IntervalDecimal, "interval-decimal", double, double, (NULL, NULL), (NULL))
+BOTH(IntervalFraction, "interval-fraction", double, double, (NULL, NULL, NULL), (NULL, NULL))
+BOTH(ShiftDecimal, "shift-decimal", double, double, (NULL), (NULL))
+BOTH(ShiftFraction, "shift-fraction", double, double, (NULL, NULL), (NULL, NULL))
 
 METHOD(void *, count_dependencies, "get-number-of-variable-dependencies", (Owner * o, unsigned reference),
     (o, reference))
@@ -307,8 +292,7 @@ METHOD(void *, get_state, "get-fmu-state", (Owner * o), (o))
         made = fmi3SerializedFMUStateSize(o->instance, state, &size);
     if (made <= fmi3Warning)
         made = fmi3SerializeFMUState(o->instance, state, room(size, 1), size);
-    if (state)
-        fmi3FreeFMUState(o->instance, &state);
+    fmi3FreeFMUState(o->instance, &state);
     return list(made, size);
 }
 
@@ -318,24 +302,20 @@ METHOD(int, set_state, "set-fmu-state", (Owner * o, const fmi3Byte *bytes, size_
     fmi3Status made = fmi3DeserializeFMUState(o->instance, bytes, size, &state);
     if (made <= fmi3Warning)
         made = fmi3SetFMUState(o->instance, state);
-    if (state)
-        fmi3FreeFMUState(o->instance, &state);
+    fmi3FreeFMUState(o->instance, &state);
     return finished(made);
 }
 
 #define DERIVATIVE(FUNCTION, NAME, COUNT) \
     METHOD(void *, own_##FUNCTION, NAME, \
-        (Owner * o, const fmi3ValueReference *unknowns, size_t unknown_count, const fmi3ValueReference *knowns, \
-            size_t known_count, const double *seed, size_t seed_count), \
-        (o, unknowns, unknown_count, knowns, known_count, seed, seed_count)) \
+        (Owner * o, REFERENCES, const unsigned *knowns, size_t known_count, const double *seed, size_t seeds), \
+        (o, references, count, knowns, known_count, seed, seeds)) \
     { \
         double *found = room(COUNT, sizeof *found); \
-        return list(FUNCTION(o->instance, unknowns, unknown_count, knowns, known_count, seed, seed_count, found, \
-                        COUNT), \
-            COUNT); \
+        return list(FUNCTION(o->instance, references, count, knowns, known_count, seed, seeds, found, COUNT), COUNT); \
     }
 
-DERIVATIVE(fmi3GetDirectionalDerivative, "get-directional-derivative", unknown_count)
+DERIVATIVE(fmi3GetDirectionalDerivative, "get-directional-derivative", count)
 DERIVATIVE(fmi3GetAdjointDerivative, "get-adjoint-derivative", known_count)
 
 typedef struct {
@@ -353,32 +333,29 @@ METHOD(void *, get_output_derivatives, "get-output-derivatives", (Owner * o, con
     return list(made, count);
 }
 
-/* Co-simulation ------------------------------------------------------------------------------------------------------ */
+/* Co-simulation ---------------------------------------------------------------------------------------------------- */
 
 /* FMI 3 has no such function. */
-EXPORT(CS "#[method]co-simulation-instance.set-input-derivatives")
+CS_METHOD("set-input-derivatives")
 int set_input_derivatives(Owner *o, const Request *requests, size_t count, const double *given, size_t given_count)
 {
     return finished(none(o->instance, count + given_count, "fmi3SetInputDerivatives", requests, given));
 }
 
-EXPORT(CS "#[method]co-simulation-instance.do-step")
-void *do_step(Owner *o, double point, double step, int no_way_back)
+CS_METHOD("do-step") void *do_step(Owner *o, double point, double step, int no_way_back)
 {
     bool *b = (bool *)area.bytes + 16;
     return answer(fmi3DoStep(o->instance, point, step, no_way_back != 0, b, b + 1, b + 2, area.numbers + 1), 8);
 }
 
-/* Model Exchange ----------------------------------------------------------------------------------------------------- */
+/* Model Exchange --------------------------------------------------------------------------------------------------- */
 
-#define ME_METHOD(NAME) EXPORT(ME "#[method]model-exchange-instance." NAME)
 #define COUNT(FUNCTION, NAME) \
     ME_METHOD(NAME) void *own_##FUNCTION(Owner *o) \
     { \
         size_t found = 0; \
         const fmi3Status made = FUNCTION(o->instance, &found); \
-        memset(area.words + 2, 0, 8); \
-        area.words[2] = (uint32_t)found; \
+        area.counts[1] = found; \
         return answer(made, 8); \
     }
 #define LIST(FUNCTION, NAME, SIZE) \
@@ -390,6 +367,8 @@ void *do_step(Owner *o, double point, double step, int no_way_back)
             made = FUNCTION(o->instance, room(size, sizeof(double)), size); \
         return list(made, size); \
     }
+#define ACT(FUNCTION, NAME, DECLARED, ...) \
+    ME_METHOD(NAME) int own_##FUNCTION DECLARED { return finished(FUNCTION(o->instance __VA_ARGS__)); }
 
 COUNT(fmi3GetNumberOfEventIndicators, "get-number-of-event-indicators")
 COUNT(fmi3GetNumberOfContinuousStates, "get-number-of-continuous-states")
@@ -397,13 +376,6 @@ LIST(fmi3GetContinuousStateDerivatives, "get-continuous-state-derivatives", fmi3
 LIST(fmi3GetContinuousStates, "get-continuous-states", fmi3GetNumberOfContinuousStates)
 LIST(fmi3GetNominalsOfContinuousStates, "get-nominals-of-continuous-states", fmi3GetNumberOfContinuousStates)
 LIST(fmi3GetEventIndicators, "get-event-indicators", fmi3GetNumberOfEventIndicators)
-
-#define ACT(FUNCTION, NAME, DECLARED, ...) \
-    ME_METHOD(NAME) int own_##FUNCTION DECLARED \
-    { \
-        return finished(FUNCTION(o->instance __VA_ARGS__)); \
-    }
-
 ACT(fmi3EnterContinuousTimeMode, "enter-continuous-time-mode", (Owner * o), )
 ACT(fmi3SetTime, "set-time", (Owner * o, double time), , time)
 ACT(fmi3SetContinuousStates, "set-continuous-states", (Owner * o, const double *states, size_t count), , states, count)
