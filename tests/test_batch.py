@@ -208,9 +208,13 @@ def test_one_thread_at_a_time_moves_a_batch():
 def test_an_interrupt_waits_for_all_members(threads):
     batch = Batch("four_bar", 600, threads=threads)
     batch.initialize()
-    threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        all(not batch.step(0.5).any() for _ in range(1000))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores interrupts
+    try:
+        threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            all(not batch.step(0.5).any() for _ in range(1000))
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert len({*batch.time}) == 1
     at = batch.time
     batch.step(0.5)
