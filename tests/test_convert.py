@@ -194,7 +194,7 @@ def test_a_flying_base_with_a_loop_moves_as_in_pinocchio(tmp_path: Path):
 
 
 FILES = {"five_bar.xml": FORMS, "carried.xml": FORMS, "slider_crank.xml": FORMS[:2], "slider_crank.sdf": FORMS,
-         "four_bar.urdf": FORMS, "biped.xml": FORMS}  # fmt: skip
+         "four_bar.urdf": FORMS}  # fmt: skip
 
 
 @pytest.mark.slow
