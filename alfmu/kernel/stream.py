@@ -59,8 +59,8 @@ UNARY = {
 }
 
 
-MOST = 100
-"""Functions whose instructions are kept: those of one large scene, some 50 bytes each instruction."""
+MOST, SMALL = 60, 25_000
+"""Functions whose instructions are kept, and their largest number of them, some 100 bytes each."""
 
 _KNOWN: OrderedDict[int, tuple[ca.Function, Instructions]] = OrderedDict()
 
@@ -89,6 +89,8 @@ class Instructions:
     @classmethod
     def of(cls, f: ca.Function) -> Instructions:
         """Return the instructions of a symbolic function that calls no other; found once for functions used lately."""
+        if f.n_instructions() > SMALL:
+            return cls._of(f)
         found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # the function is kept, so its place stays its own
         return found[1]
 

@@ -20,7 +20,7 @@
 #include "variables.h"
 #include "whole_run.h"
 
-#define PLACES 32 /* members under way, so that LANES of them soon wait for the same */
+#define PLACES 32 /* members under way, if there are so many: LANES of them soon wait for the same */
 #define NOTHING (-1)
 
 typedef struct Batch Batch;
@@ -45,7 +45,7 @@ struct Batch {
     int shares;         /* whether members borrow numbers and wait; a tape of derivatives takes neither */
     Instance *members;
     double *numbers, *lent, *registers;
-    Place places[PLACES];
+    Place places[PLACES], *end; /* behind those that are in use */
     Group group;
     int *waiting; /* [programs and functions] how many wait for each, while they are counted */
     /* The task under way, and what it works on. */
@@ -98,12 +98,12 @@ static void work_at_place(void *what)
 static int wanted_most(const Batch *b)
 {
     int most = 0, wanted = NOTHING;
-    for (const Place *p = b->places; p < b->places + PLACES; p++)
+    for (const Place *p = b->places; p < b->end; p++)
         if (p->wanted != NOTHING && ++b->waiting[p->wanted] > most) {
             most = b->waiting[p->wanted];
             wanted = p->wanted;
         }
-    for (const Place *p = b->places; p < b->places + PLACES; p++)
+    for (const Place *p = b->places; p < b->end; p++)
         if (p->wanted != NOTHING)
             b->waiting[p->wanted] = 0;
     return wanted;
@@ -115,7 +115,7 @@ static void serve(Batch *b, int wanted)
     Place *those[LANES];
     Group *g = &b->group;
     g->count = 0;
-    for (Place *p = b->places; p < b->places + PLACES && g->count < LANES; p++)
+    for (Place *p = b->places; p < b->end && g->count < LANES; p++)
         if (p->wanted == wanted) {
             g->instances[g->count] = p->instance;
             g->x[g->count] = p->x;
@@ -139,7 +139,7 @@ static void do_task(Batch *b, Task *task, const unsigned char *chosen, int *outc
     b->outcomes = outcomes;
     b->next = 0;
     if (b->places->fiber) {
-        for (Place *p = b->places; p < b->places + PLACES; p++)
+        for (Place *p = b->places; p < b->end; p++)
             fiber_enter(p->fiber);
         while ((wanted = wanted_most(b)) != NOTHING)
             serve(b, wanted);
@@ -152,7 +152,7 @@ API void alfmu_batch_free(Batch *b)
 {
     if (!b)
         return;
-    for (Place *p = b->places; p < b->places + PLACES; p++)
+    for (Place *p = b->places; p < b->end; p++)
         fiber_free(p->fiber);
     for (size_t k = 0; b->members && k < b->count; k++)
         gradient_free(b->members[k].of_step);
@@ -169,7 +169,7 @@ static int has_memory(Batch *b, size_t kept, size_t lent)
     const Scene *s = b->scene;
     b->members = calloc(b->count, sizeof *b->members);
     b->numbers = calloc(b->count, kept * sizeof *b->numbers);
-    b->lent = calloc(PLACES, lent * sizeof *b->lent);
+    b->lent = calloc((size_t)(b->end - b->places), lent * sizeof *b->lent);
     b->registers = malloc(LANES * ((size_t)s->registers + 1) * sizeof *b->registers);
     b->waiting = calloc((size_t)(s->program_count + s->function_count), sizeof *b->waiting);
     return b->members && b->numbers && b->lent && b->registers && b->waiting;
@@ -179,9 +179,9 @@ static int has_memory(Batch *b, size_t kept, size_t lent)
 static void begin_fibers(Batch *b)
 {
     int all = 1;
-    for (Place *p = b->places; p < b->places + PLACES; p++)
+    for (Place *p = b->places; p < b->end; p++)
         all &= (p->fiber = fiber_new(work_at_place, p)) != NULL;
-    for (Place *p = b->places; !all && p < b->places + PLACES; p++) {
+    for (Place *p = b->places; !all && p < b->end; p++) {
         fiber_free(p->fiber);
         p->fiber = NULL;
     }
@@ -197,6 +197,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
     b->scene = s;
     b->count = count;
     b->shares = !s->entries;
+    b->end = b->places + (count < PLACES ? count : PLACES);
     if (!has_memory(b, kept, lent)) {
         alfmu_batch_free(b);
         return NULL;
@@ -204,7 +205,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
     b->group.registers = (Lanes *)(void *)lanes_align(b->registers);
     for (int k = 0; k < LANES * s->constant_count; k++)
         b->group.registers[k / LANES].lane[k % LANES] = s->constants[k / LANES];
-    for (int k = 0; k < PLACES; k++) {
+    for (int k = 0; k < b->end - b->places; k++) {
         b->places[k] = (Place){b, NULL, b->lent + (size_t)k * lent, NULL, NOTHING, NULL, NULL};
         instance_lay(b->members, s, b->numbers, b->places[k].lent, 1); /* which loads the constants */
     }

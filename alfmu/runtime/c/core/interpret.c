@@ -270,7 +270,7 @@ void function_call(Instance *i, int which, const double *const *x, double *const
         function_call_alone(i, which, x, y);
 }
 
-void function_call_at(Instance *i, const Function *f, const Word *at)
+static inline void call_at(Instance *i, const Function *f, const Word *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
@@ -306,6 +306,11 @@ void function_call_at(Instance *i, const Function *f, const Word *at)
         }
         k += (size_t)length;
     }
+}
+
+void function_call_at(Instance *i, const Function *f, const Word *at)
+{
+    call_at(i, f, at);
 }
 
 /* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not
@@ -348,7 +353,7 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
 static void one_by_one(Instance *i, const Function *f, int count, const Word *at)
 {
     for (; count; count--, at += f->inputs + f->outputs)
-        function_call_at(i, f, at);
+        call_at(i, f, at);
 }
 
 /* A routine of linear algebra, or calls in lanes. */
@@ -402,12 +407,17 @@ const Word *routine_run(Instance *i, const Word *at)
 
 /* Whether a loop goes on after so many times, at its number and how often at most (or, below zero, where that
    stands). */
-int loop_goes_on(Instance *i, const Word *at, int times)
+static inline int goes_on(Instance *i, const Word *at, int times)
 {
     const double most = at[1] >= 0 ? (double)at[1] : i->m[-1 - at[1]];
     if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
         i->iterations = times + 1;
     return times + 1 <= most && i->m[at[0]] != 0.0;
+}
+
+int loop_goes_on(Instance *i, const Word *at, int times)
+{
+    return goes_on(i, at, times);
 }
 
 static void run_code(Instance *i, const Word *at, const Word *end)
@@ -417,7 +427,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
         switch (*at) {
         case CALL_CODE: {
             const Function *f = i->scene->functions + at[1];
-            function_call_at(i, f, at + 2);
+            call_at(i, f, at + 2);
             at += 2 + f->inputs + f->outputs;
             break;
         }
@@ -432,7 +442,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
         }
         case LOOP_CODE: { /* a number, how often at most, how long the body is */
             const Word *body = at + 4;
-            for (int times = 0; loop_goes_on(i, at + 1, times); times++)
+            for (int times = 0; goes_on(i, at + 1, times); times++)
                 run_code(i, body, body + at[3]);
             at = body + at[3];
             break;
