@@ -60,7 +60,8 @@ _HOME = {
 }
 """Public name -> module; imported when first used."""
 
-__all__ = list(_HOME)
+# What takes an extra is imported by its name alone: `import *` works without.
+__all__ = [name for name, module in _HOME.items() if module != "sweeps.environment"]
 
 if TYPE_CHECKING:
     from .analysis.equilibria import Equilibrium as Equilibrium

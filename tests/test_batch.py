@@ -508,3 +508,14 @@ def test_an_environment_takes_actions_of_its_shape_alone():
     for wrong in (np.zeros(2), np.zeros((1, 1)), 0.0, "push"):
         with pytest.raises(InputError, match=r"four_bar: actions have the shape .*; they must be \(2, 1\)"):
             many.step(wrong)
+
+
+def test_without_gymnasium_an_environment_says_what_to_install():
+    code = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "from alfmu import *\n"
+        "import alfmu\n"
+        "try:\n    alfmu.VectorEnvironment\nexcept InputError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "an environment needs Gymnasium; install it with: pip install 'alfmu[gym]'\n"

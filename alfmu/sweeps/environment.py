@@ -7,11 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..catalogue.registry import load
@@ -21,6 +17,14 @@ from ..model.mechanism import Mechanism
 from ..runtime.batch import Batch
 from ..view.picture import draw, view_of
 from ..view.shapes import geometry
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError:
+    raise InputError("an environment needs Gymnasium; install it with: pip install 'alfmu[gym]'") from None
 
 __all__ = ["Environment", "VectorEnvironment"]
 
