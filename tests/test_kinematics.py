@@ -188,6 +188,14 @@ def test_singular_positions_of_the_five_bar(sort: str):
     assert k.transmission(k.forward({"A": 1.201, "B": b - 0.01})).singular == ()
 
 
+@pytest.mark.parametrize("sort", ["natural", "absolute"])
+def test_the_verdict_is_the_same_far_away(sort: str):
+    here, there = (kinematics(five_bar(sort, shift=shift)) for shift in (0j, 2e4 + 1e4j))
+    found, far = here.transmission(here.start), there.transmission(there.start)
+    assert far.singular == ()
+    assert far.constraint == pytest.approx(found.constraint, rel=1e-6)
+
+
 def test_constraint_singularity():
     """All bars of the parallelogram in line: loops let a second motion begin."""
     k = kinematics("five_bar", ["th1"], ["link2"])

@@ -184,6 +184,7 @@ class _Steered(Loops):
         self.of, self.rows, self.goal = of, np.zeros(0, int), np.zeros(0)
         super().__init__(situation)
         self.weights: Vector = np.array([1 / size if unit == "m" else 1.0 for unit in of.units])
+        self._shorter = np.where(self.units == "m", size / self.size, 1.0)
         self._still = situation.at_rest(situation.state.q).v
         self._seen: tuple[bytes, list[Matrix]] = (b"", [])
         self.closing = self.rank
@@ -216,6 +217,10 @@ class _Steered(Loops):
     def matrix(self, y: Vector) -> Matrix:
         given = self.look(y)[1][self.rows] * self.weights[self.rows, None]
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
+
+    def sizes(self, y: Vector) -> Vector:
+        """Return these with lengths over the size of the mechanism, which stays the same wherever it stands."""
+        return np.asarray(np.linalg.svd(self.matrix(y) * self._shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
         return np.zeros(len(y))  # positions are the same whatever their loads
