@@ -14,6 +14,7 @@ from oracles import ode
 from oracles.slider_crank import SliderCrank
 
 import alfmu
+from alfmu.equations.types import configured
 from alfmu.model.settings import Settings
 from alfmu.simulation import prepared
 
@@ -45,7 +46,7 @@ def eksergian(weights, poses, potential, load):
 
 def run(equations, stop, step, **given):
     """A run in which nothing is said about the method."""
-    assert (Settings.method, Settings.relative_tolerance, equations.solver) == ("auto", 1e-6, {})
+    assert (Settings.method, Settings.relative_tolerance, configured(equations).solver) == ("auto", 1e-6, {})
     return alfmu.simulate(equations, stop, step, **given)
 
 

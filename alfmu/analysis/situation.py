@@ -265,7 +265,7 @@ def situation_of(instance: Instance) -> Situation:
 
 def _by_rk4(equations: Equations) -> Equations:
     """Return the equations with the integrator that is fastest to trace."""
-    return replace(equations, solver={**equations.solver, "method": "rk4"})
+    return with_defaults(equations, {"solver.method": "rk4"})
 
 
 def _here(equations: Equations, p: Vector, q: Vector) -> Vector:

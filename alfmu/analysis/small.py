@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations.changes import LEVELS
+from ..equations.evaluation import telling
 from ..model.errors import InputError
 from .laws import Driving, driving
 from .loops import Loops
@@ -328,7 +329,7 @@ def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list
     f = N.shape[1]
     if not f:
         return []
-    for choice in (list(wanted), list(where.equations.telling)):
+    for choice in (list(wanted), telling(where.equations)):
         if len(choice) == f and f and np.linalg.cond(N[choice]) < WELL and np.linalg.norm(N[choice], 2) > 1 / WELL:
             return sorted(choice)
     # Of coordinates that describe them equally well, the one declared first is preferred.

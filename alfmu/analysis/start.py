@@ -10,6 +10,7 @@ from typing import Any
 
 from ..equations import Equations
 from ..equations.specialisation import starting_at, without_steps
+from ..equations.types import configured
 from ..fmi.recipe import Recipe, of
 from ..kernel import DEFAULT
 from ..model.doubts import tell, tell_of_gravity
@@ -70,6 +71,7 @@ def prepare(
     kernel = kernel or DEFAULT
     if not jacobian:
         outputs = None if outputs is None else without_steps(outputs)
+        equations = configured(equations)
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]

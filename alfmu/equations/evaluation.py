@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import casadi as ca
 
+from ..model.kept import once
 from ..model.making import making
 from .types import Equations, Signature
 
@@ -142,10 +143,21 @@ def evaluable(equations: Stage) -> Stage:
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)
-    pattern = ca.SX(M.sparsity(), 1) + ca.SX(C.T.sparsity(), 1) @ ca.SX(C.sparsity(), 1)  # of H
-    ties = e.ties_matrix.sparsity_out(0).T
-    given = [column for begin, end in pairwise(ties.colind()) if end - begin == 1 for column in ties.row()[begin:end]]
-    return with_functions(replace(e, order=elimination(pattern.sparsity(), given), telling=given), functions)
+    return with_functions(e, functions)
+
+
+@once
+def telling(equations: Equations) -> list[int]:
+    """Return the independent coordinates that have a start value each."""
+    ties = equations.ties_matrix.sparsity_out(0).T
+    return [column for begin, end in pairwise(ties.colind()) if end - begin == 1 for column in ties.row()[begin:end]]
+
+
+@once
+def elimination_order(equations: Equations) -> list[int]:
+    """Return the order of the coordinates with least fill in the factorised augmented mass H."""
+    M, C = (ca.SX(equations.functions[name].sparsity_out(0), 1) for name in ("M", "C"))
+    return elimination((M + C.T @ C).sparsity(), telling(equations))
 
 
 def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:

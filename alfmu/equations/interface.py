@@ -13,7 +13,7 @@ from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
 from ..model.words import there_is
-from .types import REACTION_ERROR, Configuration, Equations, Variable
+from .types import REACTION_ERROR, Configuration, Equations, Variable, configured
 
 __all__ = [
     "CHOICES",
@@ -142,7 +142,7 @@ BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
 def events(equations: Equations) -> list[Variable]:
     """Return variables that report impacts (last impulse of each switchable constraint, energy lost so far),
     and peaks."""
-    return [v for v in every_event(equations) if v.name not in equations.monitors]
+    return [v for v in every_event(equations) if v.name not in configured(equations).monitors]
 
 
 def every_event(e: Equations) -> list[Variable]:
@@ -155,7 +155,7 @@ def every_event(e: Equations) -> list[Variable]:
     if e.switches:
         found.append(Variable("monitor.energy_lost", "J", description="kinetic energy that impacts took so far"))
     units = {v.name: v.unit for v in e.outputs}
-    for name, parts in e.peaks.items():
+    for name, parts in configured(e).peaks.items():
         text = f"largest magnitude of {name} within the last communication step; 0 before the first step"
         found.append(Variable(f"{name}{PEAK}", units[parts[0]], description=text, of_step=True))
     return found
@@ -193,7 +193,7 @@ class Interface:
 
 def default_settings(equations: Equations) -> Settings:
     """Return the default settings of a mechanism."""
-    return Settings(**{"step_size": equations.step_size, **equations.solver})
+    return Settings(**{"step_size": equations.step_size, **configured(equations).solver})
 
 
 def integrator(equations: Equations) -> str:
@@ -205,7 +205,7 @@ def integrator(equations: Equations) -> str:
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:
     """Return the variables of a scene; defaults of the solver are those of `settings`."""
-    e, given = equations, settings or default_settings(equations)
+    e, given = configured(equations), settings or default_settings(equations)
     solver = [replace(v, start=_default(given, v.name)) for v in SOLVER_VARIABLES]
     return Interface(
         [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *state_starts(e), *solver],
@@ -217,7 +217,7 @@ def variables_of(equations: Equations, settings: Settings | None = None) -> Inte
     )
 
 
-def _jacobian(e: Equations) -> list[Variable]:
+def _jacobian(e: Configuration) -> list[Variable]:
     """Return the entries of the interface Jacobian."""
     units = {v.name: v.unit for v in (*e.outputs, *e.inputs)}
     return [

@@ -15,7 +15,7 @@ from ..model.errors import InputError
 from ..model.words import some_like, there_is
 from .evaluation import ARGUMENTS, Stage, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, PEAK, events
-from .types import REACTION_ERROR, Configuration, Equations
+from .types import REACTION_ERROR, Configuration, Equations, configured
 
 __all__ = ["plain", "specialised", "starting_at", "without_steps"]
 
@@ -26,7 +26,7 @@ ALL = "all"
 
 def specialised(
     equations: Equations, outputs: Iterable[str] | None = None, freeze: Sequence[str] | None = None
-) -> Equations:
+) -> Configuration:
     """Return the same equations with only the outputs that match, and with frozen parameters folded in.
 
     `outputs` are names or patterns such as `link*.angle`; other outputs are not computed. A pattern such as
@@ -36,7 +36,8 @@ def specialised(
     become constants at their defaults, `["all"]` for every one. None leaves out only outputs that must be requested.
     Raises InputError if a pattern matches no output, or a name is no parameter.
     """
-    e = equations if freeze is None else _frozen(equations, freeze)
+    e = configured(equations)
+    e = e if freeze is None else _frozen(e, freeze)
     return e if outputs is None else _keeping(e, outputs)
 
 
@@ -97,7 +98,7 @@ def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
     return {(y, u) for y in outputs for u in inputs if _matches(y, [output]) and _matches(u, [wanted])}
 
 
-def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
+def _keeping(equations: Configuration, patterns: Iterable[str]) -> Configuration:
     """Return the same equations with only the outputs and monitors that match a pattern."""
     e = equations
     asked = [patterns] if isinstance(patterns, str) else list(patterns)
@@ -127,7 +128,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             wrapped={name: at for name, at in e.wrapped.items() if name in needed or _matches(name, patterns)},
             peaks=peaks,
             monitors=[*left, *monitors],
-            jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
+            jacobian=tuple((y, u.name) for y in names for u in e.inputs if (y, u.name) in entries),
             functions={**_equations(e), "readings": readings},
         )
     )
@@ -143,7 +144,7 @@ def _magnitudes(e: Equations) -> dict[str, list[str]]:
     return found
 
 
-def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
+def _frozen(equations: Configuration, names: Sequence[str]) -> Configuration:
     """Return the same equations with parameters folded in; start values and solver variables stay."""
     e = equations
     own = [p.name for p in e.parameters]
@@ -162,12 +163,9 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
     return evaluable(_changed(e, parameters=left, functions=functions))
 
 
-def _changed(e: Equations, **changes: Any) -> Equations:
-    """Return equations with changes, before they are traced and surveyed."""
-    changes["signatures"] = {}
-    if not isinstance(e, Configuration):
-        return replace(e, **changes)
-    return Configuration.of(e, survey=e.survey.elsewhere, **changes)
+def _changed(e: Configuration, **changes: Any) -> Configuration:
+    """Return a configuration with changes, before it is traced and surveyed."""
+    return Configuration.of(e, survey=e.survey.elsewhere, signatures={}, **changes)
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:

@@ -187,7 +187,7 @@ class Survey:
 
 _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
-    *("compliances", "switches", "frictions", "states", "jacobian"),
+    *("compliances", "switches", "frictions", "states"),
 )
 """Fields of equations that are converted to tuples, as users read them."""
 
@@ -292,14 +292,6 @@ class Equations(_Functions):
     """Default communication step [s]."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    solver: dict[str, Any] = field(default_factory=dict)
-    """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
-    monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
-    """Monitors that are left out."""
-    order: list[int] = field(default_factory=list)
-    """Order of the coordinates with least fill in the factorised augmented mass."""
-    telling: list[int] = field(default_factory=list)
-    """Independent coordinates that have a start value each."""
     lengths: list[int] = field(default_factory=list)
     """Constraints that keep Euler parameters at unit length: they belong to no joint."""
     slips: list[int] = field(default_factory=list)
@@ -329,10 +321,6 @@ class Equations(_Functions):
     """Laws of time that may jump or diverge."""
     limited: Sequence[Variable] = ()
     """Stops, by their names and units, one for each of their limits."""
-    jacobian: Sequence[tuple[str, str]] = ()
-    """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
-    peaks: dict[str, list[str]] = field(default_factory=dict)
-    """Peaks requested, and the outputs that each consists of."""
     reach: float = 0.0
     """Largest coordinate [m] of a joint's point on the ground, by default parameters; round-off grows with it."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
@@ -401,6 +389,21 @@ class Equations(_Functions):
 class Configuration(Equations):
     """Equations with the defaults, outputs and frozen parameters of a scene, with its integrator and survey."""
 
+    solver: dict[str, Any] = field(default_factory=dict)
+    """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
+    monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
+    """Monitors that are left out."""
+    jacobian: Sequence[tuple[str, str]] = ()
+    """Entries of the interface Jacobian: an output, and the input by which it is differentiated."""
+    peaks: dict[str, list[str]] = field(default_factory=dict)
+    """Peaks requested, and the outputs that each consists of."""
     decision: Decision | None = None
     """None where the method of integration is not decided yet."""
     survey: Survey = Survey()
+
+
+def configured(equations: Equations) -> Configuration:
+    """Return equations as a configuration: with alfmu's defaults and all outputs, if they are none yet."""
+    if isinstance(equations, Configuration):
+        return equations
+    return equations.kept.latest(configured, lambda: Configuration.of(equations))

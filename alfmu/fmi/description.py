@@ -13,6 +13,7 @@ import markdown
 from ..equations import Equations, Variable
 from ..equations.interface import BALANCE, default_settings
 from ..equations.interface import variables_of as interface
+from ..equations.types import configured
 from ..model.units import composed
 
 __all__ = [
@@ -230,9 +231,9 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
     return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]
 
 
-def _convention(e: Equations) -> str:
+def _convention(equations: Equations) -> str:
     """Return the naming convention: names of the interface Jacobian have a slash, which structured names forbid."""
-    return "flat" if e.jacobian else "structured"
+    return "flat" if configured(equations).jacobian else "structured"
 
 
 def _files(element: ET.Element, kind: str, names: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ import casadi as ca
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import symbols, with_functions
+from ..equations.evaluation import elimination_order, symbols, with_functions
 from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
 from ..method.formulations import CORRECTIONS
@@ -241,7 +241,7 @@ class _Patient(Alternatives):
             H = method.augmented_mass(scene.scale * e.M(q, scene.p), C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            return D * scene.inverse_scales[e.order], ca.diag(H), columns, scene.margin(D)[1]
+            return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, scene.margin(D)[1]
 
         calls("pivots", "q p k", "pivots diagonal columns margin", found)
 

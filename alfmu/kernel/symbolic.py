@@ -18,7 +18,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration, Equations
-from ..equations.evaluation import DENSE, symbols
+from ..equations.evaluation import DENSE, elimination_order, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -464,7 +464,7 @@ class Scene:
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
-        ratios = pivots * self.inverse_scales[self.e.order]
+        ratios = pivots * self.inverse_scales[elimination_order(self.e)]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
             return near, SX(1)
@@ -555,7 +555,7 @@ class Scene:
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
         """S3: return q displaced along the motion to the position nearest to `wanted`, and the v of that motion."""
         mass, heavy = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing, SX(self.e.n, 1)
-        for i in self.e.telling:
+        for i in telling(self.e):
             heavy[i] = mass / self.inverse_scales[i]
         M, C, _, solve = self._augmented(q)
         if not self.e.timed:
@@ -900,8 +900,8 @@ class Scene:
         return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
 
     def factors(self, H: SX) -> tuple[SX, SX]:
-        """Return D and L' - I of the LDL' factorisation of H, with coordinates in the order `Equations.order`."""
-        order = self.e.order
+        """Return D and L' - I of the LDL' factorisation of H, with coordinates in the order of `elimination_order`."""
+        order = elimination_order(self.e)
         H = H[order, order]
         if self.e.n > DENSE:
             return ca.ldl(H, False)[:2]
@@ -916,7 +916,7 @@ class Scene:
 
     def solver(self, D: SX, L: SX) -> method.Solve:
         """Return a solver with these factors, by one division per pivot, which takes as long as several products."""
-        order = self.e.order
+        order = elimination_order(self.e)
         if self.e.n > DENSE:
             return lambda b: ca.ldl_solve(b, D, L, order)
         inverse, upper, back = _once(1 / D), L + SX.eye(self.e.n), np.argsort(order).tolist()

@@ -25,7 +25,7 @@ from casadi import SX
 
 from ..equations import Configuration, Equations
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
-from ..equations.types import REACTION_ERROR
+from ..equations.types import REACTION_ERROR, configured
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
@@ -87,7 +87,7 @@ def untraced(equations: Equations) -> Configuration:
     """Return the equations without the functions of the kernel."""
     e = equations
     if not isinstance(e, Traced):
-        return e if isinstance(e, Configuration) else Configuration.of(e)
+        return configured(e)
     names = {name for program in e.kernel.values() for name in called(program)} - set(EVALUATED)
     functions, signatures = (
         {name: x for name, x in each.items() if name in e.functions and name not in names}

@@ -19,7 +19,7 @@ from ..equations import Configuration, Equations, derivation
 from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..equations.specialisation import ALL, specialised
-from ..equations.types import Decision, Survey
+from ..equations.types import Decision, Survey, configured
 from ..kernel import DEFAULT, KERNELS, controlled, tables
 from ..kernel.alternatives import formulations
 from ..kernel.form import Traced
@@ -90,7 +90,7 @@ def derive(mechanism: Mechanism) -> Equations:
 # Configure ------------------------------------------------------------------------------------------------------------
 
 
-def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
+def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Configuration:
     """The same equations with other defaults for parameters, start values, inputs and solver variables; made once for
     the same values.
 
@@ -100,7 +100,8 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
     return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), key)
 
 
-def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
+def _with_defaults(declared: Equations, values: Mapping[str, float | str]) -> Configuration:
+    equations = configured(declared)
     found = variables_of(equations)
     known = {v.name: v for v in (*found.parameters, *found.inputs)}
     for name, value in values.items():
@@ -126,8 +127,6 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
     if same:
         return e
-    if not isinstance(e, Configuration):
-        return e
     return Configuration.of(untraced(e), decision=None, survey=e.survey.elsewhere)
 
 
@@ -147,7 +146,7 @@ def chosen(
 
 def decided(equations: Equations) -> Configuration:
     """The configuration of equations with their decision, and with the functions that its method needs."""
-    e = equations if isinstance(equations, Configuration) else Configuration.of(equations)
+    e = configured(equations)
     decision, stiffens = _decide(e)
     e = with_tangents(e) if decision.method in RULES or stiffens else e
     return e if decision == e.decision else replace(e, decision=decision)
@@ -314,7 +313,7 @@ def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced
     if e.n > DENSE:
         return trace()[1]
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
-    same = "functions", "signatures", "kernel", "order", "telling"
+    same = "functions", "signatures", "kernel"
     found = Traced.of(e, **{field: getattr(scene, field) for field in same})
     found.kept.scene = scene.kept
     return found
@@ -334,7 +333,7 @@ def ready(
     """
     constants()
     own = dict(values)
-    method = own.pop("solver.method", equations.solver.get("method", Settings.method))
+    method = own.pop("solver.method", default_settings(equations).method)
     frozen = {p.name for p in equations.parameters if freeze and (list(freeze) == [ALL] or p.name in freeze)}
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = chosen(equations, {**folded, "solver.method": method}, outputs, freeze)
@@ -360,7 +359,8 @@ def retraced(equations: Equations, settings: Settings) -> Traced:
     def trace() -> Traced:
         if not wanted:
             return prepared(e)
-        return prepared(Configuration.of(untraced(e), solver={**e.solver, **wanted}, decision=None), _kernel(e))
+        unmade = untraced(e)
+        return prepared(replace(unmade, solver={**unmade.solver, **wanted}, decision=None), _kernel(e))
 
     return e.kept.latest(retraced, trace, tuple(sorted(wanted.items())))
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from .. import runtime
 from ..equations import Equations
 from ..equations.arrays import ArrayFunction, ArrayFunctions
+from ..equations.evaluation import elimination_order, telling
 from ..equations.interface import MONITORS, Counters, events
 from ..kernel.memory import GROSS, SETTINGS, TURN
 from ..kernel.thresholds import SAID, SHORTEST, TORN, UNFINISHED
@@ -118,7 +119,8 @@ class Stepped(runtime.Instance, ABC):
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
         self.rank = e.dependent - self.mobility().freedom if e.survey.brakes else 0
         self.heavy = np.zeros(e.n)
-        self.heavy[e.telling] = branch.INDEPENDENT_MASS * self.nothing / branch.NOISE_FLOOR * self.scales[e.telling]
+        own = telling(e)
+        self.heavy[own] = branch.INDEPENDENT_MASS * self.nothing / branch.NOISE_FLOOR * self.scales[own]
 
     # Equations ----------------------------------------------------------------------------------------------------
 
@@ -149,12 +151,12 @@ class Stepped(runtime.Instance, ABC):
     def pivots(self, q: NDArray) -> NDArray:
         """Pivots of H at q (n,) over the scales of their coordinates (n,), in the order of elimination."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
-        order = np.ix_(self.equations.order, self.equations.order)
+        order = elimination_order(self.equations)
         try:
-            pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[order]).diagonal() ** 2
+            pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[np.ix_(order, order)]).diagonal() ** 2
         except np.linalg.LinAlgError:
             pivots = np.zeros(len(q))
-        return np.maximum(pivots / self.scales[self.equations.order], 1e-300)
+        return np.maximum(pivots / self.scales[order], 1e-300)
 
     def readings(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
         """Return everything a user can read, in the order of `equations.outputs`."""

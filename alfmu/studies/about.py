@@ -6,7 +6,7 @@ import contextlib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.words import quantity
 from ..runtime import Instance
-from ..runtime.pipeline import decision_of, prepared
+from ..runtime.pipeline import decision_of, prepared, with_defaults
 from ..simulation import Result
 from .cost import cost, described
 
@@ -123,7 +123,7 @@ def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
     Raises AlfmuError if it has no start.
     """
     equations = specialised(everything, recipe.outputs, recipe.freeze)
-    instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
+    instance = Instance(with_defaults(equations, {"solver.method": "rk4"}))
     instance.initialize()
     return About(
         mechanism,

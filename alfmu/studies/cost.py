@@ -12,7 +12,7 @@ from ..equations import Configuration, Equations, Mobility, Variable
 from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
-from ..equations.types import Survey
+from ..equations.types import Survey, configured
 from ..fmi import native
 from ..kernel.controlled import whole
 from ..kernel.form import Plan, Traced, called
@@ -127,9 +127,10 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     outputs = _missing(everything.outputs, scene.outputs)
     frozen = _missing(everything.parameters, scene.parameters)
     kept, constants = None, None
-    monitors = [name for name in scene.monitors if name not in everything.monitors]
+    absent = configured(scene).monitors
+    monitors = [name for name in absent if name not in configured(everything).monitors]
     if outputs or monitors:
-        kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
+        kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in absent]
     if frozen:
         constants = frozen
     lines: list[tuple[str, Cost | None]] = []
