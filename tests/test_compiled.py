@@ -26,14 +26,16 @@ from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
 from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import emit, stream
+from alfmu.kernel.complete import complete
 from alfmu.kernel.form import Traced
-from alfmu.kernel.tables import machine_code, packed
+from alfmu.kernel.tables import machine_code
 from alfmu.runtime import build as runtime_build
 from alfmu.runtime import compiled as build
 from alfmu.runtime import pipeline, shipped
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
+from alfmu.runtime.pipeline import packed
 from alfmu.runtime.shipped import installed
 from alfmu.simulation import prepared, run
 
@@ -157,7 +159,7 @@ def warnings(command: list[str], files: Mapping[str, str], folder: Path) -> str:
 @scenes
 def test_the_c_is_free_of_warnings(name, options, command, tmp_path):
     e = prepared(derived(name, **options) if name == "five_bar" else by_rk4(name, **options))
-    files = {f"{i}.c": text for i, text in enumerate(machine_code(e, packed(e)))}
+    files = {f"{i}.c": text for i, text in enumerate(machine_code(complete(e), packed(e)))}
     assert warnings(command, files, tmp_path) == ""
 
 
@@ -189,7 +191,7 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
     monkeypatch.setattr(emit, "UNIT", 20000)
     cut = prepared(equations, "compiled")
     assert cut.library != whole.library
-    assert len(machine_code(cut, packed(cut))) > 5
+    assert len(machine_code(complete(cut), packed(cut))) > 5
     assert spare(whole.library) == 0 < spare(cut.library)
     expected = values(interpreted)
     assert np.isfinite(expected).all()

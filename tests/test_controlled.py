@@ -17,14 +17,15 @@ import alfmu
 from alfmu import runtime
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.complete import complete
 from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import Call
 from alfmu.kernel.memory import PACE, Layout
-from alfmu.kernel.tables import alone, packed
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import Control, judged, landing, newton
 from alfmu.model.settings import FIXED
 from alfmu.runtime import compiled as build
+from alfmu.runtime.pipeline import packed
 from alfmu.simulation import prepared, run, with_defaults
 
 KERNELS = ("vm", "compiled")
@@ -56,7 +57,7 @@ def by_the_oracle(name: str, method: str, order: int = 0, **given: float) -> Ada
 @pytest.mark.parametrize(("name", "method"), [("five_bar", "auto"), ("flyball_governor", "stiff")])
 def test_an_error_that_is_no_number_is_refused(name, method):
     """In every program with error control: the largest of numbers leaves out those that are none."""
-    e = alone(scene(name, method, "vm", 0))
+    e = complete(scene(name, method, "vm", 0))
     judged_by = [step for program in e.kernel.values() for step in program.steps if is_error(step)]
     assert len(judged_by) >= 2
     for step in judged_by:

@@ -21,10 +21,10 @@ from test_motion import crank
 from test_rubbing_motions import belt
 
 import alfmu
-from alfmu.kernel.tables import packed
 from alfmu.model.settings import METHODS
 from alfmu.runtime import build
 from alfmu.runtime.compiled import compiled_scene
+from alfmu.runtime.pipeline import packed
 from alfmu.runtime.shipped import there
 
 on_glibc = pytest.mark.skipif(

@@ -21,9 +21,9 @@ from alfmu.analysis.linearization import linearize
 from alfmu.cli import main
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
-from alfmu.kernel.tables import packed
 from alfmu.model.units import UNITS, composed, quotient
 from alfmu.runtime import Instance
+from alfmu.runtime.pipeline import packed
 from alfmu.simulation import prepared
 
 OUTPUTS = {

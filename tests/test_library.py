@@ -12,6 +12,7 @@ import pytest
 
 import alfmu
 from alfmu.equations import derivation
+from alfmu.kernel.complete import complete
 from alfmu.kernel.tables import packed
 from alfmu.model.kept import MOST
 from alfmu.runtime import library as binding
@@ -358,12 +359,16 @@ def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
     """And their scene files are those of equations that share nothing."""
     m, heavier, finer = pendulum(), {"mass": 7.0}, {"solver.step_size": 1e-3, "solver.relative_tolerance": 1e-7}
     e = derivation.derive(m)
-    shared = [packed(pipeline.prepared(pipeline.with_defaults(e, values))) for values in ({}, heavier, finer)]
+
+    def scene_of(values, equations=e):
+        return packed(complete(pipeline.prepared(pipeline.with_defaults(equations, values))))
+
+    shared = [scene_of(values) for values in ({}, heavier, finer)]
     assert len(traces) == 1
-    loose = packed(pipeline.prepared(pipeline.with_defaults(e, {"solver.relative_tolerance": 1e-3})))
+    loose = scene_of({"solver.relative_tolerance": 1e-3})
     assert len(traces) == 2, "loose tolerances take another pair"
     for values, scene in ((heavier, shared[1]), (finer, shared[2]), ({"solver.relative_tolerance": 1e-3}, loose)):
-        assert packed(pipeline.prepared(pipeline.with_defaults(derivation.derive(m), values))) == scene != shared[0]
+        assert scene_of(values, derivation.derive(m)) == scene != shared[0]
 
 
 @pytest.mark.slow

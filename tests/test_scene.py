@@ -18,6 +18,7 @@ import alfmu
 from alfmu.equations import Equations, Variable
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import passes, stream, tables
+from alfmu.kernel.complete import FUNCTIONS, complete
 from alfmu.kernel.form import Call, Lanes, Program, Steps
 from alfmu.kernel.memory import Layout
 from alfmu.kernel.passes import Code, in_line, written
@@ -101,21 +102,20 @@ def host(tmp_path_factory) -> Host:
 @pytest.fixture(scope="module")
 def small() -> Equations:
     """The smallest scene: no program does anything, and there are no more functions than every scene has."""
-    own = tables.alone(prepared(derived("particle_on_circle"), "vm"))
+    own = complete(prepared(derived("particle_on_circle"), "vm"))
     kernel = {name: replace(program, steps=()) for name, program in own.kernel.items()}
-    names = [name for name in tables.FUNCTIONS.values() if name in own.signatures]
+    names = [name for name in FUNCTIONS.values() if name in own.signatures]
     functions, signatures = ({name: x[name] for name in names} for x in (own.functions, own.signatures))
     return replace(own, kernel=kernel, functions=functions, signatures={**signatures, "seen": own.signatures["seen"]})
 
 
 @pytest.fixture
-def packed(small, monkeypatch) -> Callable[..., tuple[bytes, int]]:
+def packed(small) -> Callable[..., tuple[bytes, int]]:
     """`packed(f, ...)`: a scene with these functions too, and the number of the first of them."""
 
     def scene(*functions: ca.Function, kernel: Mapping[str, Program] = small.kernel) -> tuple[bytes, int]:
         own = replace(with_functions(small, {f.name(): f for f in functions}), kernel=kernel)
-        monkeypatch.setattr(tables, "alone", lambda equations: own)
-        return tables.packed(replace(prepared(derived("particle_on_circle"), "vm"))), len(small.functions)
+        return tables.packed(own), len(small.functions)
 
     return scene
 
@@ -437,8 +437,8 @@ def chains(request) -> list[Equations]:
 @pytest.mark.slow
 def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypatch):
     monkeypatch.setattr(passes, "LONG", 3000)
-    loaded = host.load(tables.packed(chains[0]))
-    own = tables.alone(chains[0])
+    loaded = host.load(tables.packed(complete(chains[0])))
+    own = complete(chains[0])
     long = [code(f) for f in own.functions.values() if f.n_instructions() > 2 * passes.LONG]
     assert len(long) >= 7
     assert all(each.looped for each in long)
@@ -450,7 +450,7 @@ def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypa
 
 @pytest.mark.slow
 def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
-    few, many = (tables.alone(e) for e in chains)
+    few, many = (complete(e) for e in chains)
     for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limits"):
         one, two = code(few.functions[name]), code(many.functions[name])
         assert many.functions[name].n_instructions() > 1.9 * few.functions[name].n_instructions()
@@ -462,15 +462,16 @@ def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
 def test_all_functions_of_a_scene_give_the_bits_of_casadi(host, short, name):
     """Also where loops are looked for in all of them."""
     e = prepared(derived(name), "vm")
-    loaded = host.load(tables.packed(e))
-    for k, f in enumerate(tables.alone(e).functions.values()):
+    loaded = host.load(tables.packed(complete(e)))
+    for k, f in enumerate(complete(e).functions.values()):
         x = arguments(f)
         assert same_bits(host.call(loaded, k, f, x), expected(f, x)), f.name()
 
 
 @pytest.mark.slow
 def test_the_same_equations_give_the_same_bytes(chains):
-    assert tables.packed(replace(chains[0])) == tables.packed(replace(chains[0]))
+    one, two = (tables.packed(complete(replace(chains[0]))) for _ in range(2))
+    assert one == two
 
 
 # In lanes -------------------------------------------------------------------------------------------------------------
@@ -510,7 +511,7 @@ def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed
 @pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 40})])
 def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, options):
     e = prepared(derived(name, **options), "vm")
-    scene, own = tables.packed(e), tables.alone(e)
+    scene, own = tables.packed(complete(e)), complete(e)
     path = build.compiled_scene(e, scene)
     interpreted, other = host.load(scene), host.load(scene)
     assert not host.replace(other, path, b"another")
@@ -533,7 +534,7 @@ def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, option
 
 def test_a_result_may_be_written_over_an_argument_of_a_compiled_function():
     e = prepared(derived("five_bar"), "vm")
-    text = "".join(tables.machine_code(e, tables.packed(e)))
+    text = "".join(tables.machine_code(complete(e), tables.packed(complete(e))))
     for name in ("weighted_place", "weighted_return", "dynamics"):
         body = text.split(f"void {name}(Arguments x")[1].split("\n}\n")[0]
         assert "const double x0_0 = x[0][0];" in body

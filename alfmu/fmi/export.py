@@ -21,9 +21,10 @@ from xml.etree import ElementTree as ET
 from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
+from ..kernel.complete import complete
 from ..kernel.exchange import exchanged, indicators, obstacle
 from ..kernel.form import Traced
-from ..kernel.tables import alone, identified, interface, known_choices
+from ..kernel.tables import identified, interface, known_choices
 from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
@@ -211,7 +212,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     e, fmi, bare = equations, recipe.fmi, recipe.kind == "source"
     chosen = [] if bare else native.platforms(e.name, recipe.platforms)
     interfaces, derivatives = _interfaces(recipe, e), recipe.derivatives is not False
-    states = [] if bare or obstacle(alone(e)) else exchanged(e)
+    states = [] if bare or obstacle(complete(e)) else exchanged(e)
     scene, generator = packed(e), f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene + b"source" * bare).hexdigest())
     variables, choices = interface(e).causalities, known_choices(e)
@@ -279,7 +280,7 @@ def _plain(equations: Traced, path: Path) -> Path:
 
 def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:
     """Return the interfaces of a native FMU, of "me" and "cs"; ExportError if it cannot have what the recipe asks."""
-    why = obstacle(alone(equations)) if recipe.interface != "cs" else ""
+    why = obstacle(complete(equations)) if recipe.interface != "cs" else ""
     if why and recipe.interface:
         raise ExportError(
             f"{equations.name}: it cannot be exported for Model Exchange, as {why}; use --interface cs, co-simulation"

@@ -13,14 +13,16 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
+from ..kernel.complete import complete
 from ..kernel.exchange import obstacle
 from ..kernel.form import Traced
-from ..kernel.tables import alone, number_of, packed
+from ..kernel.tables import number_of
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import PLATFORMS, file_name
 from ..runtime.embedding import with_scene
+from ..runtime.pipeline import packed
 from ..runtime.shipped import library, there
 
 __all__ = [
@@ -75,7 +77,9 @@ FEATURES = {
     "LAWS": Feature("laws of motion that may jump", ("jumps.c",), lambda e: e.leaps),
     "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),
     "ERROR_CONTROL": Feature("integrators with error control", ("adaptive.c",), lambda e: "method" in e.kernel),
-    "MODEL_EXCHANGE": Feature("Model Exchange", ("exchange.c", "model_exchange.c"), lambda e: not obstacle(alone(e))),
+    "MODEL_EXCHANGE": Feature(
+        "Model Exchange", ("exchange.c", "model_exchange.c"), lambda e: not obstacle(complete(e))
+    ),
     "INTERFACE_JACOBIAN": Feature("the interface Jacobian", ("interface_jacobian.c",), lambda e: e.jacobian),
     "DERIVATIVES": Feature(
         "directional derivatives",

@@ -6,8 +6,9 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..kernel.complete import complete
 from ..kernel.form import Traced, called
-from ..kernel.tables import alone, function_sizes
+from ..kernel.tables import function_sizes
 from ..model.errors import ExportError
 from ..model.files import scratch
 from ..model.mechanism import Mechanism
@@ -88,7 +89,7 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
 
 def _parts(equations: Traced) -> dict[str, int]:
     """Return sizes of the parts of a scene file by purpose."""
-    left, found, kernel = function_sizes(equations), {}, alone(equations).kernel
+    left, found, kernel = function_sizes(complete(equations)), {}, complete(equations).kernel
     whole = len(packed(equations))
     for what, programs in _PARTS.items():
         names = {name for program in programs if program in kernel for name in called(kernel[program])}

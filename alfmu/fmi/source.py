@@ -15,8 +15,9 @@ from pathlib import Path
 
 from ..equations.interface import default_settings
 from ..kernel.arrangement import KINDS, OPERANDS
+from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
-from ..kernel.tables import FUNCTIONS, PROGRAMS, fixed, identified, packed
+from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
 from ..runtime import build
@@ -55,8 +56,8 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     """Return C files of traced equations: those of an FMU of a version of FMI with this GUID, or plain C for 0."""
     if equations.name in _RESERVED:
         raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
-    own, name = fixed(equations), equations.name
-    kept = Scene(identified(packed(equations, own), guid), installed())
+    own, name = smallest(equations), equations.name
+    kept = Scene(identified(packed(own), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # its states are nobody else's
     state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)

@@ -24,7 +24,7 @@ ACCELERATIONS = "a0"
 
 def obstacle(e: Traced) -> str:
     """Return why an importer cannot integrate a mechanism; empty if it can. The equations are those of a scene
-    (`alfmu.kernel.tables.alone`)."""
+    (`alfmu.kernel.complete.complete`)."""
     if e.followed:
         names = ", ".join(e.inputs[each.input].name for each in e.followed)
         return f"{names} moves something, and its course between communication points comes from its past values"

@@ -36,22 +36,18 @@ from ..model.units import rate_of
 from . import VERSION, memory, thresholds
 from .alternatives import CHOSEN
 from .alternatives import formulations as carried
-from .controlled import whole
+from .complete import FUNCTIONS, ordered
 from .emit import compiled_code
 from .exchange import ACCELERATIONS, FADING, obstacle
-from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, called, taken
-from .joined import joined
-from .lanes import laned
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, taken
 from .memory import TIERS, Layout
 from .scene import CALLS, Constants, Writer, code
-from .standalone import READ, beginning, passed, standalone
+from .standalone import beginning, passed
 from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
 __all__ = [
     "HEAD",
-    "alone",
-    "fixed",
     "function_sizes",
     "identified",
     "interface",
@@ -87,14 +83,6 @@ HANDED = {
     **_same("watch0 read_watch grip"),
 }
 """Values passed between the runtime and programs, by their names in C."""
-
-FUNCTIONS = {
-    **_same(
-        "dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks state_rates"
-    ),
-    **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
-}
-"""Functions called by the runtime, by their names in C."""
 
 PROGRAMS = {
     **_same("quick careful instant limit move close impact reach beside"),
@@ -196,9 +184,6 @@ REALS: dict[str, Number] = {
 NODE_COST = 6
 """Evaluations equivalent to a node of an implicit step, with its tangents and iterations of Newton's method."""
 
-HOT = ("quick", "instant", "instant_quick", "method", "short")
-"""Programs with joined calls: they run in every step."""
-
 
 def interface(equations: Equations) -> Interface:
     """Return the variables of a scene, which has one order of inputs."""
@@ -275,44 +260,17 @@ def layout_header() -> str:
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 
-def alone(equations: Traced) -> Traced:
-    """Return traced equations with only the programs and functions of a scene file, in its order."""
-    own = equations.kept.scene.latest(alone, lambda: _alone(whole(equations)))
-    given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
-    return replace(equations, **given)
-
-
-def _alone(equations: Traced) -> Traced:
-    e = standalone(equations)
-    handed = (*READ, *[ACCELERATIONS] * (not obstacle(e)))
-    if e.n > DENSE:
-        return _ordered(joined(e, HOT, handed))
-    # RK4 takes limits near singular positions in every step; other integrators have other programs there.
-    steps = [] if "method" in e.kernel else ["branch"]
-    fields, kernel = Layout(e).fields, e.kernel
-    kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
-    return _ordered(joined(replace(e, kernel=kernel), HOT, handed))
-
-
-def _ordered(e: Traced) -> Traced:
-    """Return equations with only the functions of the scene, in the order of its file."""
-    used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
-    names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
-    functions, signatures = ({name: table[name] for name in names} for table in (e.functions, e.signatures))
-    return replace(e, functions=functions, signatures=signatures)
-
-
 def machine_code(equations: Traced, scene: bytes) -> list[str]:
-    """Return C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
-    e = alone(equations)
+    """Return C files with the functions of a scene file of complete equations, for `scene_compiled` of the runtime."""
+    e = equations
     kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
     return compiled_code(e, kept, f"{zlib.crc32(scene[HEAD:]):08x}")
 
 
 def function_sizes(equations: Traced) -> dict[str, int]:
-    """Return the size of each function in a scene file in bytes."""
-    e, found = alone(equations), {}
-    table = _Table(equations, e)
+    """Return the size of each function of complete equations in their scene file in bytes."""
+    e, found = equations, {}
+    table = _Table(e)
     table.code()
     for name, made in zip(e.functions, table.functions, strict=True):
         w = Writer()
@@ -321,39 +279,22 @@ def function_sizes(equations: Traced) -> dict[str, int]:
     return found
 
 
-def packed(equations: Traced, own: Traced | None = None) -> bytes:
-    """Return the scene file of traced equations; `own` are those with its programs and functions."""
+def packed(equations: Traced) -> bytes:
+    """Return the scene file of complete equations (`kernel.complete`), with their programs and functions."""
     with getting_ready():
-        return _file(equations, own or alone(equations))
-
-
-def fixed(equations: Traced) -> Traced:
-    """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
-    programs whose loops stop on convergence.
-
-    What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
-    continues there.
-    """
-    with getting_ready():
-        own = standalone(whole(equations))
-        without = {"move", "close", "instant_patient", "limit_patient", *["impact"] * (not own.switches)}
-        if default_settings(equations).branch != "continue":
-            without |= {"branch", "limit"}
-        kernel = {name: program for name, program in own.kernel.items() if name not in without}
-        return _ordered(replace(own, kernel=kernel))
+        return _file(equations)
 
 
 def packed_start(equations: Configuration) -> bytes:
     """Return the scene file of untraced equations: it can be initialised, but not stepped."""
     chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
-    e = beginning(replace(equations, solver=chosen))
-    return _file(e, _ordered(e))
+    return _file(ordered(beginning(replace(equations, solver=chosen))))
 
 
-def _file(equations: Traced, e: Traced) -> bytes:
+def _file(equations: Traced) -> bytes:
     w = Writer()
-    w.text(e.name)
-    table = _Table(equations, e)
+    w.text(equations.name)
+    table = _Table(equations)
     table.code()
     for number in NUMBERS.values():
         w.integer(int(number(table)))
@@ -378,11 +319,11 @@ def number_of(scene: bytes, name: str) -> int:
 class _Table:
     """The tables of a scene file."""
 
-    def __init__(self, scene: Traced, own: Traced):
-        self.e, self.layout = own, Layout(scene)
-        self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
-        self.method = integrator(scene)
-        self.rule = own.kernel["method"].rule if "method" in own.kernel else ""
+    def __init__(self, equations: Traced):
+        self.e, self.layout = equations, Layout(equations)
+        self.variables, self.known = interface(equations), known_choices(equations)
+        self.passed, self.method = passed(equations), integrator(equations)
+        self.rule = equations.kernel["method"].rule if "method" in equations.kernel else ""
         rule = explicit_rule(self.method, 1.0, self.rule) or implicit.RULES.get(self.method)
         self.share = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}

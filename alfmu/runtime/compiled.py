@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from ..kernel.complete import complete
 from ..kernel.form import Traced
 from ..kernel.tables import HEAD, machine_code
 from ..model.cache import keep, kept, whole
@@ -44,7 +45,7 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
     digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
     digest.update(scene[HEAD:])
     name = f"kernel_{digest.hexdigest()[:32]}"
-    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(equations, scene), name)
+    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(complete(equations), scene), name)
 
 
 def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:

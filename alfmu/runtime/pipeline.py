@@ -22,6 +22,7 @@ from ..equations.specialisation import ALL, specialised
 from ..equations.types import Decision, Survey, configured
 from ..kernel import DEFAULT, KERNELS, controlled, tables
 from ..kernel.alternatives import formulations
+from ..kernel.complete import complete
 from ..kernel.form import Traced
 from ..kernel.kinks import kinks_of_rates
 from ..kernel.trace import traced, untraced
@@ -382,7 +383,7 @@ def _kernel(equations: Equations) -> str:
 @once
 def packed(equations: Traced) -> bytes:
     """The scene file of traced equations, written once."""
-    return stored_scene(equations, lambda: tables.packed(equations))
+    return stored_scene(equations, lambda: tables.packed(complete(equations)))
 
 
 @once

@@ -1,0 +1,78 @@
+"""All programs and functions of a scene file: those of the tiers and those for C alone, joined where they run often."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..equations.evaluation import DENSE
+from ..equations.interface import default_settings
+from ..model.making import getting_ready
+from .controlled import whole
+from .exchange import ACCELERATIONS, obstacle
+from .form import Traced, called
+from .joined import joined
+from .lanes import laned
+from .memory import Layout
+from .standalone import READ, standalone
+
+__all__ = ["FUNCTIONS", "complete", "ordered", "smallest"]
+
+FUNCTIONS = {
+    **{
+        name: name
+        for name in (
+            *("dynamics", "constraints", "energy", "closure", "guesses", "displacements", "pivots", "irregular"),
+            *("sliding", "laws", "breaks", "state_rates"),
+        )
+    },
+    **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
+}
+"""Functions called by the runtime, by their names in C."""
+
+HOT = ("quick", "instant", "instant_quick", "method", "short")
+"""Programs with joined calls: they run in every step."""
+
+
+def complete(equations: Traced) -> Traced:
+    """Return traced equations with only the programs and functions of a scene file, in its order."""
+    own = equations.kept.scene.latest(complete, lambda: _complete(whole(equations)))
+    given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
+    return replace(equations, **given)
+
+
+def _complete(equations: Traced) -> Traced:
+    e = standalone(equations)
+    handed = (*READ, *[ACCELERATIONS] * (not obstacle(e)))
+    if e.n > DENSE:
+        return ordered(joined(e, HOT, handed))
+    # RK4 takes limits near singular positions in every step; other integrators have other programs there.
+    steps = [] if "method" in e.kernel else ["branch"]
+    fields, kernel = Layout(e).fields, e.kernel
+    kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
+    return ordered(joined(replace(e, kernel=kernel), HOT, handed))
+
+
+def smallest(equations: Traced) -> Traced:
+    """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
+    programs whose loops stop on convergence.
+
+    What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
+    continues there.
+    """
+    with getting_ready():
+        own = standalone(whole(equations))
+        without = {"move", "close", "instant_patient", "limit_patient", *["impact"] * (not own.switches)}
+        if default_settings(equations).branch != "continue":
+            without |= {"branch", "limit"}
+        kernel = {name: program for name, program in own.kernel.items() if name not in without}
+        return ordered(replace(own, kernel=kernel))
+
+
+def ordered(e: Traced) -> Traced:
+    """Return equations with only the functions of the scene, in the order of its file."""
+    used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
+    names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
+    functions = {name: e.functions[name] for name in names}
+    # The layout of the memory follows from the number of values that are seen, whether or not a function gives them.
+    signatures = {name: e.signatures[name] for name in (*names, "seen") if name in e.signatures}
+    return replace(e, functions=functions, signatures=signatures)
