@@ -25,6 +25,8 @@ each_scene = pytest.mark.parametrize(
 )
 
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 

@@ -78,7 +78,7 @@ def compiled(files: dict[str, str], library: Path) -> None:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="ascii")
     names = [name for name in files if name.endswith(".c")]
-    command = [*build.compiler(), "-O1", *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
+    command = [*build.compiler(), "-O0", *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 

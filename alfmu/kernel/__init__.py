@@ -1,6 +1,6 @@
 """The kernel: the method traced over a mechanism's equations into flat functions and programs.
 
-Other rooms import `alternatives`, `arrangement`, `controlled`, `exchange`, `form`, `joined`, `kinks`, `memory`,
+Other rooms import `alternatives`, `arrangement`, `complete`, `controlled`, `exchange`, `form`, `joined`, `kinks`, `memory`,
 `stream`, `symbolic`, `tables`, `thresholds`, `trace`.
 """
 
