@@ -328,9 +328,8 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
         drawn = axes.plot(result.time, shown, label=line.label, linewidth=1.5, **style)
         if poles.any():  # draw an arrow, and a gap in the line
             top = np.ones(int(poles.sum()))
-            edge, color = axes.get_xaxis_transform(), drawn[0].get_color()
-            arrow: dict[str, Any] = {"marker": "^", "linestyle": "", "markersize": 4, "color": color}
-            axes.plot(result.time[poles], top, transform=edge, clip_on=False, **arrow)
+            arrow: dict[str, Any] = {"marker": "^", "linestyle": "", "markersize": 4, "color": drawn[0].get_color()}
+            axes.plot(result.time[poles], top, transform=axes.get_xaxis_transform(), clip_on=False, **arrow)
     if logarithmic:
         axes.set_yscale("log", nonpositive="mask")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], ROUNDING))
@@ -343,16 +342,9 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     axes.margins(x=0)
     axes.grid(color="#e3e8ee", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(
-        loc="upper left",
-        bbox_to_anchor=(1.01, 1.04),
-        borderaxespad=0.0,
-        frameon=False,
-        fontsize=7.5,
-        handlelength=2.6,
-        labelspacing=0.35,
-        markerscale=3 if logarithmic else 1,
-    )
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
+    scale = 3 if logarithmic else 1
+    axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35, markerscale=scale)
 
 
 def _poles(result: Result, line: _Line) -> NDArray[np.bool_]:
