@@ -83,7 +83,7 @@ def _fatal(slave: Slave, error: Exception) -> None:
     _kept(type(slave), slave, slave.log_queue)
 
 
-class Slave(Fmi2Slave):
+class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """One mechanism as an FMI 2.0 slave; an FMU entry subclasses it under the name of its mechanism.
 
     A step that fails is discarded, and the previous state stays. A rejected value leaves the previous one in force and,
@@ -98,7 +98,7 @@ class Slave(Fmi2Slave):
         _kept(sys.modules[cls.__module__].__dict__)
         super().__init_subclass__()
 
-    def __init__(self, **kwargs):
+    def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         folder = Path(self.resources)
         _ends_once(folder)
@@ -119,7 +119,9 @@ class Slave(Fmi2Slave):
 
     # Life cycle --------------------------------------------------------------------------------------------------
 
-    def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
         self._refused.pop(_STOP, None)
         if self.unit.begin(start_time, math.inf if stop_time is None else stop_time) != DONE:
             self._refused[_STOP] = self.unit.text

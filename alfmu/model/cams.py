@@ -26,12 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DeclarationError
-from .relations import Marker, Mechanism, Places, Reading, Relation, Rim, circle, direction
+from .parts import Marker, Scalar, symbolic
+from .relations import Mechanism, Places, Reading, Relation, Rim, circle, direction
 from .words import Brief, angle, shown
 
 __all__ = ["Cam", "Curve", "cam", "curve"]
-
-Scalar = float | ca.SX
 
 _LOOK = 720
 """Number of directions at which a curve is checked [1]: two per degree."""
@@ -80,7 +79,8 @@ class Cam(Relation):
     first: Marker
     second: Marker
     curve: Curve
-    roller: Scalar | None
+    roller: Scalar
+    """Its radius [m], zero if there is a face."""
     face: tuple[Scalar, Scalar, Scalar] | None
     """Direction [rad] of the normal in the follower's frame, its cosine and its sine."""
     contact: ca.SX | None
@@ -142,20 +142,21 @@ class Cam(Relation):
         for k in range(_DRAWN + 1):
             turn = 2 * math.pi * k / _DRAWN
             (R, slope), c, s = self.curve.at(ca.SX(turn)), math.cos(turn), math.sin(turn)
-            if self.contact is not None or (self.roller is not None and ca.SX(self.roller).is_zero()):
-                points.append((x0 + R * c, y0 + R * s))
-            elif self.face is not None:
+            if self.contact is None and self.face is not None:
                 points.append((x0 + R * c - slope * s, y0 + R * s + slope * c))
+            elif self.contact is not None or symbolic(self.roller).is_zero():
+                points.append((x0 + R * c, y0 + R * s))
             else:
                 back = self.roller / ca.sqrt(R**2 + slope**2)
                 points.append((x0 + R * c - back * (R * c + slope * s), y0 + R * s - back * (R * s - slope * c)))
         rims = [Rim(self.first.body, tuple(points), filled=True)]
         if self.face is not None:
-            _, c, s = self.face
+            _, mx, my = self.face
             half = 0.6 * self.curve.at(ca.SX(0))[0]
             x, y = self.second.x, self.second.y
-            return [*rims, Rim(self.second.body, tuple((x - side * half * s, y + side * half * c) for side in (-1, 1)))]
-        return rims if ca.SX(self.roller).is_zero() else [*rims, circle(self.second, self.roller, spoke=False)]
+            ends = tuple((x - side * half * my, y + side * half * mx) for side in (-1, 1))
+            return [*rims, Rim(self.second.body, ends)]
+        return rims if symbolic(self.roller).is_zero() else [*rims, circle(self.second, self.roller, spoke=False)]
 
     def _seen(self, places: Places) -> tuple[ca.SX, ca.SX]:
         """Return, for a face, its distance and the direction of its normal in the cam's frame; for a roller, its centre
@@ -214,7 +215,7 @@ def cam(
         normal = face, *direction(face)
     form = curve(m, what, outline if distance is None else distance, distance is None)
     _check(m, what, form.samples(*defaults), distance is None, None if face is not None else radius)
-    return Cam(name, first, second, form, roller, normal, None)
+    return Cam(name, first, second, form, 0.0 if roller is None else roller, normal, None)
 
 
 def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
@@ -230,10 +231,10 @@ def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
             for x in (value, ca.gradient(value, turn))
             for at in (0.0, 2 * math.pi)
         ]
-        for start, end, of in ((*ends[:2], "m"), (*ends[2:], "m/rad")):
-            if abs(end - start) > _CLOSED * max(abs(ends[0]), abs(ends[1])):
+        for (begin, end), of in ((ends[:2], "m"), (ends[2:], "m/rad")):
+            if abs(end - begin) > _CLOSED * max(abs(ends[0]), abs(ends[1])):
                 raise DeclarationError(
-                    f"{m.name}: {which} is not closed: it is {start:.6g} {of} at 0 and {end:.6g} {of} at 2 pi"
+                    f"{m.name}: {which} is not closed: it is {begin:.6g} {of} at 0 and {end:.6g} {of} at 2 pi"
                     f"{' in its slope' * (of != 'm')}; make it periodic"
                 )
         return Curve(turn, ca.substitute(value, turn, once))

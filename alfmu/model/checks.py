@@ -9,7 +9,6 @@ import re
 import sys
 import warnings
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -73,9 +72,7 @@ turn, poles, functions with a limited domain."""
 @cache
 def _ours() -> tuple[str, ...]:
     """Return the folders whose code is not the user's."""
-    return tuple(
-        f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]])
-    )
+    return tuple(f"{module.__path__[0]}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
 
 
 _OTHERWISE = {

@@ -13,6 +13,7 @@ import casadi as ca
 from .checks import hint
 from .mechanism import Mechanism
 from .parts import Body, stack
+from .spatial import SpatialBody
 
 __all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams", "tell", "tell_of_gravity"]
 
@@ -47,7 +48,7 @@ def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
 
 def masses(m: Mechanism, values: Mapping[str, float] | None = None) -> dict[str, float]:
     """Return the masses [kg] of the bodies by name, at values of parameters."""
-    bodies = [*m.bodies, *m.spatial_bodies]
+    bodies: list[Body | SpatialBody] = [*m.bodies, *m.spatial_bodies]
     return dict(zip((x.name for x in bodies), evaluated(m, [x.mass for x in bodies], values), strict=True))
 
 

@@ -41,7 +41,8 @@ def factory(name: str) -> Callable[..., Any]:
     """Return the function that declares a mechanism of the gallery."""
     path, function = _pages()[name]
     page = ast.parse(path.read_text(encoding="utf-8"))
-    wanted, kept = {function}, []
+    wanted = {function}
+    kept: list[ast.stmt] = []
     for node in reversed(page.body):
         if isinstance(node, ast.Import | ast.ImportFrom | ast.Assign | ast.FunctionDef) and _bound(node) & wanted:
             kept.insert(0, node)

@@ -54,16 +54,19 @@ class Frame:
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """Return a vector of the body's frame in ground axes."""
         if _vanishes(y):
-            return (x, y) if _vanishes(x) else (self.ex * x, self.ey * x)
+            return self.ex * x, self.ey * x
         return self.ex * x - self.ey * y, self.ey * x + self.ex * y
 
     def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """Return a point of the body's frame in ground axes."""
-        dx, dy = self.turn(_sum(x, -self.local[0]), _sum(y, -self.local[1]))
-        return _sum(self.x, dx), _sum(self.y, dy)
+        x, y = _sum(x, -self.local[0]), _sum(y, -self.local[1])
+        if _vanishes(x) and _vanishes(y):
+            return self.x, self.y
+        dx, dy = self.turn(x, y)
+        return self.x + dx, self.y + dy
 
 
-Closure = AnyJoint | Rigidity | Constraint | Lock | Motion | Relation
+Closure = Joint | SpatialJoint | Rigidity | Constraint | Lock | Motion | Relation
 """A part that constraints close."""
 
 Closing = tuple[Closure, str]
@@ -98,8 +101,8 @@ class Kinematics:
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
         self.order: dict[Body, int] = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
         self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
-        self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
-        self.squares: dict[Joint | Rigidity, ca.SX] = {}
+        self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX, Scalar]] = {}
+        self.squares: dict[Joint | Rigidity, tuple[ca.SX, Scalar]] = {}
         self.residuals: dict[Closing, ca.SX] = {}
         self.pending: list[Body] = []
 
@@ -169,9 +172,10 @@ class Kinematics:
         return self.free(joint)
 
     def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
-        if isinstance(between[0], SpatialMarker):
-            return ca.norm_2(between[1].place - between[0].place)
-        (x1, y1), (x2, y2) = (self.place(m) for m in between)
+        in_space = [m.place for m in between if isinstance(m, SpatialMarker)]
+        if in_space:
+            return ca.norm_2(in_space[1] - in_space[0])
+        (x1, y1), (x2, y2) = (self.place(m) for m in between if isinstance(m, Marker))
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
     def locked(self, lock: Lock | Motion) -> tuple[ca.SX, bool]:
@@ -201,7 +205,7 @@ class Kinematics:
         away."""
         if isinstance(closure, SpatialJoint):
             return closure.gap(direction)
-        if direction == "length":
+        if isinstance(closure, Joint | Rigidity) and direction == "length":
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         if isinstance(closure, Motion) and self.locked(closure)[1]:
@@ -236,7 +240,7 @@ class Kinematics:
                 return beside
             # The multiplier of friction is the torque at any sliding position, far from the one at which it stuck.
             return ca.remainder(beside, 2 * math.pi) if isinstance(closure, Friction) else ca.sin(beside)
-        if direction == "length":
+        if isinstance(closure, Rigidity) or direction == "length":
             square, length = self._apart(closure)
             return (square - length**2) / (2 * length)
         (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
@@ -262,22 +266,24 @@ class Kinematics:
         """Return the squared distance of two points, and the distance that a closure keeps between them."""
         if closure not in self.squares:
             if isinstance(closure, Rigidity):
-                _, _, dx, dy = self._span(closure.body)
+                _, _, dx, dy, length = self._span(closure.body)
             else:
                 (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
-                dx, dy = x2 - x1, y2 - y1
-            self.squares[closure] = dx**2 + dy**2
-        return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
+                dx, dy, length = x2 - x1, y2 - y1, closure.length
+            self.squares[closure] = dx**2 + dy**2, length
+        return self.squares[closure]
 
-    def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return the first point of a body between points, and the vector from it to the second."""
+    def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, Scalar]:
+        """Return the first point of a body between points, the vector from it to the second, and its length."""
         if body not in self.spans:
+            assert body.between is not None
+            assert body.length is not None
             ends = []
             for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
                 (x, y), (dx, dy) = self.place(anchor), self._shift(marker)
                 ends.append((x + dx, y + dy))
             (x1, y1), (x2, y2) = ends
-            self.spans[body] = x1, y1, x2 - x1, y2 - y1
+            self.spans[body] = x1, y1, x2 - x1, y2 - y1, body.length
         return self.spans[body]
 
     def _shift(self, end: Marker) -> tuple[Scalar, Scalar]:
@@ -295,7 +301,7 @@ class Kinematics:
         start = self._node(end)
         if start not in self.links:
             return 0.0, 0.0
-        ways = {start: (0.0, 0.0)}
+        ways: dict[tuple[Body, int | None], tuple[Scalar, Scalar]] = {start: (0.0, 0.0)}
         pending = [start]
         while pending:
             node = pending.pop()
@@ -319,15 +325,14 @@ class Kinematics:
         return body, None
 
     def _between(self, body: Body) -> Frame:
-        x, y, dx, dy = self._span(body)
-        ex, ey = dx / body.length, dy / body.length
+        x, y, dx, dy, length = self._span(body)
+        ex, ey = dx / length, dy / length
         return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), True, with_turns(ey, ex, body.near))
 
     def _by_joint(self, body: Body, joint: Joint) -> Frame:
         e = self.eps.get(joint, {})
-        ex, ey, er = e.get("x", 0), e.get("y", 0), e.get("rotation", 0)
-        angle = joint.coordinate + e.get(FREE, 0) if joint.kind == "revolute" else joint.angle + er
-        along = joint.coordinate + e.get(FREE, 0) if joint.kind == "prismatic" else 0.0
+        free = (0.0 if joint.coordinate is None else joint.coordinate) + e.get(FREE, 0)
+        angle = free if joint.kind == "revolute" else joint.angle + e.get("rotation", 0)
         across = joint.offset + e.get("normal", 0)
         forward = body is joint.second.body
         if forward:
@@ -340,11 +345,10 @@ class Kinematics:
             frame = _turned(self.frame(other.body), -angle, (marker.x, marker.y))
             guide = frame
         x, y = self.place(other)
+        dx, dy = e.get("x", 0), e.get("y", 0)
         if joint.kind == "prismatic":
             c, s = _cis(joint.axis)
-            dx, dy = guide.turn(c * along - s * across, s * along + c * across)
-        else:
-            dx, dy = ex, ey
+            dx, dy = guide.turn(c * free - s * across, s * free + c * across)
         sign = 1 if forward else -1
         frame.x, frame.y = x + sign * dx, y + sign * dy
         return frame
@@ -397,5 +401,6 @@ def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
     if angle.is_constant():
         quarters = float(angle) / (math.pi / 2)
         if quarters == round(quarters):
-            return tuple(ca.SX((1, 0, -1, 0)[(round(quarters) - k) % 4]) for k in (0, 1))
+            c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[round(quarters) % 4]
+            return ca.SX(c), ca.SX(s)
     return ca.cos(angle), ca.sin(angle)

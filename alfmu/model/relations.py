@@ -17,6 +17,8 @@ from typing import Any, ClassVar, Protocol
 import casadi as ca
 
 from .errors import DeclarationError
+from .parts import Body, Joint, Marker, Scalar, stack
+from .spatial import SpatialMarker
 from .words import Brief, in_words, quantity, shown
 
 __all__ = [
@@ -42,41 +44,6 @@ _FIT = 1e-6
 
 _SAME = 1e-9
 """Distance of two points of a body that are meant to be one [m]."""
-
-Scalar = float | ca.SX
-
-
-class Body(Protocol):
-    """`mechanism.Body`."""
-
-    name: str
-    center: tuple[Scalar, Scalar]
-
-
-class Marker(Protocol):
-    """Interface of `mechanism.Marker`."""
-
-    @property
-    def body(self) -> Body: ...
-    @property
-    def x(self) -> Scalar: ...
-    @property
-    def y(self) -> Scalar: ...
-
-
-class Joint(Protocol):
-    """`mechanism.Joint`."""
-
-    name: str
-    kind: str
-    axis: Scalar
-    offset: Scalar
-    angle: Scalar
-
-    @property
-    def first(self) -> Marker: ...
-    @property
-    def second(self) -> Marker: ...
 
 
 class Mechanism(Protocol):
@@ -195,7 +162,7 @@ class Pair(Relation):
         return row
 
     def rims(self) -> list[Rim]:
-        return [circle(at, abs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
+        return [circle(at, ca.fabs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
 
     def line(self, places: Places) -> tuple[ca.SX, ca.SX]:
         """Return direction from the first centre to the second in ground axes."""
@@ -231,7 +198,7 @@ class Gear(Pair):
 
     def rims(self) -> list[Rim]:
         both = zip((self.first, self.second), self.radii, strict=True)
-        return [circle(at, abs(R), spoke=i != self.ring) for i, (at, R) in enumerate(both)]
+        return [circle(at, ca.fabs(R), spoke=i != self.ring) for i, (at, R) in enumerate(both)]
 
     def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
         pair = f"on {self.second.body.name} from {self.first.body.name}"
@@ -463,8 +430,8 @@ class SpatialRolling(Relation):
     kind: ClassVar[str] = "rolling"
     directions: ClassVar[tuple[str, ...]] = ("normal", "slip1", "slip2")
 
-    plane: Any
-    centre: Any
+    plane: SpatialMarker
+    centre: SpatialMarker
     radius: Scalar
     axis: tuple[Scalar, Scalar, Scalar] | None
     """Axis of a disc, in its body's frame; None for a ball."""
@@ -491,17 +458,17 @@ class SpatialRolling(Relation):
 
     def _lean(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the plane's normal, its part along a disc's axis, and the length of the remainder."""
-        normal = ca.SX(list(self.triad[2]))
+        normal = stack(self.triad[2])
         if self.axis is None:
             return normal, ca.SX.zeros(3), ca.SX(1)
-        axis = self.centre.body.rotation @ ca.SX(list(self.axis))
+        axis = self.centre.body.rotation @ stack(self.axis)
         tilt = ca.dot(normal, axis)
         return normal, tilt * axis, ca.sqrt(1 - tilt**2)
 
     def wrench(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Return force on the body that rolls, and its moment about the centre."""
         order = ("slip1", "slip2", "normal")
-        force = sum((-multipliers[k] * ca.SX(list(x)) for k, x in zip(order, self.triad, strict=True)), ca.SX.zeros(3))
+        force = sum((-multipliers[k] * stack(x) for k, x in zip(order, self.triad, strict=True)), ca.SX.zeros(3))
         normal, lean, size = self._lean()
         return force, ca.cross(-self.radius * (normal - lean) / size, force)
 
@@ -549,7 +516,7 @@ def gear(
         if internal and first_teeth == second_teeth:
             raise DeclarationError(f"{m.name}: {what} has {first_teeth} teeth inside and outside; the ring needs more")
         sum_of_both = abs(first_teeth - second_teeth) if internal else first_teeth + second_teeth
-        own = tuple(distance * z / sum_of_both for z in numbers)
+        own: Sequence[Scalar] = [distance * z / sum_of_both for z in numbers]
     else:
         own, r1, r2 = _rims(m, what, radii)
         wanted = abs(r1 - r2) if internal else r1 + r2
@@ -704,9 +671,9 @@ def _centres(
                 raise DeclarationError(_unheld(m, what, at, [carrier.name]))
     elif len(common) != 1:
         if common:
-            names = in_words([body.name for body in common])
+            several = in_words([body.name for body in common])
             raise DeclarationError(
-                f"{m.name}: the wheels of {what} have their centres on {names}; say carrier=, which one"
+                f"{m.name}: the wheels of {what} have their centres on {several}; say carrier=, which one"
             )
         names = [in_words([body.name for body in known if body not in wheels] or ["nothing"]) for known in reached]
         raise DeclarationError(
@@ -805,5 +772,5 @@ def direction(angle: Scalar) -> tuple[Scalar, Scalar]:
         return ca.cos(angle), ca.sin(angle)
     quarters = angle / (math.pi / 2)
     if quarters == round(quarters):
-        return tuple((1.0, 0.0, -1.0, 0.0)[(round(quarters) - k) % 4] for k in (0, 1))
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarters) % 4]
     return math.cos(angle), math.sin(angle)

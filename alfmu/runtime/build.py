@@ -239,7 +239,7 @@ def needed(library: bytes) -> str:
         return ""
     (at,), (size, count) = struct.unpack_from("<Q", library, 40), struct.unpack_from("<HH", library, 58)
     sections = [struct.unpack_from("<IIQQQQIIQQ", library, at + k * size) for k in range(count)]
-    found = {(0,)}
+    found: set[tuple[int, ...]] = {(0,)}
     for _, kind, _, _, place, _, link, entries, _, _ in sections:
         if kind != _VERSIONS_NEEDED:
             continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,9 +138,9 @@ class Probe:
         memory = np.array(block)
         field = {name: memory[begin : begin + size] for name, (begin, size) in layout.fields.items()}
         z, k = field["z"], field["k"]
-        time = z[layout.time : layout.time + 1]
+        t = z[layout.time : layout.time + 1]
         u = np.concatenate([field["u"], z[layout.states : layout.time]])
-        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": u, "p": field["p"], "t": time}
+        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": u, "p": field["p"], "t": t}
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
@@ -215,23 +215,23 @@ class Probe:
 
     def _dynamics(
         self, nudge: float = 0.0
-    ) -> tuple[Any, Any, NDArray[np.float64], NDArray[np.float64], Any, method.Solve]:
+    ) -> tuple[method.Array, method.Array, NDArray[np.float64], NDArray[np.float64], method.Array, method.Solve]:
         """Return M, C, F, xi, the penalties as a matrix, and a solver with H; large matrices are sparse.
 
         The entries of H are changed by a fraction `nudge` of alternating sign.
         """
         e = self.equations
-        M, C, F, xi = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
-        F, xi = (np.array(x).ravel() for x in (F, xi))
+        mass, slopes, *vectors = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
+        F, xi = (np.array(x).ravel() for x in vectors)
         if e.n <= DENSE:
-            M, C, alpha = np.array(M), np.array(C), np.diag(self.penalty)
+            M, C, alpha = np.array(mass), np.array(slopes), np.diag(self.penalty)
             signs = (-1.0) ** np.arange(e.n)
             H = method.augmented_mass(M, C, alpha) * (1 + nudge * np.outer(signs, signs))
             return M, C, F, xi, alpha, lambda b: np.linalg.solve(H, b)
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        M, C, alpha = M.sparse(), C.sparse(), diags_array(self.penalty, format="csc")
+        M, C, alpha = mass.sparse(), slopes.sparse(), diags_array(self.penalty, format="csc")
         H = method.augmented_mass(M, C, alpha).tocoo()
         H.data *= 1 + nudge * (-1.0) ** (H.row + H.col)
         return M, C, F, xi, alpha, splu(H.tocsc()).solve

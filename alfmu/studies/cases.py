@@ -20,6 +20,7 @@ from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
 from ..equations.types import Configuration
+from ..fmi.drive import Fmu
 from ..model.errors import AlfmuError
 from ..model.files import write
 from ..model.mechanism import Mechanism
@@ -173,9 +174,9 @@ def _spread(seconds: Sequence[float]) -> float | None:
     return sorted(seconds)[AGREEING - 1] / min(seconds) if len(seconds) >= AGREEING else None
 
 
-def restarting(unit: Unit) -> Callable[[], None]:
+def restarting(unit: Instance | Fmu) -> Callable[[], None]:
     """Return a function that restores the current state of a unit that is not initialised yet."""
-    return unit.reset if hasattr(unit, "reset") else partial(unit.restore, unit.save())
+    return unit.reset if isinstance(unit, Fmu) else partial(unit.restore, unit.save())
 
 
 def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
@@ -189,7 +190,7 @@ def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
 @np.errstate(all="ignore")
 def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
     restart()
-    if case.compared:
+    if case.compared and isinstance(unit, Instance):
         return _in_one_call(unit, case)
     times, names = case.times.tolist(), [v.name for v in unit.outputs]
     table, reached, failure, cut = np.empty((len(times), len(names))), 0, "", False
@@ -213,7 +214,7 @@ def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
     return Run(names, case.times[:reached], table[:reached], seconds, counters, failure, cut)
 
 
-def _in_one_call(unit: Unit, case: Case) -> Run:
+def _in_one_call(unit: Instance, case: Case) -> Run:
     """A run that the unit makes by itself; its start is part of the time."""
     names = [v.name for v in unit.outputs]
     for name, value in case.values.items():
@@ -269,8 +270,10 @@ class Judge:
         gaps[:, turning] -= 2 * np.pi * np.round(gaps[:, turning] / (2 * np.pi))
         place = {self.names[i]: k for k, i in enumerate(kept)}
         known = ~np.isnan(exact[:, 0])
-        at = [place[name] for name in self.positions if name in place]
-        on = [place[name] for name in self.reactions if name in place]
+        at, on = (
+            np.array([place[name] for name in names if name in place], int)
+            for names in (self.positions, self.reactions)
+        )
         return _largest(gaps[np.ix_(known, at)]), _largest(gaps[np.ix_(readable, on)])
 
     def size(self, times: NDArray) -> float:
@@ -281,8 +284,8 @@ class Judge:
 
     def errors_of_reference(self, times: NDArray) -> list[Row]:
         """Return the differences of the reference from other computations of it."""
-        rows = []
-        for name, values in self.reference.checks(times):
+        rows: list[Row] = []
+        for name, values in self.reference.checks(times) if self.reference else ():
             reached = ~np.isnan(values[:, 0])
             position, reaction = self.compared(self.names, times[reached], values[reached])
             rows.append({"compared with": name, POSITION: position, REACTION: reaction})
@@ -290,6 +293,7 @@ class Judge:
 
     def _exact(self, times: NDArray) -> tuple[NDArray, NDArray]:
         """Return outputs of the reference, and the times at which reactions can be judged."""
+        assert self.reference is not None
         key = times.tobytes()
         if key not in self._known:
             self._known[key] = self.reference.outputs(times), self.reference.readable(times)
@@ -314,8 +318,9 @@ def _largest(values: NDArray | None) -> float | None:
 class Effort(Protocol):
     """Extent of a study."""
 
-    total: float
-    """Wall time for all mechanisms together [s]."""
+    @property
+    def total(self) -> float:
+        """Wall time for all mechanisms together [s]."""
 
 
 class Study(ABC):
@@ -356,10 +361,6 @@ class Begun(Generic[AnyStudy]):
             now = time.perf_counter()
             study.measure(now + (end - now) * weights[i] / sum(weights[i:]), progress(study.name))
             yield study
-
-    def rows(self, of: Callable[[AnyStudy], Iterable[Row]]) -> list[Row]:
-        """Return rows of all studies."""
-        return [row for study in self.studies for row in of(study)]
 
     def write(self, name: str, text: str) -> Path:
         """Write the report and the description of the machine; return the path of the report."""

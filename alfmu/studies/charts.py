@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.errors import InputError
 from ..model.files import atomic
-from .tables import Row
+from .tables import Row, measured, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,10 +85,10 @@ def scatter(
     labels = list(dict.fromkeys(map(label, rows)))
     for axes, quantity in zip(drawn.subplots(2, 2, sharex=True).flat, quantities, strict=True):
         for name in labels:
-            line = [r for r in rows if label(r) == name and r.get(quantity) is not None and r.get(time) is not None]
-            line = [r for r in line if np.isfinite(r[quantity])]
+            line = [r for r in rows if label(r) == name and r.get(time) is not None]
+            line = [r for r in line if (value := measured(r, quantity)) is not None and np.isfinite(value)]
             if line:
-                x, y = [r[time] for r in line], [max(r[quantity], LEAST) for r in line]
+                x, y = [number(r, time) for r in line], [max(number(r, quantity), LEAST) for r in line]
                 its, kind = look(line[0])
                 style = {"color": its.colour, "marker": its.marker, "linestyle": kind.style}
                 style["markerfacecolor"] = its.colour if its.filled else "white"

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
+from ..equations.interface import Counters
 from ..model.errors import InputError, StepError
 from ..model.settings import Settings
 from ..simulation import prepared
@@ -265,7 +266,7 @@ class Run:
     """q and v at each time."""
     corrections: list[int]
     """Number of corrections (10) after each step, of positions and velocities together."""
-    counters: object
+    counters: Counters
     seconds: float
     failure: str = ""
 
@@ -449,8 +450,8 @@ def _multipliers_row(equations: Equations, m2: float, name: str, r: Run, in_time
 def least_norm(equations: Equations, parameters: dict[str, float], r: Run) -> NDArray:
     """Return multipliers (l, steps) with least loads of joints at the states of a run, by (9) without
     redundant rows."""
-    p = [parameters.get(v.name, v.start) for v in equations.parameters]
-    u = [v.start for v in equations.inputs]
+    p = [float(parameters.get(v.name, v.start)) for v in equations.parameters]
+    u = [float(v.start) for v in equations.inputs]
     columns = []
     for q, v in r.states:
         M, C = np.array(equations.M(q, p)), np.array(equations.C(q, p))
@@ -527,13 +528,17 @@ def _figure_7_plot(
 
 # Iterations -------------------------------------------------------------------------------------------------------
 
+Count = tuple[float, str, float, str, int, int]
+"""m2 [kg], formulation, tolerance, what is counted, a number of it, and how often that occurred."""
+
 
 def iterations(effort: Effort) -> Chapter:
     """Compare iterations of (8) and (10) in double precision with those reported in the paper."""
     equations = derive(load("five_bar"))
     cases = [(replace(CLASSIC, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
     cases += [(replace(DEFAULT, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
-    summary, counts, claims = [], [], []
+    summary, claims = [], []
+    counts: list[Count] = []
     for m2 in (1.0, 0.0):
         for settings, tol in cases:
             r = run(equations, settings, effort.counted, ["monitor.iterations"], {"m2": m2})
@@ -596,7 +601,7 @@ def _iterations_row(m2: float, settings: Settings, r: Run, used: NDArray) -> Seq
     return (
         m2,
         settings.formulation,
-        settings.penalty or "scaled",
+        _penalty(settings),
         settings.tolerance,
         float(np.median(used)),
         float(np.quantile(used, 0.9)),
@@ -609,18 +614,24 @@ def _iterations_row(m2: float, settings: Settings, r: Run, used: NDArray) -> Seq
     )
 
 
-def _claim(count: str, m2: float, tol: float, paper: str, values: Sequence[int], most: int) -> Sequence[Cell]:
-    values = np.asarray(values)
-    return count, m2, tol, paper, float(np.median(values)), int(values.max()), 100 * float(np.mean(values <= most))
+def _penalty(settings: Settings) -> float | str:
+    """Return the penalty in a table; the study has one number for all rows."""
+    assert isinstance(settings.penalty, float)
+    return settings.penalty or "scaled"
 
 
-def _iterations_plot(counts: list[Sequence[Cell]]) -> Figure:
+def _claim(count: str, m2: float, tol: float, paper: str, values: ArrayLike, most: int) -> Sequence[Cell]:
+    used = np.asarray(values)
+    return count, m2, tol, paper, float(np.median(used)), int(used.max()), 100 * float(np.mean(used <= most))
+
+
+def _iterations_plot(counts: Sequence[Count]) -> Figure:
     figure, axes = _figure((13, 6), 2, len(TOLERANCES), sharex="row", sharey="row")
     for column, tol in enumerate(TOLERANCES):
         for row, quantity in enumerate(("iterations", "corrections")):
             axis, last = axes[row, column], (16, 8)[row]
             for shift, name in ((-0.2, "classic"), (0.2, "residual")):
-                bars = Counter()
+                bars: Counter[int] = Counter()
                 for m2, formulation, t, what, n, k in counts:
                     if (m2, formulation, t, what) == (1.0, name, tol, quantity):
                         bars[min(n, last)] += k
@@ -714,7 +725,7 @@ def _errors(
     )
 
 
-def _accuracy_plot(rows: list[Sequence[Cell]]) -> Figure:
+def _accuracy_plot(rows: Sequence[Sequence[Cell]]) -> Figure:
     figure, axes = _figure((12, 4.8), 1, 2, sharey=True)
     for axis, index, title in ((axes[0], 3, "accelerations"), (axes[1], 4, "multipliers of least norm")):
         for m2, style in ((1.0, "o-"), (0.0, "s--")):
@@ -743,6 +754,9 @@ PROCEDURES = {
     "residual": DEFAULT,
 }
 """The paper's procedure, (8) stopped early, and the defaults."""
+
+Sample = tuple[str, float, float, float]
+"""Procedure, start angle [rad], time that a run reached [s], and its angle error [rad]."""
 
 
 def four_bar(effort: Effort) -> Chapter:
@@ -810,7 +824,7 @@ def _four_bar_row(name: str, settings: Settings, dt: float, r: Run, exact: Paral
     c = r.counters
     return (
         name,
-        settings.penalty or "scaled",
+        _penalty(settings),
         settings.tolerance,
         settings.max_iterations,
         dt,
@@ -832,11 +846,10 @@ def _angle_error(r: Run, exact: Parallelogram, start: float = 0.0) -> float:
     return float(np.abs(r.values[:, 0] - exact.motion(r.times, start)[0]).max())
 
 
-def _phases(
-    equations: Equations, exact: Parallelogram, effort: Effort
-) -> tuple[list[Sequence[Cell]], list[Sequence[Cell]]]:
+def _phases(equations: Equations, exact: Parallelogram, effort: Effort) -> tuple[list[Sequence[Cell]], list[Sample]]:
     """Return errors over many starts: a summary by procedure, and every run."""
-    summary, samples = [], []
+    summary: list[Sequence[Cell]] = []
+    samples: list[Sample] = []
     for name, settings in PROCEDURES.items():
         errors, stopped = [], 0
         for start in np.linspace(-LUCK, LUCK, effort.phases):
@@ -854,7 +867,7 @@ def _phases(
 
 
 def _four_bar_plot(
-    curves: dict[tuple[str, float], Run], samples: list[Sequence[Cell]], exact: Parallelogram, effort: Effort
+    curves: dict[tuple[str, float], Run], samples: Sequence[Sample], exact: Parallelogram, effort: Effort
 ) -> Figure:
     figure, axes = _figure((15, 4.8), 1, 3)
     times = np.arange(round(effort.driven / DT) + 1) * DT

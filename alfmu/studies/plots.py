@@ -11,7 +11,7 @@ from typing import Any
 
 from .charts import LEAST, Line
 from .looks import LOOKS, integrator, line_of
-from .tables import Row
+from .tables import Row, number
 
 __all__ = ["Figure", "against_time", "convergence"]
 
@@ -65,7 +65,7 @@ def against_time(
         for i, quantity in enumerate(quantities):
             known = [r for r in line if _drawn(r.get(quantity)) and _drawn(r.get(time))]
             if known:
-                x, y = [r[time] for r in known], [max(r[quantity], LEAST) for r in known]
+                x, y = [number(r, time) for r in known], [max(number(r, quantity), LEAST) for r in known]
                 about = [_about(r) for r in known]
                 data.append(_trace(i, x, y, name, key[0], kind, about, first) | {"legendgroup": name})
                 of.append(str(line[0][group]) if mine else None)
@@ -104,7 +104,7 @@ def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float]
             known = [r for r in rows if integrator(r) == name and _drawn(r.get(quantity))]
             if known:
                 text = f"{name}: order {orders[name]:.1f}" if name in orders else name
-                x, y = [r["value"] for r in known], [max(r[quantity], LEAST) for r in known]
+                x, y = [number(r, "value") for r in known], [max(number(r, quantity), LEAST) for r in known]
                 line = LINE_OF_OTHERS
                 figure["data"].append(_trace(i, x, y, text, name, line, [_about(r) for r in known], True))
         if axis == equal:
@@ -139,7 +139,7 @@ def _drawn(value: Any) -> bool:
 
 
 def _about(row: Row) -> str:
-    value = f"{row['control'].split(' ')[0]} {row['value']:.3g}"
+    value = f"{str(row['control']).split(' ')[0]} {row['value']:.3g}"
     steps = f", {row['steps']} steps" if row.get("steps") else ""
     return f"{row['code']}, {row['formulation']}, {row['way']} ({row['language']})<br>{value}{steps}"
 

@@ -32,7 +32,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..runtime.build import compiler
-from ..simulation import Unit, communication_points, instance, prepared, with_defaults
+from ..simulation import communication_points, instance, prepared, with_defaults
 from ..view.picture import animate
 from . import cases, paper, peers
 from . import reference as exact
@@ -65,7 +65,7 @@ from .looks import LOOKS, integrator, line_of
 from .page import Page, library
 from .plots import against_time, convergence
 from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, TUNED, Rival
-from .tables import Row, markdown, paragraph, shown, write_csv
+from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 
 __all__ = ["PROFILES", "Effort", "report"]
 
@@ -291,7 +291,8 @@ class Study(cases.Study):
     def _runs(self, deadline: float, progress: Progress) -> None:
         """Run all settings until `deadline`, and compare them."""
         with ExitStack() as self._stack, scratch() as folder:
-            self._ways, self._units = self._makers(folder), {}
+            self._ways = self._makers(folder)
+            self._units: dict[tuple[str, str], _Open] = {}
             for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
                 self._run(setting, value, deadline)
         self._summarise()
@@ -334,7 +335,7 @@ class Study(cases.Study):
         return FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
 
     def _keep(self, file: str, row: Row) -> None:
-        self.files[file].append({"mechanism": self.name} | row)
+        self.files[file].append({"mechanism": self.name, **row})
 
     def _judge(self, horizon: float) -> None:
         """Compute the reference, and its error."""
@@ -342,29 +343,28 @@ class Study(cases.Study):
         instance.initialize()
         self.mobility = instance.mobility()
         found = exact.reference(instance, horizon, self.effort.reference)
-        known = None if isinstance(found, str) else found
-        self.judge = Judge(self.equations, known)
         self.floors: dict[str, float | None] = dict.fromkeys(QUANTITIES)
-        if known is None:
+        if isinstance(found, str):
+            self.judge = Judge(self.equations, None)
             self._keep("reference", {"horizon [s]": horizon, "note": found})
             return
-        motion, readable = known.motion, known.readable(self.times)
-        about = {
+        self.judge = Judge(self.equations, found)
+        motion, readable = found.motion, found.readable(self.times)
+        about: Row = {
             "reduced by": motion.way.name,
             "integrator": motion.method,
             "tolerance": motion.tolerance,
             "horizon [s]": horizon,
-            "known until [s]": known.until,
-            "energy drift [J]": float(np.ptp(known.energies(self.times))) if self.judge.conserves else None,
+            "known until [s]": found.until,
+            "energy drift [J]": float(np.ptp(found.energies(self.times))) if self.judge.conserves else None,
             "points": len(self.times),
             "points for reactions": int(readable.sum()),
         }
         compared = self.judge.errors_of_reference(self.times)
         for row in compared or [{"compared with": "nothing"}]:
             self._keep("reference", about | row)
-        self.floors |= {
-            x: max((r[x] for r in compared if r[x] is not None), default=None) for x in (POSITION, REACTION)
-        }
+        for name in (POSITION, REACTION):
+            self.floors[name] = max((x for r in compared if (x := measured(r, name)) is not None), default=None)
 
     def _scenes(self) -> None:
         """Collect parts that scenes leave out, and the operations that this saves."""
@@ -380,7 +380,7 @@ class Study(cases.Study):
             self._keep("scenes", {"scene": name, "left out": "", "step": now.step, "outputs": now.outputs})
             for what, back in left_out(everything, each, self.mobility):
                 saved = {"step": back.step - now.step, "outputs": back.outputs - now.outputs} if back else {}
-                self._keep("scenes", {"scene": name, "left out": what} | saved)
+                self._keep("scenes", {"scene": name, "left out": what, **saved})
 
     def _makers(self, folder: Path) -> dict[str, Callable[[str], Any]]:
         """Return all ways to run: functions that make a unit for a method."""
@@ -501,11 +501,11 @@ class Study(cases.Study):
         for row in self.files["errors"]:
             lines.setdefault(_line(row), []).append(row)
         for rows in lines.values():
-            fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
+            fit = self._telling(rows)
             order, doubt = self._order(rows)
-            told = [r[TIME] for r in fit]
+            told = [number(r, TIME) for r in fit]
             spread = bool(fit) and max(told) > CLEARLY * min(told)
-            falls = slope(told, [r[POSITION] for r in fit]) if spread else None
+            falls = slope(told, [number(r, POSITION) for r in fit]) if spread else None
             for row in rows:
                 if row["default"]:
                     shown_row = {k: x for k, x in row.items() if k not in ("mechanism", "default")}
@@ -517,10 +517,10 @@ class Study(cases.Study):
         """Return the order in the errors of one setting over its steps, or why there is none."""
         if rows[0]["control"] != STEP:
             return None, "a tolerance chooses the steps"
-        fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
+        fit = self._telling(rows)
         if len(fit) < FITTING:
             return None, "too few errors are between the motion lost and the error of the reference"
-        x, y = [r["value"] for r in fit], [r[POSITION] for r in fit]
+        x, y = [number(r, "value") for r in fit], [number(r, POSITION) for r in fit]
         order = slope(x, y)
         if order is None:
             return None, "all runs have one step"
@@ -534,14 +534,17 @@ class Study(cases.Study):
         for row in self.files["errors"]:
             if row["code"] == "alfmu" and row["formulation"] == OWN and row["control"] == TOLERANCE:
                 told = {"method": row["method"], "way": row["way"], TOLERANCE: row["value"], POSITION: row[POSITION]}
-                over = row[POSITION] / row["value"] if row[TIME] is not None and row[POSITION] is not None else None
+                error = measured(row, POSITION)
+                over = None if row[TIME] is None or error is None else error / number(row, "value")
                 verdict = "not judged" if over is None else "held" if over <= HELD else "not held"
                 told |= {"error over tolerance": over, "steps": row["steps"], "within ten times": verdict}
                 self._keep("tolerances", told)
 
-    def _tells(self, error: float | None) -> bool:
-        """Return whether an error counts for an order."""
-        return error is not None and max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF) < error < LOST
+    def _telling(self, rows: Sequence[Row]) -> list[Row]:
+        """Return runs that ended, with errors that count for an order."""
+        least = max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF)
+        ended = [r for r in rows if r[TIME] is not None]
+        return [r for r in ended if (error := measured(r, POSITION)) is not None and least < error < LOST]
 
     # Comparisons -------------------------------------------------------------------------------------------------
 
@@ -554,18 +557,19 @@ class Study(cases.Study):
         for level in LEVELS:
             mine = _fastest(own, level)
             for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
-                what = {"what": "run time to a position error of", "level or step": level, "other": code}
+                what: Row = {"what": "run time to a position error of", "level or step": level, "other": code}
                 theirs = [r for r in rows if r["code"] == code]
                 self._versus(what, TIME, mine, _fastest(theirs, level))
                 if in_python and all(r["language"] == PYTHON for r in theirs):
                     self._versus(what, TIME, _fastest(in_python, level), _fastest(theirs, level))
-        for theirs in rows:
-            if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
+        for other in rows:
+            if other["code"] == "alfmu" and other["formulation"] != OWN and other["default"]:
                 for mine in own:
-                    if _same(mine, theirs, ("method", "way", "value")):
+                    if _same(mine, other, ("method", "way", "value")):
                         for quantity in (*QUANTITIES, TIME):
-                            what = "run time at equal step" if quantity == TIME else f"{quantity} at equal step"
-                            self._versus({"what": what, "level or step": theirs["value"]}, quantity, mine, theirs)
+                            named = "run time" if quantity == TIME else quantity
+                            what = {"what": f"{named} at equal step", "level or step": other["value"]}
+                            self._versus(what, quantity, mine, other)
 
     def _reach(self) -> None:
         """Run times at equal errors, interpolated between the runs of a setting, beside the fastest of alfmu."""
@@ -574,17 +578,20 @@ class Study(cases.Study):
             if row[TIME] is not None and row[POSITION] is not None:
                 lines.setdefault(_line(row), []).append(row)
         for level in LEVELS[1:]:
-            spent = {x: time_at(level, [(r[POSITION], r[TIME]) for r in rows]) for x, rows in lines.items()}
-            own = [x for x in spent if x[0] == "alfmu" and spent[x] and "lean" not in x[3]]
-            best = {way: [spent[x] for x in own if x[3].startswith(way)] for way in ("compiled", "vm")}
+            spent = {
+                line: time_at(level, [(number(r, POSITION), number(r, TIME)) for r in rows])
+                for line, rows in lines.items()
+            }
+            own = [(x[3], s) for x, s in spent.items() if x[0] == "alfmu" and s and "lean" not in x[3]]
+            best = {way: [s for its, s in own if its.startswith(way)] for way in ("compiled", "vm")}
             for line, seconds in spent.items():
-                row = dict(zip(LINE, line, strict=True)) | {"position error": level, "run time [s]": seconds}
+                told: Row = {**dict(zip(LINE, line, strict=True)), "position error": level, "run time [s]": seconds}
                 for way, times in best.items():
-                    row[f"over alfmu's fastest, {way}"] = seconds / min(times) if seconds and times else None
-                self._keep("reach", row)
+                    told[f"over alfmu's fastest, {way}"] = seconds / min(times) if seconds and times else None
+                self._keep("reach", told)
 
     def _versus(self, about: Row, quantity: str, mine: Row | None, theirs: Row | None) -> None:
-        a, b = (None if row is None else row[quantity] for row in (mine, theirs))
+        a, b = (None if row is None else measured(row, quantity) for row in (mine, theirs))
         row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs) or about.get("other")}
         row["other's value"] = b
         if quantity == TIME and mine and theirs:
@@ -609,14 +616,14 @@ def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
 class _Open:
     """A unit that can be run repeatedly."""
 
-    unit: Unit
+    unit: Instance | Fmu
     warm: bool = False
 
     def __post_init__(self) -> None:
         self.restart = restarting(self.unit)
 
     def close(self) -> None:
-        if hasattr(self.unit, "close"):
+        if isinstance(self.unit, Fmu):
             self.unit.close()
 
 
@@ -648,8 +655,8 @@ def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
 
 def _fastest(rows: Sequence[Row], level: float) -> Row | None:
     """Return the fastest run with a position error up to a level."""
-    reached = [r for r in rows if r[POSITION] is not None and r[POSITION] <= level]
-    return min(reached, key=lambda r: r[TIME], default=None)
+    reached = [r for r in rows if (error := measured(r, POSITION)) is not None and error <= level]
+    return min(reached, key=lambda r: number(r, TIME), default=None)
 
 
 def _verdict(quantity: str, mine: float | None, theirs: float | None) -> str:
@@ -759,7 +766,7 @@ def report(
     for study in begun.measured(progress):
         _pictures(study, begun.folder)
     for file in FILES if "runs" in effort.parts else ("skipped",):
-        write_csv(begun.folder / f"{file}.csv", begun.rows(lambda study, file=file: study.files[file]))
+        write_csv(begun.folder / f"{file}.csv", [row for study in begun.studies for row in study.files[file]])
     if "maps" in effort.parts:
         maps.write(begun.folder, [study.maps for study in begun.studies])
     summary = _skipped(begun.studies)
@@ -783,7 +790,7 @@ NAMED = 6
 
 def _skipped(studies: Sequence[Study]) -> list[Row]:
     """Return the skipped runs, a row for each reason of each mechanism."""
-    found = []
+    found: list[Row] = []
     for study in studies:
         why: dict[str, list[Row]] = {}
         for row in study.files["skipped"]:
@@ -836,7 +843,7 @@ def _table(study: Study, file: str) -> list[str]:
     """Return a table of a mechanism in Markdown, empty if it has no rows."""
     rows, (title, columns) = study.files[file], SHOWN[file]
     if file == "comparisons":
-        rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
+        rows = [r for r in rows if str(r["what"]).startswith("run time to") or str(r["result"]).startswith("lost")]
     if file == "reference" and any("note" in row for row in rows):
         columns = ("horizon [s]", "note")
     return [shown(title, file, columns, rows)] if numbered(rows) else []
@@ -931,11 +938,9 @@ def _sentence(study: Study, row: Row) -> str:
     known = [r for r in study.files["errors"] if r["code"] == "alfmu" and r.get(POSITION) and r.get(TIME)]
     if not known:
         return f"**{study.name}**: no run has an error that could be judged."
-    best = min(known, key=lambda r: r[POSITION])
-    how = f"{integrator(best)}, {best['way']}"
-    return (
-        f"**{study.name}**: {how} has the smallest position error, {best[POSITION]:.2g}, in {1e3 * best[TIME]:.3g} ms."
-    )
+    best = min(known, key=lambda r: number(r, POSITION))
+    how, spent = f"{integrator(best)}, {best['way']}", 1e3 * number(best, TIME)
+    return f"**{study.name}**: {how} has the smallest position error, {best[POSITION]:.2g}, in {spent:.3g} ms."
 
 
 def fastest(level: float) -> str:
@@ -959,10 +964,11 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
     """Return run times of other codes over that of alfmu, in the same language if possible, at a middle level."""
     level, rows = LEVELS[1], []
     for study in studies:
-        found = [r for r in study.files["comparisons"] if "run time to" in r["what"] and r["level or step"] == level]
+        told = [r for r in study.files["comparisons"] if "run time to" in str(r["what"])]
+        found = [r for r in told if r["level or step"] == level]
         mine = next((r for r in found if r["its value"]), None)
-        row: Row = {"mechanism": study.name, fastest(level): mine and mine["alfmu"]}
-        row["its run time [ms]"] = mine and 1e3 * float(mine["its value"])
+        row: Row = {"mechanism": study.name, fastest(level): mine["alfmu"] if mine else None}
+        row["its run time [ms]"] = 1e3 * number(mine, "its value") if mine else None
         for each in found:
             code = str(each["other"]).split(",")[0]
             beside = "oracle" if "oracle" in str(each["alfmu"]) else "fastest"
@@ -999,9 +1005,9 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
         about = BY_TIME.format(what=f"all formulations in the way {way}", lines="formulations")
         page.plot(plotted, " ".join(about.split()))
     orders = {
-        str(r["method"]): r["order"]
+        str(r["method"]): order
         for r in study.files["settings"]
-        if r["code"] == "alfmu" and r["formulation"] == OWN and r["order"] is not None
+        if r["code"] == "alfmu" and r["formulation"] == OWN and (order := measured(r, "order")) is not None
     }
     fast = [r for r in _one_way(study) if (r["code"], r["formulation"]) == ("alfmu", OWN) and r[TIME] is not None]
     panels = {c: [r for r in fast if r["control"] == c] for c in (STEP, TOLERANCE)}
@@ -1012,8 +1018,8 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
         )
         page.plot(convergence(panels, orders, TOLERANCE, POSITION), about)
     for file in SHOWN:
-        for table in _table(study, file):
-            page.fold(SHOWN[file][0], table)
+        for text in _table(study, file):
+            page.fold(SHOWN[file][0], text)
     if "maps" in study.effort.parts:
         page.head(3, f"Where {name} runs")
         if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
@@ -1057,5 +1063,6 @@ def _said(rows: Sequence[Row]) -> dict[tuple[str, str, str], str]:
         parts = [f"position error {error:.2g} m, rad"] if error is not None else []
         if r.get("cut short"):
             parts.append(f"cut short at {r['reached [%]']:.2g} % of its time")
-        found[str(r["map"]), str(r["row"]), str(r["column"])] = "; ".join([*parts, *filter(None, [r.get("message")])])
+        parts += [str(r["message"])] if r.get("message") else []
+        found[str(r["map"]), str(r["row"]), str(r["column"])] = "; ".join(parts)
     return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from .cases import (
     scene,
 )
 from .charts import Map, maps, save
-from .tables import Row, markdown, paragraph, shown, write_csv
+from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 
 __all__ = ["CLASSES", "CRITERIA", "Effort", "left_out", "maps_of", "stability"]
 
@@ -172,7 +172,7 @@ class Cell:
     """Step over the mechanism's own."""
     penalty: float = 0.0
     """Penalty over the largest entry of M; 0 for the default."""
-    scaled: Mapping[str, float] = ()
+    scaled: Mapping[str, float] = field(default_factory=dict)
     """Factors of parameters."""
 
 
@@ -213,7 +213,8 @@ class Study(cases.Study):
         effort, method = self.effort, next(iter(methods()))
         ends = [(min(x), max(x)) for x in (effort.steps, effort.penalties)]
         scales = (min(effort.scales), max(effort.scales))
-        for mass in self.masses[: effort.masses] or [None]:
+        masses: list[str | None] = [*self.masses[: effort.masses]]
+        for mass in masses or [None]:
             for step, alpha in product(*ends):
                 for factor in scales if mass else (1.0,):
                     for stiff in scales if self.springs else (1.0,):
@@ -276,10 +277,11 @@ class Study(cases.Study):
         return self._units[method]
 
     def _values(self, cell: Cell) -> dict[str, float | str]:
-        values = {"solver.formulation": cell.formulation, "solver.step_size": cell.step * self.equations.step_size}
+        step = cell.step * self.equations.step_size
+        values: dict[str, float | str] = {"solver.formulation": cell.formulation, "solver.step_size": step}
         if cell.penalty:
             values["solver.penalty"] = cell.penalty * self.mass
-        return values | {name: factor * self.defaults[name] for name, factor in dict(cell.scaled).items()}
+        return values | {name: factor * self.defaults[name] for name, factor in cell.scaled.items()}
 
     def _times(self, step: float) -> NDArray:
         """Return times up to the horizon, with increasing numbers of steps between them.
@@ -293,7 +295,7 @@ class Study(cases.Study):
 
     def _judge(self, cell: Cell) -> tuple[Judge, float, float]:
         """Return the judge of runs with these parameters, the scale of positions, and the largest kinetic energy."""
-        key = tuple(sorted(dict(cell.scaled).items()))
+        key = tuple(sorted(cell.scaled.items()))
         if key not in self._judges:
             self._judges[key] = self._judged(key)
         return self._judges[key]
@@ -316,7 +318,7 @@ class Study(cases.Study):
     def _row(self, cell: Cell, name: str, **more: Any) -> Row:
         row = {x: getattr(cell, x) for x in ("map", "row", "column", "formulation", "method")}
         row |= {"step over default": cell.step, "penalty over mass": cell.penalty or None}
-        row |= {"parameters": " ".join(f"{k}*{x:g}" for k, x in dict(cell.scaled).items())}
+        row |= {"parameters": " ".join(f"{k}*{x:g}" for k, x in cell.scaled.items())}
         return {"mechanism": self.name, **row, "across": cell.across, "down": cell.down, "class": name, **more}
 
 
@@ -324,7 +326,7 @@ def classified(run: Run, errors: Row, scale: float, kinetic: float, judged: bool
     """Return the class of a run by CRITERIA."""
     if run.failure:
         return REFUSED + next((kind for words, kind in KINDS.items() if words in run.failure), OTHER)
-    position, phi, energy = (errors[x] for x in (POSITION, PHI, ENERGY))
+    position, phi, energy = (measured(errors, x) for x in (POSITION, PHI, ENERGY))
     if not np.isfinite(run.values).all():
         return "not finite"
     if energy is not None and energy > GROWTH * kinetic:
@@ -413,7 +415,7 @@ def _of(study: Study) -> dict[str, list[Row]]:
     """Return the cells of each map."""
     found: dict[str, list[Row]] = {}
     for row in study.rows:
-        found.setdefault(row["map"], []).append(row)
+        found.setdefault(str(row["map"]), []).append(row)
     return found
 
 
@@ -421,10 +423,11 @@ def maps_of(study: Study) -> list[Map]:
     """Return the maps of a mechanism; maps skipped for lack of time are left out, unless all are."""
     drawn = []
     for title, cells in _of(study).items():
-        columns, rows = (list(dict.fromkeys(c[x] for c in cells)) for x in ("column", "row"))
-        classes = {(c["row"], c["column"]): c["class"] for c in cells}
-        short = {(c["row"], c["column"]): _percent(c["reached [%]"]) for c in cells if c.get("cut short")}
-        drawn.append(Map(title, cells[0]["across"], cells[0]["down"], columns, rows, classes, short))
+        columns, rows = (list(dict.fromkeys(str(c[x]) for c in cells)) for x in ("column", "row"))
+        classes = {(str(c["row"]), str(c["column"])): str(c["class"]) for c in cells}
+        cut = [c for c in cells if c.get("cut short")]
+        short = {(str(c["row"]), str(c["column"])): _percent(number(c, "reached [%]")) for c in cut}
+        drawn.append(Map(title, str(cells[0]["across"]), str(cells[0]["down"]), columns, rows, classes, short))
     return [each for each in drawn if set(each.classes.values()) != {NOT_RUN}] or drawn
 
 
@@ -439,7 +442,7 @@ def _percent(part: float) -> str:
 
 def _counts(study: Study) -> list[Row]:
     """Return the number of cells in each class by map."""
-    rows = []
+    rows: list[Row] = []
     for title, cells in _of(study).items():
         count = Counter(c["class"] for c in cells)
         rows += [{"mechanism": study.name, "map": title, "class": x, "cells": count[x]} for x in CLASSES if count[x]]

@@ -23,6 +23,8 @@ __all__ = [
     "Row",
     "environment",
     "markdown",
+    "measured",
+    "number",
     "paragraph",
     "processor",
     "rounded",
@@ -32,6 +34,20 @@ __all__ = [
 
 Cell = str | int | float | None
 Row = dict[str, Cell]
+
+
+def measured(row: Row, name: str) -> float | None:
+    """Return the number in a column of a row; None if there is none."""
+    value = row.get(name)
+    return None if isinstance(value, str) else value
+
+
+def number(row: Row, name: str) -> float:
+    """Return the number in a column of a row, which must have one."""
+    value = measured(row, name)
+    if value is None:
+        raise TypeError(f"{name} is {row.get(name)!r}, not a number")
+    return value
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,7 @@ def _check_space(space: Space) -> None:
     for frame in space.frames:
         if len(frame.columns) not in {"body": (7,), "plane": (3,), "axis": (6,), "point": (2, 3)}[frame.kind]:
             raise ValueError(f"drawing has {len(frame.columns)} columns for {frame.name!r}")
-    spots = [at for pair in (*space.pivots, *space.struts) for at in (pair.first, pair.second)]
-    named = [at.frame for at in (*spots, *(arrow.at for arrow in space.arrows))]
+    named = [at.frame for at in (*space.spots, *(arrow.at for arrow in space.arrows))]
     for name in (*named, *(solid.name for solid in space.solids), *space.dots):
         if name not in frames and name != GROUND:
             raise ValueError(f"drawing has no body {name!r}")
@@ -71,7 +70,7 @@ def _read(form: Any, value: object, place: str) -> Any:
     kind, inner = get_origin(form) or form, get_args(form)
     if kind is UnionType:
         return None if value is None else _read(inner[0], value, place)
-    if is_dataclass(form) and isinstance(value, dict):
+    if isinstance(form, type) and is_dataclass(form) and isinstance(value, dict):
         hints = _fields(form)
         if value.keys() == hints.keys():
             return form(**{name: _read(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
@@ -81,7 +80,7 @@ def _read(form: Any, value: object, place: str) -> Any:
             return tuple(_read(each, x, f"{place}[{i}]") for i, (each, x) in enumerate(zip(forms, value, strict=True)))
     elif value in inner if kind is Literal and isinstance(value, str) else form in (str, bool) and type(value) is form:
         return value
-    elif form is float and type(value) in (int, float) and math.isfinite(value) and abs(value) <= LARGEST:
+    elif form is float and (type(value) is int or type(value) is float) and abs(value) <= LARGEST:
         return float(value)
     raise ValueError(f"{place} is {str(value)[:40]!r}")
 

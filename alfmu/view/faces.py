@@ -68,8 +68,8 @@ class Stage:
                 (float(depth[i : i + 2].mean()) - 0.5 * unit, pixels[i : i + 2].tolist(), width, color, False)
                 for i in range(len(points) - 1)
             ]
-        for _, *drawn in sorted(items, key=lambda item: -item[0]):
-            surface.stroke(*drawn)
+        for item in sorted(items, key=lambda item: -item[0]):
+            surface.stroke(*item[1:])
         _axes(surface, self.camera, base)
         if unit * lens.scale > 2.2 * base:
             names = list(_texts(self, poses))
@@ -231,7 +231,9 @@ def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
         for line in (np.maximum(profile, [1e-9, -np.inf]), slopes)
     )
     n, last = SIDES, (len(profile) - 1) * SIDES
-    quads = [(k + i, k + (i + 1) % n, k + n + (i + 1) % n, k + n + i) for k in range(0, last, n) for i in range(n)]
+    quads: list[tuple[int, ...]] = [
+        (k + i, k + (i + 1) % n, k + n + (i + 1) % n, k + n + i) for k in range(0, last, n) for i in range(n)
+    ]
     for low, order in ((0, -1), (last, 1)):
         quads += [(low, low + i, low + i + 1, low + min(i + 2, n - 1))[::order] for i in range(1, n - 1, 2)]
     return vertices, normals, np.array(quads)
@@ -239,7 +241,8 @@ def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
 
 @cache
 def _block(x: float, y: float, z: float) -> Mesh:
-    vertices, normals, quads = [], [], []
+    vertices: list[NDArray[np.float64]] = []
+    normals, quads = [], []
     half, steps = np.array([x, y, z]), np.linspace(-1, 1, 4)
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -269,7 +272,7 @@ def _prism(corners: tuple[Vector3, ...], half: float) -> Mesh:
     middle = np.mean(corners, axis=0)
     flat = np.array(corners) - middle
     n = len(flat)
-    across = sum(cross(a, b) for a, b in zip(flat, np.roll(flat, -1, axis=0), strict=True))
+    across = sum((cross(a, b) for a, b in zip(flat, np.roll(flat, -1, axis=0), strict=True)), np.zeros(3))
     across = across / np.linalg.norm(across)
     normals = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
     vertices = np.concatenate([flat - half * across, flat + half * across])

@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..equations import Equations, Variable
+from ..equations import Configuration, Equations, Variable
 from ..equations.interface import state_starts, variables_of
 from ..kernel.stream import BINARY, UNARY
 from ..model.doubts import tell_of_gravity
@@ -233,7 +233,7 @@ def _nice(wanted: float) -> float:
 
 def _groups(e: Equations, shown: Sequence[Variable]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the groups of variables for plots, and the initial plots."""
-    inputs = {v.name for v in (*e.inputs, *e.switches)}
+    inputs = {v.name for v in e.inputs} | {v.name for v in e.switches}
     alike: dict[tuple[str, str], list[Variable]] = {}
     for v in shown:
         if not v.name.startswith("monitor."):
@@ -281,14 +281,14 @@ def _short(name: str, of: str) -> str:
 # Preliminary run ----------------------------------------------------------------------------------------------------
 
 
-def _look(unit: Instance, e: Equations) -> tuple[Result, tuple[float, float]]:
+def _look(unit: Instance, e: Configuration) -> tuple[Result, tuple[float, float]]:
     """Return the beginning of a run, its largest kinetic energy [J] and the extent of the motion [m].
 
     Raises AlfmuError if the mechanism cannot start.
     """
     most = min(LOOK[0] * e.interval, LOOK[1] * float(e.solver.get("step_size", e.step_size)), e.stop_time)
     times = communication_points(e.name, max(most, e.interval), e.interval, len(unit.outputs))
-    names = [v.name for v in unit.outputs]
+    names = tuple(v.name for v in unit.outputs)
     values, why = unit.run(times, [], np.zeros((len(times), 0)), names)
     if not len(values) and why is not None:
         raise why

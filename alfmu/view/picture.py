@@ -208,7 +208,7 @@ def drawing(
     caption = "" if columns else f"{mechanism.name} declares no bodies and no points"
     angle = next((start for start in equations.starts if start.unit == "rad"), None)
     if angle and plane.hides(shapes, columns):
-        turned = {angle.name: round(angle.start + 1, 4)}
+        turned = {angle.name: round(float(angle.start) + 1, 4)}
         with suppress(AlfmuError):
             columns = _start(shapes, with_defaults(equations, turned))
             caption = f"shown at {angle.name} = {quantity(turned[angle.name], 'rad')}"

@@ -7,6 +7,7 @@ with three.js. Positions and directions stay traced if numbers of shapes are.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +17,8 @@ import numpy as np
 from .shapes import GROUND, Solid, Space, Spot, Vector3
 from .space import SLIDING, SpaceView, distinct, tree
 from .surface import COLORS
+
+Kind = Literal["rod", "coil", "ball", "box", "cylinder", "cone", "plate"]
 
 __all__ = ["Name", "Piece", "colors_of", "names_of", "pieces_of"]
 
@@ -32,7 +35,7 @@ class Piece:
     """
 
     name: str
-    kind: Literal["rod", "coil", "ball", "box", "cylinder", "cone", "plate"]
+    kind: Kind
     at: tuple[Spot, ...]
     size: tuple[float, ...]
     color: str
@@ -58,21 +61,26 @@ def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
         length = sum(a * a for a in axis) ** 0.5
 
         def piece(
-            kind: str, size: tuple[float, ...], color: str = "white", at=pivot.first, axis=axis, name=pivot.name
+            kind: Kind,
+            size: tuple[float, ...],
+            color: str = "white",
+            at: Spot = pivot.first,
+            axis: Vector3 = axis,
+            name: str = pivot.name,
         ) -> Piece:
             return Piece(name, kind, (at,), tuple(u * unit for u in size), color, axis)
 
         if pivot.kind in SLIDING:
             low, high = view.travel[pivot.name]
-            ends = [
+            rail = [
                 Spot(
                     pivot.first.frame,
                     *(o + end * a / length for o, a in zip(xyz(pivot.first), axis, strict=True)),
                 )
                 for end in (low - 6 * unit, high + 6 * unit)
             ]
-            if not any(_inside(ends, piece, unit) for piece in pieces):
-                pieces.append(Piece(pivot.name, "rod", tuple(ends), (0.62 * unit, 0.0, 1.0), "faint"))
+            if not any(_inside(rail, piece, unit) for piece in pieces):
+                pieces.append(Piece(pivot.name, "rod", tuple(rail), (0.62 * unit, 0.0, 1.0), "faint"))
             if pivot.kind != "prismatic":
                 pieces.append(piece("cylinder", (1.7, 3.0), at=pivot.second))
             elif pivot.second.frame not in boxes:
@@ -130,20 +138,20 @@ def _solid(solid: Solid, color: str, unit: float, extent: float) -> list[Piece]:
     near = 1e-6 * extent
     points = distinct(solid.points, near)
     everything = distinct([*points, (0.0, 0.0, 0.0)], near)
-    usual = solid.box and max(solid.box) < 0.3 * extent and min(solid.box) > 0.3 * unit
+    usual = solid.box if solid.box and max(solid.box) < 0.3 * extent and min(solid.box) > 0.3 * unit else None
     if (solid.block or len(everything) == 1) and usual:
-        return [Piece(name, "box", (center,), tuple(max(x, unit) for x in solid.box), color)]
+        return [Piece(name, "box", (center,), tuple(max(x, unit) for x in usual), color)]
     if solid.block and not solid.box:
         return [Piece(name, "box", (center,), (2.6 * unit, 1.7 * unit, 1.7 * unit), color)]
     if len(everything) == 1:
         return [Piece(name, "ball", (center,), (2.3 * unit,), color)]
     if corners := _corners(points, extent):
         return [Piece(name, "plate", tuple(Spot(name, *p) for p in corners), (0.55 * unit,), color)]
-    pieces, ends = [], {}
+    pieces: list[Piece] = []
+    ends: Counter[Vector3] = Counter()
     for a, b in _spine(everything, extent) or tree(everything, extent):
         pieces.append(Piece(name, "rod", (Spot(name, *a), Spot(name, *b)), (unit, 0.0, 1.0), color))
-        for end in (a, b):
-            ends[end] = ends.get(end, 0) + 1
+        ends.update((a, b))
     own = [p for p in ends if math.hypot(*p) <= near]
     if own and ends[own[0]] == 1 and len(everything) > len(points):
         pieces.append(Piece(name, "ball", (center,), (2.6 * unit,), color))

@@ -50,7 +50,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View:
     points += [place_of(poses, Anchor(rim.body, *p)) for rim in shapes.rims for p in rim.points]
     points += [place_of(poses, at) for at in supports_of(shapes)]
     points += [poses[dot][:2] for dot in shapes.dots]
-    xs, ys = (np.concatenate([np.ravel(p[k]) for p in points] or [[0.0]]) for k in (0, 1))
+    xs, ys = (np.concatenate([np.ravel(p[k]) for p in points] or [np.zeros(1)]) for k in (0, 1))
     travel = []
     for guide in shapes.guides:
         (x, y), (rx, ry) = place_of(poses, guide.base), place_of(poses, guide.rider)
@@ -69,7 +69,8 @@ def poses_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose
         )
     poses: dict[str, Pose] = {GROUND: (0.0, 0.0, 0.0)}
     for link in shapes.links:
-        poses[link.name] = tuple(np.asarray(columns[f"{link.name}.{q}"], float) for q in ("x", "y", "angle"))
+        x, y, angle = (np.asarray(columns[f"{link.name}.{q}"], float) for q in ("x", "y", "angle"))
+        poses[link.name] = x, y, angle
     for dot in shapes.dots:
         poses[dot] = (np.asarray(columns[f"{dot}.x"], float), np.asarray(columns[f"{dot}.y"], float), 0.0)
     return poses

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -267,7 +267,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
 def _panels(result: Result, lines: Iterable[_Line]) -> list[_Panel]:
     """Return lines grouped by unit, known units first, constraint errors last; equal lines are merged."""
     groups: dict[str, list[_Line]] = {unit: [] for unit in KINDS}
-    errors = []
+    errors: list[_Line] = []
     for line in lines:
         (name,) = line.names
         part = name.strip("|")
@@ -328,7 +328,7 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
         drawn = axes.plot(result.time, shown, label=line.label, linewidth=1.5, **style)
         if poles.any():  # draw an arrow, and a gap in the line
             top = np.ones(int(poles.sum()))
-            arrow = {"marker": "^", "linestyle": "", "markersize": 4, "color": drawn[0].get_color()}
+            arrow: dict[str, Any] = {"marker": "^", "linestyle": "", "markersize": 4, "color": drawn[0].get_color()}
             axes.plot(result.time[poles], top, transform=axes.get_xaxis_transform(), clip_on=False, **arrow)
     if logarithmic:
         axes.set_yscale("log", nonpositive="mask")
@@ -342,7 +342,7 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     axes.margins(x=0)
     axes.grid(color="#e3e8ee", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
-    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
     scale = 3 if logarithmic else 1
     axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35, markerscale=scale)
 
@@ -358,7 +358,7 @@ def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach:
     return any(np.mean(np.abs(values - other) <= CLOSE * reach) > OFTEN for other in others)
 
 
-def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
+def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, Any]]:
     """Return styles: colour by body or joint, the same in all panels, dashes by component; colour alone with one owner.
 
     Multipliers have no owner.
@@ -368,7 +368,7 @@ def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
     names = sorted(result.names, key=lambda name: name.startswith("multiplier["))  # bodies and joints first
     owners = list(dict.fromkeys(name.split(".")[0] for name in names))
     seen: Counter[str] = Counter()
-    styles: list[dict[str, object]] = []
+    styles: list[dict[str, Any]] = []
     for line in lines:
         place = owners.index(line.owner)
         # Bodies and joints beyond the number of colours have different dashes.

@@ -252,8 +252,8 @@ def _knot_label(knot: _Knot, shapes: Shapes) -> Label:
     for at in knot.anchors:
         others = [p for p in points.get(at.body, ()) if p != (at.x, at.y)]
         directions += [Anchor(at.body, x - at.x, y - at.y) for x, y in others]
-    blocks = [g for g in shapes.guides if g.block is not None and g.rider in knot.anchors]
-    directions += [Anchor(g.rider.body, sin(g.block), -cos(g.block)) for g in blocks]
+    blocks = [(g.rider.body, g.block) for g in shapes.guides if g.block is not None and g.rider in knot.anchors]
+    directions += [Anchor(body, sin(block), -cos(block)) for body, block in blocks]
     spirals = [tie for tie in shapes.ties if tie.kind == "spiral" and tie.first in knot.anchors]
     return Label(", ".join(knot.names), knot.anchors[:1], tuple(directions), 26.0 if blocks or spirals else 11.0)
 

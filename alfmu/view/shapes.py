@@ -26,6 +26,12 @@ POSE = ("x", "y", "z", "e0", "e1", "e2", "e3")
 
 Vector3 = tuple[float, float, float]
 
+LinkKind = Literal["bar", "mass", "block"]
+TieKind = Literal["rod", "spring", "damper", "spring-damper", "spiral"]
+Effort = Literal["force", "moment"]
+
+EFFORTS: tuple[Effort, Effort] = ("force", "moment")
+
 
 # In the plane -----------------------------------------------------------------------------------------------------
 
@@ -51,7 +57,7 @@ class Link:
     """
 
     name: str
-    kind: Literal["bar", "mass", "block"]
+    kind: LinkKind
     points: tuple[Vector, ...]
 
 
@@ -84,7 +90,7 @@ class Tie:
     """A symbol between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
 
     name: str
-    kind: Literal["rod", "spring", "damper", "spring-damper", "spiral"]
+    kind: TieKind
     first: Anchor
     second: Anchor
 
@@ -164,7 +170,7 @@ class Arrow:
     """A force or moment in a result: three outputs in ground axes, or one along a direction of a frame."""
 
     name: str
-    kind: Literal["force", "moment"]
+    kind: Effort
     role: Literal["applied", "reaction"]
     at: Spot
     columns: tuple[str, ...]
@@ -182,6 +188,12 @@ class Space:
     arrows: tuple[Arrow, ...]
     dots: tuple[str, ...]
     up: Vector3
+
+    @property
+    def spots(self) -> list[Spot]:
+        """The points of its pivots and struts."""
+        pairs: list[Pivot | Strut] = [*self.pivots, *self.struts]
+        return [at for pair in pairs for at in (pair.first, pair.second)]
 
 
 # Mechanism ----------------------------------------------------------------------------------------------------------
@@ -257,16 +269,19 @@ def _in_plane(
     for spring in m.springs:
         between = spring.between
         first, second = between if isinstance(between, tuple) else (between.first, between.second)
-        if not isinstance(first, Marker) or by_law(m, first.x, first.y, second.x, second.y):
+        if not (isinstance(first, Marker) and isinstance(second, Marker)):
             continue
-        kind = _spring(spring)
+        if by_law(m, first.x, first.y, second.x, second.y):
+            continue
+        kind: TieKind | None = _spring(spring)
         if isinstance(between, Joint) and between.kind == "revolute":
-            kind = "spiral" if "spring" in kind else ""
+            kind = "spiral" if kind and "spring" in kind else None
         if kind:
             ties.append(Tie("", kind, anchor(first), anchor(second)))
 
     fixed: dict[str, list[Anchor]] = {}
-    for pair in (*joints, *ties):
+    pairs: list[Hinge | Tie] = [*joints, *ties]
+    for pair in pairs:
         for at in (pair.first, pair.second):
             fixed.setdefault(at.body, []).append(at)
     for point in m.watched:
@@ -275,12 +290,12 @@ def _in_plane(
     blocks = {g.rider.body for g in guides if g.block is not None}
     links = []
     for body in m.bodies:
-        ends = [] if body.length is None else [anchor(body.start), anchor(body.end)]
-        points = list(dict.fromkeys((a.x, a.y) for a in (*ends, *fixed.get(body.name, ()))))
-        kind = "block" if body.name in blocks else "bar" if len(points) > 1 else "mass"
-        if kind == "mass" and (0.0, 0.0) not in points:
+        own = [] if body.length is None else [anchor(body.start), anchor(body.end)]
+        points = list(dict.fromkeys((a.x, a.y) for a in (*own, *fixed.get(body.name, ()))))
+        form: LinkKind = "block" if body.name in blocks else "bar" if len(points) > 1 else "mass"
+        if form == "mass" and (0.0, 0.0) not in points:
             points.append((0.0, 0.0))
-        links.append(Link(body.name, kind, tuple(points)))
+        links.append(Link(body.name, form, tuple(points)))
     return tuple(links), joints, guides, tuple(ties)
 
 
@@ -322,8 +337,8 @@ def _pins(
         if joint.kind in ("revolute", "weld"):
             joined.join(joint.first, joint.second)
     ends: dict[tuple[int | float | None, ...], Anchor] = {}
-    for body in (body for body in m.bodies if body.between):
-        for end, marker in zip(body.between, (body.start, body.end), strict=True):
+    for body, between in [(body, body.between) for body in m.bodies if body.between]:
+        for end, marker in zip(between, (body.start, body.end), strict=True):
             here = anchor(marker)
             if isinstance(end, Marker):
                 there = anchor(end)
@@ -359,10 +374,12 @@ class Knots:
         return one == other or other in self._groups.get(one, ())
 
 
-def _spring(spring: Spring) -> str:
-    """Return "spring", "damper" or both; empty if neither has a strength."""
-    kinds = {"spring": spring.stiffness, "damper": spring.damping}
-    return "-".join(kind for kind, strength in kinds.items() if not ca.SX(strength).is_zero())
+def _spring(spring: Spring) -> Literal["spring", "damper", "spring-damper"] | None:
+    """Return "spring", "damper" or both; None if neither has a strength."""
+    springs, damps = (not ca.SX(strength).is_zero() for strength in (spring.stiffness, spring.damping))
+    if springs:
+        return "spring-damper" if damps else "spring"
+    return "damper" if damps else None
 
 
 def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, places: Sequence[str]) -> Space:
@@ -383,21 +400,22 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     frames = [Frame(b.name, "body", tuple(f"{b.name}.{q}" for q in POSE)) for b in m.spatial_bodies]
     frames += [Frame(x.name, "plane", tuple(f"{x.name}.{q}" for q in ("x", "y", "angle"))) for x in plane.links]
     pivots = [
-        Pivot(j.name, j.kind, *map(spot, ends), None if j.kind == "spherical" else direction(j.axes[0]))
+        Pivot(j.name, j.kind, spot(ends[0]), spot(ends[1]), None if j.kind == "spherical" else direction(j.axes[0]))
         for j in m.spatial_joints
         if j.kind != "distance" and (ends := ends_of(m, j)) is not None
     ]
     pivots += [Pivot(j.name, j.kind, flat(j.first), flat(j.second), (0.0, 0.0, 1.0)) for j in plane.joints]
     drawn: dict[str, Spot] = {}
     for each in m.drawn_joints:
+        axis: Vector3 = (0.0, 0.0, 1.0)
         if each.outputs:
             frames.append(Frame(each.name, "axis" if each.axis else "point", each.outputs))
-            drawn[each.name], axis = Spot(each.name, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+            drawn[each.name] = Spot(each.name, 0.0, 0.0, 0.0)
         else:
             drawn[each.name] = Spot(GROUND, *map(number, each.at))
-            axis = tuple(map(number, each.axis or (0.0, 0.0, 1.0)))
+            axis = direction(each.axis or axis)
         if each.kind:
-            pivots.append(Pivot(each.name, each.kind, drawn[each.name], drawn[each.name], each.axis and axis))
+            pivots.append(Pivot(each.name, each.kind, drawn[each.name], drawn[each.name], axis if each.axis else None))
     struts = [
         Strut(bar.name, "bar", drawn[first], drawn[second])
         for bar in m.drawn_bars
@@ -411,15 +429,17 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
         between = spring.between
         first, second = between if isinstance(between, tuple) else (between.first, between.second)
         along = isinstance(between, tuple) or between.kind == "prismatic"
-        moves = isinstance(first, SpatialMarker) and by_law(m, first.x, first.y, first.z, second.x, second.y, second.z)
-        if isinstance(first, SpatialMarker) and along and not moves and (kind := _spring(spring)):
+        if not (along and isinstance(first, SpatialMarker) and isinstance(second, SpatialMarker)):
+            continue
+        if (kind := _spring(spring)) and not by_law(m, *first.point, *second.point):
             struts.append(Strut("", kind, spot(first), spot(second)))
     shown = {*drawn, *(bar.name for bar in m.drawn_bars)}  # parts with their own symbol
     dots = tuple(dot for dot in plane.dots if dot not in shown)
     frames += [Frame(x, "point", tuple(f"{x}.{q}" for q in "xyz" if f"{x}.{q}" in places)) for x in dots]
 
     points: dict[str, list[Vector3]] = {frame.name: [] for frame in frames}
-    for pair in (*pivots, *struts):
+    pairs: list[Pivot | Strut] = [*pivots, *struts]
+    for pair in pairs:
         for at in (pair.first, pair.second):
             points.get(at.frame, []).append((at.x, at.y, at.z))
     for point in m.watched:
@@ -435,26 +455,26 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     ]
 
     arrows = [
-        Arrow(j.name, kind, "reaction", spot(ends[1]), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
+        Arrow(j.name, effort, "reaction", spot(ends[1]), tuple(f"{j.name}.{effort}.{q}" for q in "xyz"), None)
         for j in m.spatial_joints
         if (ends := ends_of(m, j)) is not None
-        for kind in ("force", "moment")[: {"spherical": 1, "distance": 0}.get(j.kind, 2)]
+        for effort in EFFORTS[: {"spherical": 1, "distance": 0}.get(j.kind, 2)]
     ]
     inputs = {key_of(x.symbol): x.name for x in m.inputs}
     for drive in m.drives:
         name = inputs.get(key_of(drive.effort))
         if name and not isinstance(drive.joint, Joint) and drive.joint.driven_axis:
-            kind = "force" if drive.joint.kind == "prismatic" else "moment"
+            effort: Effort = "force" if drive.joint.kind == "prismatic" else "moment"
             axis = direction(drive.joint.driven_axis)
-            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), axis))
+            arrows.append(Arrow(name, effort, "applied", spot(drive.joint.second), (name,), axis))
     for load in m.spatial_loads:
-        for kind, vector in (("force", load.force), ("moment", load.torque)):
+        for effort, vector in zip(EFFORTS, (load.force, load.torque), strict=True):
             names = tuple(inputs.get(key_of(x), "") for x in vector)
             if all(names):
-                arrows.append(Arrow(names[0].removesuffix(".x"), kind, "applied", spot(load.at), names, None))
-    pull = [float(number(g)) for g in m.gravity_vector]
-    size = math.hypot(*pull)
-    up = tuple(-g / size + 0.0 for g in pull) if size else (0.0, 0.0, 1.0)
+                arrows.append(Arrow(names[0].removesuffix(".x"), effort, "applied", spot(load.at), names, None))
+    x, y, z = (float(number(g)) for g in m.gravity_vector)
+    size = math.hypot(x, y, z)
+    up = (-x / size + 0.0, -y / size + 0.0, -z / size + 0.0) if size else (0.0, 0.0, 1.0)
     return Space(tuple(frames), tuple(solids), tuple(pivots), tuple(struts), tuple(arrows), dots, up)
 
 

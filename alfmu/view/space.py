@@ -7,8 +7,9 @@ the floor follow (`Camera`, `Floor`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,7 +107,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> SpaceView:
     space, poses = shapes.space, poses_of(shapes, columns)
     assert space is not None
     spots = [Spot(s.name, *p) for s in space.solids for p in (*s.points, (0.0, 0.0, 0.0))]
-    spots += [at for pair in (*space.pivots, *space.struts) for at in (pair.first, pair.second)]
+    spots += space.spots
     spots += [Spot(dot, 0.0, 0.0, 0.0) for dot in space.dots]
     cloud = np.concatenate([np.reshape(_thinned(place_of(poses, at)), (-1, 3)) for at in spots] or [np.zeros((1, 3))])
     travel = {}
@@ -210,9 +211,12 @@ def camera_of(view: SpaceView, size: Size) -> Camera:
             sides = (values - middle[k]) / depth
             middle[k] += (sides.min() + sides.max()) / 2 * distance * 0.9
     target = middle @ axes
-    return Camera(
-        tuple(map(float, target + distance * axes[2])), tuple(map(float, target)), tuple(map(float, up)), OPENING
-    )
+    return Camera(_vector(target + distance * axes[2]), _vector(target), _vector(up), OPENING)
+
+
+def _vector(numbers: Iterable[SupportsFloat]) -> Vector3:
+    x, y, z = map(float, numbers)
+    return x, y, z
 
 
 def _looking(towards: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -260,11 +264,12 @@ class Floor:
 
 def floor_of(view: SpaceView, scale: float, base: float) -> Floor:
     """Return the floor under a motion; `scale` is in pixels per metre."""
-    east, north, _ = right_handed(view.up)
+    east, north, _ = map(_vector, right_handed(view.up))
     cell = cell_of(46 * base, scale)
     flat = view.cloud @ np.array([east, north]).T
     low = np.floor((flat.min(axis=0) - 0.1 * view.extent) / cell).astype(int)
     high = np.ceil((flat.max(axis=0) + 0.1 * view.extent) / cell).astype(int)
     wide = max(high - low)
     low, high = low - (wide - (high - low)) // 2, high + (wide - (high - low) + 1) // 2
-    return Floor(east, north, tuple(map(int, low)), tuple(map(int, high)), cell, view.floor)
+    corners = (int(low[0]), int(low[1])), (int(high[0]), int(high[1]))
+    return Floor(east, north, *corners, cell, view.floor)

@@ -100,8 +100,8 @@ class Raster:
     def text(self, text: Text) -> None:
         place = SAMPLES * text.x, SAMPLES * (self.size[1] - text.y)
         halo, font = round(SAMPLES * text.size / 7), _font(SAMPLES * text.size)
-        about = {"stroke_width": halo, "stroke_fill": BACKGROUND}
-        self._pen.text(place, text.text, text.color, font, f"{text.anchor}m", **about)
+        anchor = f"{text.anchor}m"
+        self._pen.text(place, text.text, text.color, font, anchor, stroke_width=halo, stroke_fill=BACKGROUND)
 
 
 class Svg:
@@ -211,7 +211,7 @@ def cell_of(pixels: float, scale: float) -> float:
 
 
 @cache
-def _font(size: float) -> ImageFont.FreeTypeFont:
+def _font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 

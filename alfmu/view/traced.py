@@ -10,7 +10,8 @@ from typing import Any
 import casadi as ca
 
 from ..model.errors import DeclarationError
-from ..model.mechanism import Mechanism, Scalar
+from ..model.mechanism import Mechanism
+from ..model.parts import Scalar
 
 __all__ = ["Traced", "cos", "sin", "tracer"]
 
