@@ -77,13 +77,13 @@ def compiled_code(equations: Traced, kept: Mapping[str, dict[int, int]], identit
     `kept` are further arguments of functions that results may overwrite, and their lengths.
     """
     e, files, spare, overwritten = equations, [""], 0, _overwritten(equations)
-    for name in e.signatures:
+    for name in e.functions:
         for text, workspace in _function(name, e.functions[name], overwritten[name] | kept.get(name, {}), e.name):
             if len(files[-1]) > UNIT:
                 files.append("")
             files[-1] += text
             spare = max(spare, workspace)
-    names = list(e.signatures)
+    names = list(e.functions)
     declared = "".join(f"extern Function {name};\n" for name in names)
     files[-1] += declared + _TABLE.format(
         names=",\n    ".join(names), count=len(names), spare=spare, identity=json.dumps(identity)
@@ -140,7 +140,7 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
 
 def _overwritten(e: Traced) -> dict[str, dict[int, int]]:
     """Return arguments of functions, and their lengths, that a call overwrites with a result."""
-    found: dict[str, dict[int, int]] = {name: {} for name in e.signatures}
+    found: dict[str, dict[int, int]] = {name: {} for name in e.functions}
     for program in e.kernel.values():
         for call in every(program.steps):
             if isinstance(call, Call):
