@@ -27,10 +27,11 @@ def test_a_network_in_jax_is_trained_through_runs(capsys):
     n = example("network_jax", capsys)
     np.testing.assert_allclose(n["reached"], [n["WANTED"], 0.0], atol=1e-4)
     rng = np.random.default_rng(1)
-    torque, along, weights = rng.normal(size=(2, len(n["TIMES"]))).tolist() + [rng.normal(size=(len(n["TIMES"]), 2))]
-    _, pull = jax.vjp(n["run"], np.array(torque))
+    torque, along = rng.normal(size=(2, len(n["TIMES"])))
+    weights = rng.normal(size=(len(n["TIMES"]), 2))
+    _, pull = jax.vjp(n["run"], torque)
     found = float(np.dot(pull(weights)[0], along))
-    wanted = (differences(n["simulated"], np.array(torque), np.array(along), 1e-3) * weights).sum()
+    wanted = (differences(n["simulated"], torque, along, 1e-3) * weights).sum()
     assert abs(found - wanted) < 1e-7 * abs(wanted)
 
 
