@@ -47,5 +47,5 @@ def test_an_optimiser_of_pytorch_finds_parameters_through_runs(capsys):
         return float((n["Run"].apply(torch.from_numpy(x)) * weights).sum())
 
     for k, found in enumerate(numbers.grad.tolist()):
-        wanted = differences(sums, 0.9 * n["TRUE"], np.eye(3)[k], 1e-3)
+        wanted = differences(sums, 0.9 * n["TRUE"], np.eye(2)[k], 1e-3)
         assert abs(found - wanted) < 1e-7 * abs(wanted)

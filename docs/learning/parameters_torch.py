@@ -3,8 +3,8 @@ PyTorch finds the masses of a slider-crank
 ==========================================
 
 A run of a mechanism as a function in PyTorch: its derivative backward is alfmu's adjoint, so that modules and
-optimisers of PyTorch work with it. Here an optimiser finds two masses and the torque that drives them from a motion. To
-run it, `pip install torch`, then `python docs/learning/parameters_torch.py`.
+optimisers of PyTorch work with it. Here an optimiser finds two masses from a motion under a known torque. To run it,
+`pip install torch`, then `python docs/learning/parameters_torch.py`.
 """
 
 import numpy as np
@@ -15,20 +15,18 @@ from alfmu.gradients import Function
 
 torch.set_default_dtype(torch.float64)
 
-STOP, STEP = 0.5, 0.01
 OUTPUTS = "crank.angle", "slider.x"
-UNKNOWN = "m1", "m2", "A.torque"
-TRUE = np.array([0.7, 1.3, 2.5])  # kg, kg, N.m
-HOW = {"communication_step": STEP, "stop_time": STOP}
+UNKNOWN = "m2", "m3"  # of the rod and the slider
+TRUE = np.array([0.7, 1.3])  # kg
+HOW = {"communication_step": 0.01, "stop_time": 1.0, "inputs": {"A.torque": 8.0}}
 
 
-def given(numbers: np.ndarray) -> dict[str, dict[str, float]]:
-    *masses, torque = map(float, numbers)
-    return {"parameters": dict(zip(UNKNOWN, masses, strict=False)), "inputs": {"A.torque": torque}}
+def given(masses: np.ndarray) -> dict[str, float]:
+    return dict(zip(UNKNOWN, map(float, masses), strict=True))
 
 
 # %%
-# The run: masses and a torque in, outputs at all communication points out.
+# The run: masses in, outputs at all communication points out.
 
 
 class Weighted(Function):
@@ -45,15 +43,17 @@ class Weighted(Function):
 
 class Run(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, numbers: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(numbers)
-        result = alfmu.simulate("slider_crank", outputs=OUTPUTS, **given(numbers.detach().numpy()), **HOW)
+    def forward(ctx, masses: torch.Tensor) -> torch.Tensor:
+        ctx.save_for_backward(masses)
+        result = alfmu.simulate("slider_crank", outputs=OUTPUTS, parameters=given(masses.detach().numpy()), **HOW)
         return torch.from_numpy(np.stack([result[name] for name in OUTPUTS], axis=1))
 
     @staticmethod
     def backward(ctx, weights: torch.Tensor) -> torch.Tensor:
-        (numbers,) = ctx.saved_tensors
-        found = alfmu.gradient("slider_crank", Weighted(weights.numpy()), UNKNOWN, **given(numbers.numpy()), **HOW)
+        (masses,) = ctx.saved_tensors
+        found = alfmu.gradient(
+            "slider_crank", Weighted(weights.numpy()), UNKNOWN, parameters=given(masses.numpy()), **HOW
+        )
         return torch.tensor([found[name] for name in UNKNOWN])
 
 
@@ -62,7 +62,7 @@ class Run(torch.autograd.Function):
 
 measured = Run.apply(torch.from_numpy(TRUE))
 size = measured.std(dim=0)
-logarithms = torch.zeros(3, requires_grad=True)  # masses and torque stay positive
+logarithms = torch.zeros(2, requires_grad=True)  # so that masses stay positive
 search = torch.optim.LBFGS([logarithms], max_iter=60, tolerance_grad=1e-10, line_search_fn="strong_wolfe")
 
 
@@ -75,4 +75,4 @@ def misfit() -> torch.Tensor:
 
 search.step(misfit)
 found = logarithms.exp().detach().numpy()
-print(", ".join(f"{name} {value:.5f} (true {true})" for name, value, true in zip(UNKNOWN, found, TRUE, strict=True)))
+print(", ".join(f"{name} {value:.5f} kg (true {true})" for name, value, true in zip(UNKNOWN, found, TRUE, strict=True)))
