@@ -28,8 +28,6 @@ from alfmu.runtime import compiled as build
 from alfmu.runtime.pipeline import packed
 from alfmu.simulation import prepared, run, with_defaults
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 KERNELS = ("vm", "compiled")
 
 each_kernel = pytest.mark.parametrize("kernel", KERNELS)

@@ -25,8 +25,6 @@ each_scene = pytest.mark.parametrize(
 )
 
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 

@@ -71,14 +71,14 @@ def sources_of(path: Path) -> dict[str, str]:
         return {Path(n).name: archive.read(n).decode() for n in names}
 
 
-def compiled(files: dict[str, str], library: Path) -> None:
-    """The library of these sources, which have no warnings."""
+def compiled(files: dict[str, str], library: Path, level: str = "-O1") -> None:
+    """The library of these sources, which have no warnings; some take an optimisation to be found."""
     folder = library.with_suffix(".sources")
     folder.mkdir(parents=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="ascii")
     names = [name for name in files if name.endswith(".c")]
-    command = [*build.compiler(), "-O0", *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
+    command = [*build.compiler(), level, *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -86,7 +86,7 @@ def compiled(files: dict[str, str], library: Path) -> None:
 def with_library(path: Path, files: dict[str, str], other: Path) -> Path:
     """The FMU with the library of these sources in place of its own."""
     library = other.with_suffix(".so")
-    compiled(files, library)
+    compiled(files, library, "-O0")
     with zipfile.ZipFile(path) as archive, zipfile.ZipFile(other, "w") as made:
         for name in archive.namelist():
             made.writestr(name, library.read_bytes() if name.startswith("binaries/") else archive.read(name))
