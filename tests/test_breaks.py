@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 import alfmu
 from alfmu import Mechanism
-from alfmu.kernel.tables import alone
+from alfmu.kernel.complete import complete
 from alfmu.model.errors import StepError
 from alfmu.simulation import prepared
 
@@ -218,6 +218,6 @@ def test_what_has_none_carries_nothing():
     def smooth(m: Mechanism) -> ca.SX:
         return ca.sin(m.time) * m.input("u", "N.m") + m.time**2 - ca.fmax(m.coordinates[0].q, 0.0)
 
-    own = alone(prepared(alfmu.derive(bar(smooth))))
+    own = complete(prepared(alfmu.derive(bar(smooth))))
     assert not own.breaks
     assert "breaks" not in own.functions
