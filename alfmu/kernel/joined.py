@@ -50,9 +50,8 @@ class _Joining:
                 for k, step in enumerate(part, at - len(part) + 1):
                     made.append(self._inside(program, step, after.union(taken(steps[k:]))))
             else:
-                made += self._together(
-                    program, [x for x in part if isinstance(x, Call)], after.union(taken(steps[at:]))
-                )
+                calls = [step for step in part if isinstance(step, Call)]
+                made += self._together(program, calls, after.union(taken(steps[at:])))
         return tuple(made)
 
     def _inside(self, program: str, step: Step, later: set[str]) -> Step:

@@ -127,9 +127,8 @@ class _Writing:
         self._end = BEHIND + sum(inputs)
         """Address of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self._lines: list[tuple[int, ...]] = [
-            (sum(outputs), 0, 1, self._constant(0.0), 0)
-        ]  # results without an operation are zero
+        # Results without an operation are zero.
+        self._lines: list[tuple[int, ...]] = [(sum(outputs), 0, 1, self._constant(0.0), 0)]
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
         self._number[used] = [self._constant(value) for value in o.constant[used].tolist()]
@@ -142,9 +141,7 @@ class _Writing:
         o = self._operations
         carried = {each: one for each in found if (one := _carried(o, each)) is not None}
         parts = list(pieces(len(o), list(carried), max(len(o), 1)))
-        scope = np.concatenate(
-            [np.repeat(x.start + x.period * np.arange(x.times), x.period) for x in parts] or [np.zeros(0, int)]
-        )
+        scope = np.concatenate([np.zeros(0, int), *(np.repeat(x.passes(0), x.period) for x in parts)])
         self._local = (o.kind == VALUE) & (scope[o.made] == scope)
         """Operands computed in the same iteration of the same piece."""
         self._kept = np.zeros(len(o), bool)

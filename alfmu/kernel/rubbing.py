@@ -85,10 +85,7 @@ def _shared(scene: Scene, at: Sequence[SX], M: SX, C: SX, a: SX, lam: SX) -> SX:
     return scene.carried(t, q, v, u, C, a, lam)
 
 
-def _rub(
-    scene: Scene,
-    *known: SX,
-) -> tuple[SX, ...]:
+def _rub(scene: Scene, *known: SX) -> tuple[SX, ...]:
     """Return a, lam and watch after one more pass, whether to continue, and the convergence of the laws: their residual
     over the friction (squared), the least pivot."""
     t, q, v, u, M, C, F, xi, D, L, a, lam, watch, moved, pressed = known

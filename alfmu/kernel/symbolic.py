@@ -662,13 +662,7 @@ class Scene:
         return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
 
     def error_size(
-        self,
-        z: SX,
-        q: SX,
-        v: SX,
-        parts: Sequence[SX],
-        least: SX | None = None,
-        states: Sequence[SX] = (),
+        self, z: SX, q: SX, v: SX, parts: Sequence[SX], least: SX | None = None, states: Sequence[SX] = ()
     ) -> tuple[SX, SX]:
         """Return the largest error of the constrained state over the tolerance, and the largest `least` over the
         tolerance.
@@ -796,15 +790,7 @@ class Scene:
         return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
 
     def _shown(
-        self,
-        plan: Plan,
-        z: SX,
-        u: SX,
-        a: SX,
-        lam: SX,
-        margin: SX,
-        singular: SX | float = 0.0,
-        lost: SX | float = 0.0,
+        self, plan: Plan, z: SX, u: SX, a: SX, lam: SX, margin: SX, singular: SX | float = 0.0, lost: SX | float = 0.0
     ) -> list[SX | float]:
         """Return outputs, and each monitor."""
         e, p, layout = self.e, self.p, Layout(self.e)

@@ -188,11 +188,13 @@ NODE_COST = 6
 def interface(equations: Equations) -> Interface:
     """Return the variables of a scene, which has one order of inputs."""
     found = variables_of(equations)
-    only = [
-        replace(v, minimum=v.start, maximum=v.start) if v.name in _FIXED and not isinstance(v.start, str) else v
-        for v in found.parameters
-    ]
-    return replace(found, parameters=only)
+
+    def narrowed(v: Variable) -> Variable:
+        if v.name not in _FIXED or isinstance(v.start, str):
+            return v
+        return replace(v, minimum=v.start, maximum=v.start)
+
+    return replace(found, parameters=[narrowed(v) for v in found.parameters])
 
 
 _FIXED = ("solver.input_order",)
