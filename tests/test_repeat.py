@@ -118,7 +118,7 @@ def test_values_that_pass_from_one_time_to_the_next():
     f = ca.Function("f", [x], [ca.vertcat(*reversed(up))])
     found = repeats(operations(f))
     assert len(found) >= 2
-    assert sum(each.count * each.period for each in found) > 0.9 * len(operations(f))
+    assert sum(each.times * each.period for each in found) > 0.9 * len(operations(f))
     text = source(f)
     assert " - 1 * k]" in text or " - 2 * k]" in text
     assert len(text) < 6000

@@ -35,11 +35,12 @@ class ArrayFunctions:
         self, function: ca.Function, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]
     ) -> Callable[[], Any]:
         """Return a call without arguments that evaluates the function from arrays x into the nonzeros y."""
+        buffer: Any  # stubs of CasADi expect the size beside the memory, as in C++
         buffer, run = function.buffer()
         for i, each in enumerate(x):
-            buffer.set_arg(i, memoryview(each))
+            buffer.set_arg(i, each.data)
         for i, each in enumerate(y):
-            buffer.set_res(i, memoryview(each))
+            buffer.set_res(i, each.data)
         self._buffers.append(buffer)
         return run
 

@@ -7,16 +7,7 @@ import casadi as ca
 from ..model.errors import DeclarationError
 from ..model.kinematics import Closing, Kinematics, same
 from ..model.mechanism import Mechanism
-from ..model.parts import (
-    Body,
-    Constraint,
-    Friction,
-    Joint,
-    Lock,
-    Motion,
-    key_of,
-    stack,
-)
+from ..model.parts import Body, Constraint, Friction, Joint, Lock, Motion, key_of, stack
 from ..model.relations import Relation
 from ..model.spatial import SpatialJoint
 from .types import Row, Switch, Variable
@@ -104,7 +95,8 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
     closures: list[Closing] = []
     signs: list[float] = []
     for closure in m.closures:
-        sign, directions = 1.0, ("length",)
+        sign = 1.0
+        directions: tuple[str, ...] = ("length",)
         if isinstance(closure, Constraint):
             directions = ("",)
         elif isinstance(closure, Lock | Motion):
@@ -118,8 +110,9 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
                 sign = -1.0
         for direction in directions:
             turning = direction.startswith("rotation")
-            own = isinstance(closure, Constraint | Lock | Motion | Relation)
-            unit = closure.unit if own else "rad" if turning else "m"
+            unit = "rad" if turning else "m"
+            if isinstance(closure, Constraint | Lock | Motion | Relation):
+                unit = closure.unit
             # The axes of bodies have any direction, so the coefficients would not show the unit.
             rows.append(Row(closure.name, direction, unit, float(isinstance(closure, SpatialJoint))))
             closures.append((closure, direction))

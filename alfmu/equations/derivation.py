@@ -31,19 +31,7 @@ from ..model.doubts import doubt
 from ..model.errors import AssemblyError, DeclarationError
 from ..model.kinematics import Closing, Kinematics
 from ..model.mechanism import Mechanism
-from ..model.parts import (
-    Body,
-    Coordinate,
-    Friction,
-    Joint,
-    Lock,
-    Marker,
-    Motion,
-    Scalar,
-    key_of,
-    stack,
-    symbolic,
-)
+from ..model.parts import Body, Coordinate, Friction, Joint, Lock, Marker, Motion, Scalar, key_of, stack, symbolic
 from ..model.relations import Relation
 from ..model.spatial import SpatialBody
 from ..model.stops import EndStop
@@ -259,7 +247,7 @@ class _Readings:
     """Angles known up to whole turns, and the start value that determines their turns."""
     borne: list[tuple[ca.SX, Variable]] = field(default_factory=list)
     """Reactions of joints, and all outputs of joints in space."""
-    rubs: Rubs | None = None
+    rubs: Rubs = field(default_factory=Rubs)
     limits: list[tuple[ca.SX, EndStop]] = field(default_factory=list)
     """Displacement beyond each limit of each stop."""
 
@@ -282,9 +270,9 @@ def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Re
     read.add(*_watched(m, plain, at.q, at.v))
     measured_values, measured_outputs, angles = measures(m, plain, at.q, at.v, at.a)
     read.add(measured_values, measured_outputs)
-    for joint in (j for j in m.joints if f"{j.name}.angle" in angles):
-        if plain.frame(joint.first.body).wrapped or plain.frame(joint.second.body).wrapped:
-            read.wrapped[f"{joint.name}.angle"] = _tied_start(m, angles[f"{joint.name}.angle"])
+    for hinge in (j for j in m.joints if f"{j.name}.angle" in angles):
+        if plain.frame(hinge.first.body).wrapped or plain.frame(hinge.second.body).wrapped:
+            read.wrapped[f"{hinge.name}.angle"] = _tied_start(m, angles[f"{hinge.name}.angle"])
     _read_declared(read, m, at, closed)
     return read
 
@@ -368,7 +356,8 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
     of_motion = [terms.M, terms.d, terms.f, closed.Phi, terms.C, terms.xi, terms.V, terms.T, _state_rates(m)]
     counted = _counted(m, plain, [y, *of_motion, *read.rubs.functions.values()])
     nears = [near for near, _ in counted.values()]
-    remembered = [*(x.value for x in at.locks), *(x.slip for x in at.frictions), *nears, *(x for _, x in at.kept)]
+    values = [x.value for x in at.locks if x.value is not None]
+    remembered = [*values, *(x.slip for x in at.frictions), *nears, *(x for _, x in at.kept)]
     p = stack([x.symbol for x in m.parameters] + remembered)
     symbols = {"q": at.q, "v": at.v, "a": at.a, "lam": lam, "u": at.u, "p": p, "t": at.t, "s": at.s, "sdot": sdot}
     expressions = {
@@ -467,18 +456,21 @@ def _equations(
 
 def _rest() -> Coordinate:
     """Return the coordinate for a mechanism of states alone: a mass of 1 without forces."""
-    return Coordinate("rest", *(ca.SX.sym(f"rest_{letter}") for letter in "qva"), "m", 0.0)
+    q, v, a = (ca.SX.sym(f"rest_{letter}") for letter in "qva")
+    return Coordinate("rest", q, v, a, "m", 0.0)
 
 
 def _state_rates(m: Mechanism) -> ca.SX:
     """Return time derivatives of the states; raise DeclarationError if one is not declared."""
+    rates = []
     for state in m.states:
         if state.rate is None:
             raise DeclarationError(
                 f"{m.name}: the state {state.name} has no rate{m.declared_at(state.name)}; give one, in state() or in "
                 "derivative()"
             )
-    return stack([state.rate for state in m.states])
+        rates.append(state.rate)
+    return stack(rates)
 
 
 def _motion_power(
@@ -643,7 +635,8 @@ def _body_outputs(
     X = stack(places)
     Xv = ca.jtimes(X, q, v)
     Xa = ca.jtimes(Xv, q, v) + ca.jtimes(X, q, a)
-    values, outputs = [], []
+    values: list[ca.SX] = []
+    outputs: list[Variable] = []
     for place in zip(*map(ca.vertsplit, (X, Xv, Xa)), strict=True):
         values += place
     for x, xv, xa, unit, text in names:
@@ -673,7 +666,7 @@ def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
 
 def _guess(m: Mechanism, coordinates: Sequence[Coordinate], begin: ca.SX) -> ca.SX:
     """Return guesses of the coordinates in parameters, start values and the time at which the run begins."""
-    resolved: dict[int, ca.SX] = {}
+    resolved: dict[int | None, ca.SX] = {}
     for c in coordinates:
         guess = symbolic(c.guess)
         before = [symbol for symbol in ca.symvar(guess) if key_of(symbol) in resolved]

@@ -21,11 +21,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 
-from ..model.parts import AnyJoint, Friction, Lock, Scalar, stack, symbolic
+from ..model.parts import AnyJoint, Friction, Lock, Motion, Scalar, stack, symbolic
 from ..model.spatial import SpatialJoint
 from .types import Rubbing, Variable
 
@@ -46,15 +46,15 @@ _NOTHING = 1e-300
 class Rubs:
     """Functions and outputs of the dry friction of a mechanism."""
 
-    frictions: list[Rubbing]
-    functions: dict[str, ca.SX]
+    frictions: list[Rubbing] = field(default_factory=list)
+    functions: dict[str, ca.SX] = field(default_factory=dict)
     """Expressions of the functions `rubbing` and `sliding`; empty without friction."""
-    values: list[Scalar]
-    outputs: list[Variable]
+    values: list[Scalar] = field(default_factory=list)
+    outputs: list[Variable] = field(default_factory=list)
 
 
 def rubbing(
-    locks: Sequence[Lock],
+    locks: Sequence[Lock | Motion],
     rows: Mapping[Lock, int],
     free: Callable[[AnyJoint], ca.SX],
     reactions: Mapping[str, ca.SX],
@@ -67,7 +67,7 @@ def rubbing(
     the names of outputs, `motion` is q, v, a.
     """
     q, v, a = motion
-    found = Rubs([], {}, [], [])
+    found = Rubs()
     laws, limits, rates, seconds = [], [], [], []
     frictions = [x for x in locks if isinstance(x, Friction)]
     for i, x in enumerate(frictions):
@@ -118,15 +118,18 @@ def _load_in_space(x: Friction, joint: SpatialJoint, reactions: Mapping[str, ca.
         [ca.dot(each, stack([reactions[f"{x.name}.{what}.{axis}"] for axis in "xyz"])) for each in triad]
         for what in ("force", "moment")
     )
-    if joint.kind == "screw":
-        pitch, radius = joint.lead / (2 * math.pi), symbolic(x.radius)
-        return ca.fabs(force[2] * (radius**2 + pitch**2) - friction * pitch) / radius
     across = _size(force[:2])
     if x.length is not None:
         ends = -moment[1] / x.length, moment[0] / x.length
-        across = sum(_size([f / 2 + way * end for f, end in zip(force, ends, strict=False)]) for way in (1, -1))
+        across = sum(
+            (_size([f / 2 + way * end for f, end in zip(force, ends, strict=False)]) for way in (1, -1)), ca.SX(0)
+        )
     if joint.kind == "prismatic":
         return across if x.radius is None else across + ca.fabs(moment[2]) / x.radius
+    assert x.radius is not None  # journals and screws are declared with one
+    if joint.kind == "screw":
+        pitch, radius = joint.lead / (2 * math.pi), symbolic(x.radius)
+        return ca.fabs(force[2] * (radius**2 + pitch**2) - friction * pitch) / radius
     return x.radius * across + (0 if x.collar is None else x.collar * ca.fabs(force[2]))
 
 

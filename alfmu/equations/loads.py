@@ -6,14 +6,7 @@ import casadi as ca
 
 from ..model.kinematics import Kinematics
 from ..model.mechanism import Mechanism
-from ..model.parts import (
-    AnyJoint,
-    AnyMarker,
-    Body,
-    Scalar,
-    stack,
-    symbolic,
-)
+from ..model.parts import AnyJoint, AnyMarker, Body, Scalar, stack, symbolic
 from ..model.stops import EndStop
 
 __all__ = ["efforts_of", "elongation_of", "inertia_of", "is_guided", "limited_by", "paths_of", "potential_of"]
@@ -30,9 +23,12 @@ def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> t
     moves = ca.vertcat(*(c.q for c in m.coordinates), m.time)
     for body in m.bodies:
         frame = kinematics.frame(body)
-        hinge = body.placed_by
-        still = hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground
-        if pivoted and still and not ca.depends_on(ca.vertcat(*kinematics.place(hinge.first)), moves):
+        hinge = body.placed_by if pivoted else None
+        if (
+            hinge is not None
+            and (hinge.kind == "revolute" and hinge.first.body is m.ground)
+            and not ca.depends_on(ca.vertcat(*kinematics.place(hinge.first)), moves)
+        ):
             arm = (body.center[0] - hinge.second.x) ** 2 + (body.center[1] - hinge.second.y) ** 2
             X.append(frame.angle)
             w.append(body.inertia + body.mass * arm)
@@ -45,8 +41,8 @@ def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> t
             X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
             w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
     blocks = [ca.diag(stack(w))]
-    for body in (body for body in m.spatial_bodies if body.own is not None):
-        displacements, weights = body.displacements()
+    for each in (body for body in m.spatial_bodies if body.own is not None):
+        displacements, weights = each.displacements()
         X += ca.vertsplit(displacements)
         blocks.append(weights)
     return stack(X), ca.diagcat(*blocks)

@@ -9,18 +9,12 @@ import numpy as np
 
 from ..model.kinematics import FREE, Closing, Kinematics
 from ..model.mechanism import Mechanism
-from ..model.parts import (
-    Constraint,
-    Joint,
-    Lock,
-    Motion,
-    stack,
-    symbolic,
-)
+from ..model.parts import AnyJoint, AnyMarker, Constraint, Joint, Lock, Motion, Scalar, stack, symbolic
 from ..model.relations import Relation
 from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
 from .closures import closures_of, slid
 from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
+from .space import Effort
 from .types import Row, Variable
 
 __all__ = [
@@ -62,7 +56,7 @@ def reactions_of(
     moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
     Xe, _ = inertia_of(m, moved)
     _, closures, signs = closures_of(m, held)
-    displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
+    displaced = stack([eps[c].get(k, 0.0) if isinstance(c, Joint) else 0.0 for c, k in closures])
     Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
     # A row of velocities is displaced along the motion it prevents.
     Phie += signs * stack([slid(each, plain, moved) for each in closures])
@@ -91,11 +85,11 @@ def reactions_of(
 
 def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
     """Return the directions of a joint that have a reaction, including one in which a law replaces a coordinate."""
-    law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
+    law = joint.coordinate if joint.kind in ("revolute", "prismatic") else None
     if (
-        law
-        and ca.depends_on(joint.coordinate, m.time)
-        and not ca.depends_on(joint.coordinate, stack([c.q for c in m.coordinates]))
+        isinstance(law, ca.SX)
+        and ca.depends_on(law, m.time)
+        and not ca.depends_on(law, stack([c.q for c in m.coordinates]))
     ):
         return (*joint.directions, FREE)
     return joint.directions
@@ -103,7 +97,7 @@ def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
 
 def lengths_of(m: Mechanism, rows: list[Row]) -> list[int]:
     """Return constraints that keep Euler parameters at unit length."""
-    names = {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
+    names = {*(body.unit_length for body in m.spatial_bodies), *(joint.unit_length for joint in m.spatial_joints)}
     return [i for i, row in enumerate(rows) if row.name in names]
 
 
@@ -147,11 +141,11 @@ def square_of_size(m: Mechanism) -> ca.SX:
     """
     ground = m.ground, m.spatial_ground
     arms = [[body.length / 2] for body in m.bodies if body.length is not None]
-    for joint in (*m.joints, *m.spatial_joints):
+    joints: list[Joint | SpatialJoint] = [*m.joints, *m.spatial_joints]
+    for joint in joints:
         arms.append([joint.length])
-        for at in (x for x in (joint.first, joint.second) if x.body not in ground):
-            place = (at.x, at.y) if isinstance(joint, Joint) else at.point
-            arms.append([x - c for x, c in zip(place, at.body.center, strict=True)])
+        at_both = (at for at in (joint.first, joint.second) if at.body not in ground)
+        arms += [[x - c for x, c in zip(_place(at), at.body.center, strict=True)] for at in at_both]
     squares = [symbolic(sum(symbolic(x) ** 2 for x in arm)) for arm in arms]
     p = stack([x.symbol for x in m.parameters])
     own = {str(x) for x in ca.symvar(p)}
@@ -166,33 +160,47 @@ def square_of_size(m: Mechanism) -> ca.SX:
 
 def reach_of(m: Mechanism) -> float:
     """Return the largest coordinate [m] of a point of a joint on the ground, by default parameters."""
-    joints, ground = (*m.joints, *m.spatial_joints), (m.ground, m.spatial_ground)
+    ground = m.ground, m.spatial_ground
+    joints: list[Joint | SpatialJoint] = [*m.joints, *m.spatial_joints]
     points = [at for joint in joints for at in (joint.first, joint.second) if at.body in ground]
-    places = stack([x for at in points for x in (at.point if isinstance(at, SpatialMarker) else (at.x, at.y))])
+    places = stack([x for at in points for x in _place(at)])
     p = stack([x.symbol for x in m.parameters])
     own = [x for x in ca.vertsplit(places) if not ca.depends_on(x, m.time)] if places.numel() else []
     value = ca.Function("reach", [p], [ca.norm_inf(stack(own))])
     return float(value([x.default for x in m.parameters]))
 
 
-def spatial_efforts(
-    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX
-) -> list[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]]:
+def _place(at: AnyMarker) -> tuple[Scalar, ...]:
+    """Return the coordinates of a point in its body's frame."""
+    return at.point if isinstance(at, SpatialMarker) else (at.x, at.y)
+
+
+def spatial_efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> list[Effort]:
     """Return efforts of drives, springs and stops along joints in space, and between two points there, second from
     first."""
-    found = [(drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)]
+    found: list[Effort] = [
+        (drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)
+    ]
     for spring in m.springs:
-        ends = spring.between if isinstance(spring.between, tuple) else (spring.between.first, spring.between.second)
-        if isinstance(ends[0], SpatialMarker):
-            path = elongation_of(kinematics, spring.between)
+        if (between := _in_space(spring.between)) is not None:
+            path = elongation_of(kinematics, between)
             effort = -spring.stiffness * (path - spring.rest) - spring.damping * ca.jtimes(path, q, v)
-            found.append((spring.between, effort))
+            found.append((between, effort))
     for stop in m.end_stops:
-        first = stop.of[0] if isinstance(stop.of, tuple) else stop.of
-        if isinstance(first, SpatialJoint | SpatialFreedom | SpatialMarker):
+        if (of := _in_space(stop.of)) is not None:
             path = limited_by(kinematics, stop)
-            found.append((stop.of, stop.effort(path, ca.jtimes(path, q, v))))
+            found.append((of, stop.effort(path, ca.jtimes(path, q, v))))
     return found
+
+
+def _in_space(
+    of: AnyJoint | tuple[AnyMarker, AnyMarker] | ca.SX,
+) -> SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker] | None:
+    """Return a joint or two points in space, None for others."""
+    if isinstance(of, tuple):
+        first, second = of
+        return (first, second) if isinstance(first, SpatialMarker) and isinstance(second, SpatialMarker) else None
+    return of if isinstance(of, SpatialJoint | SpatialFreedom) else None
 
 
 def locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:

@@ -20,19 +20,23 @@ from functools import cached_property
 import casadi as ca
 
 from ..model.errors import DeclarationError
+from ..model.kinematics import Closing
 from ..model.mechanism import Mechanism
-from ..model.parts import Constraint, Friction, Lock, Motion, Rigidity, Scalar, stack, symbolic
-from ..model.parts import Joint as PlanarJoint
+from ..model.parts import Friction, Lock, Motion, Scalar, stack, symbolic
 from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable
 
-__all__ = ["SpatialMotion", "Wrench", "applied", "check_points", "gravity", "loads", "outputs", "relative_bodies"]
+__all__ = [
+    *("Effort", "SpatialMotion", "Wrench"),
+    *("applied", "check_points", "gravity", "loads", "outputs", "relative_bodies"),
+]
 
 Wrench = tuple[ca.SX, ca.SX]
 """A force (3,) and a moment (3,) about a body's anchor, in ground axes."""
 
-Closing = tuple[PlanarJoint | SpatialJoint | SpatialFreedom | Rigidity | Constraint | Lock | Motion, str]
+Effort = tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]
+"""An effort along a joint, or between two points, second from first."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +271,7 @@ class SpatialMotion:
                 shifted = inertia + mass * _square(arm, arm) + _square(arm, moment) + _square(moment, arm)
                 before = whole.get(carrier, (ca.SX(0), ca.SX.zeros(3), ca.SX.zeros(3, 3)))
                 more = mass, moment + mass * arm, shifted
-                whole[carrier] = tuple(a + b for a, b in zip(before, more, strict=True))
+                whole[carrier] = before[0] + more[0], before[1] + more[1], before[2] + more[2]
         k = len(coordinates)
         M = ca.SX(k, k)
         for (i, j), entry in entries.items():
@@ -284,9 +288,9 @@ def _way(joint: SpatialJoint) -> ca.SX:
 
 
 def _add_to(loads: dict[SpatialBody, Wrench], body: SpatialBody, wrench: Wrench) -> None:
-    if body in loads:
-        wrench = tuple(a + b for a, b in zip(loads[body], wrench, strict=True))
-    loads[body] = wrench
+    force, moment = wrench
+    before = loads.get(body)
+    loads[body] = wrench if before is None else (before[0] + force, before[1] + moment)
 
 
 def _square(a: ca.SX, b: ca.SX) -> ca.SX:
@@ -312,10 +316,7 @@ def loads(m: Mechanism) -> dict[SpatialBody, Wrench]:
 
 
 def applied(
-    m: Mechanism,
-    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
-    closures: Sequence[Closing],
-    lam: ca.SX,
+    m: Mechanism, efforts: Sequence[Effort], closures: Sequence[Closing], lam: ca.SX
 ) -> dict[SpatialBody, Wrench]:
     """Return all loads on bodies in space except those of joints with coordinates.
 
@@ -395,13 +396,7 @@ def reaction(joint: SpatialJoint, force: ca.SX, moment: ca.SX) -> Wrench:
 
 
 def outputs(
-    m: Mechanism,
-    q: ca.SX,
-    v: ca.SX,
-    a: ca.SX,
-    closures: Sequence[Closing],
-    lam: ca.SX,
-    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
+    m: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX, closures: Sequence[Closing], lam: ca.SX, efforts: Sequence[Effort]
 ) -> tuple[list[ca.SX], list[Variable]]:
     """Return the motion of every body in space, and free motions and reaction of every joint between such bodies."""
 
@@ -482,11 +477,7 @@ def outputs(
 
 
 def _driven(
-    m: Mechanism,
-    joint: SpatialJoint,
-    force: ca.SX,
-    moment: ca.SX,
-    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
+    m: Mechanism, joint: SpatialJoint, force: ca.SX, moment: ca.SX, efforts: Sequence[Effort]
 ) -> list[tuple[SpatialFreedom, ca.SX]]:
     """Return free motions of a joint that laws of time prescribe, and the share of the joint's load that each takes."""
     found, own = [], stack([c.q for c in m.coordinates])

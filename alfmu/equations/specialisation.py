@@ -153,8 +153,8 @@ def _frozen(equations: Configuration, names: Sequence[str]) -> Configuration:
         raise InputError(f"{e.name} has no parameter {unknown[0]!r} to freeze; {there_is(unknown[0], own)}")
     left = [p for p in e.parameters if p.name not in names]
     x = symbols(replace(e, parameters=left))
-    own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())
-    p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters), *own)
+    symbol = iter(ca.vertsplit(x["p"]) if x["p"].numel() else ())
+    p = ca.vertcat(*(ca.SX(float(p.start)) if p.name in names else next(symbol) for p in e.parameters), *symbol)
     functions = {}
     for name, letters in ((name, x) for name, x in ARGUMENTS.items() if name in e.functions):
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))

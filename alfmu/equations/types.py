@@ -223,6 +223,11 @@ class _Functions:
         guess_rate: ca.Function
         ties: ca.Function
         ties_matrix: ca.Function
+        dynamics: ca.Function
+        constraints: ca.Function
+        power: ca.Function
+        energy: ca.Function
+        tangents: ca.Function
 
 
 @dataclass(frozen=True, repr=False)

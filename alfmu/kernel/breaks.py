@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from ..equations import Equations
+from ..equations import Configuration
 from ..equations.evaluation import ARGUMENTS, shared, symbols
 from .stream import BINARY, Instructions
 
@@ -33,7 +33,7 @@ _LETTERS = {"dynamics": "qvupt", "constraints": "qvp"}
 """Arguments of functions that combine equations; those of others are in `ARGUMENTS`."""
 
 
-def breaks(e: Equations) -> tuple[ca.Function, list[int]] | None:
+def breaks(e: Configuration) -> tuple[ca.Function, list[int]] | None:
     """Return breaks(t, u, du, p), and the level of each of its results; None if there are none.
 
     The results change their sign at jumps and kinks; they come with their rates for rates du of the inputs. A result of
@@ -41,8 +41,8 @@ def breaks(e: Equations) -> tuple[ca.Function, list[int]] | None:
     """
     x, inputs = symbols(e), len(e.inputs)
     t, u, du, p = x["t"], SX.sym("u", inputs), SX.sym("du", inputs), x["p"]
-    known = {letter: [None] * x[letter].numel() for letter in ("q", "v", "a", "lam", "u")}
-    known["u"][:inputs], known["p"], known["t"] = u.nz[:].elements(), p.nz[:].elements(), [t]
+    known: dict[str, list[SX | None]] = {name: [None] * x[name].numel() for name in ("q", "v", "a", "lam", "u")}
+    known["u"][:inputs], known["p"], known["t"] = ca.vertsplit(u), [*ca.vertsplit(p)], [t]
     if e.timed:
         known["q"][-1], known["v"][-1] = t, SX(1)
     asked = {"constraints": e.timed, "state_rates": e.states, "rubbing": e.frictions, "readings": e.peaks}

@@ -23,12 +23,14 @@ from ..method import implicit
 from ..method.singular import LONG_PLACES, LONG_SPACING
 from ..method.stepping import (
     EXPLICIT5_SHORT,
+    RADAU9,
     SHORTEST,
     Collocation,
     Explicit,
     combined,
     continued,
     explicit,
+    explicit_at,
     explicit_rule,
     judged,
     kink_bounds,
@@ -80,8 +82,6 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     plan = replace(careful, corrections=2 * bool(tracer.e.l), weighted=True, margins=bool(tracer.e.l))
     tolerance = default_settings(tracer.e).relative_tolerance
     rule, explicit_one = implicit.RULES.get(name), explicit_rule(name, tolerance)
-    if rule is None and explicit_one is None:
-        return {}
     gaining = replace(
         plan, iterations=3 if tracer.e.l else 1, corrections=3 * bool(tracer.e.l), quick=False, gaining=True
     )
@@ -90,17 +90,19 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         program = _Explicit(tracer, gaining, name="method_careful").program(explicit_one)
         programs["method_careful"] = _softened(tracer, program) if tracer.e.l else program
         if default_settings(tracer.e).method == "auto" and "tangents" in tracer.e.signatures:
-            programs["stiff"] = _Collocation(tracer, gaining, implicit.RULES["stiff"], "stiff").program("stiff")
+            programs["stiff"] = _Collocation(tracer, gaining, RADAU9, "stiff").program("stiff")
     elif isinstance(rule, Collocation):
         programs = {"method": _Collocation(tracer, plan, rule).program()}
         if tracer.e.l:
             programs["method_careful"] = _Collocation(tracer, gaining, rule, name="method_careful").program()
-    else:
+    elif rule:
         programs = {"method": _Newmark(tracer, plan, rule).program()}
+    else:
+        return {}
     if tracer.e.l:
         # Implicit methods take no limits at singular positions: an explicit one passes them.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
-        wanted = explicit_one or explicit_rule("explicit", tolerance)
+        wanted = explicit_one or explicit_at(tolerance)
         wanted = wanted if name in FIXED else rule_beside(wanted)
         mark = "method" if wanted is explicit_one else "beside"
         step = _Explicit(tracer, on_branch, mark, "beside")
@@ -176,9 +178,9 @@ class _Step:
             known = f"t{i} q{i} v{i} {self.tracer.inputs_name(i)} p"
             self.calls("kinks", known, f"kinks{i}", lambda *x: self.tracer.kinks(*x, scene.p))
 
-        def found(z: SX, dt: SX, error: SX, *known: SX) -> SX:
-            q, v, x, *known = known if states else (*known[:2], None, *known[2:])
-            kinks, each = known[: len(places)], ca.vertcat(*known[len(places) :])
+        def found(z: SX, dt: SX, error: SX, q: SX, v: SX, *known: SX) -> SX:
+            x, rest = (known[0], known[1:]) if states else (None, known)
+            kinks, each = rest[: len(places)], ca.vertcat(*rest[len(places) :])
             signs = ca.vertcat(*(ca.sign(kinks[0]) * ca.sign(x) for x in kinks[1:]))
             left = ca.reshape(each, -1, len(places)) @ ca.DM(kink_bounds(rule)).T
             bounds = dt * reduce(ca.fmax, ca.horzsplit(ca.fabs(left)))
@@ -211,7 +213,6 @@ class _Step:
         fixed = known["fixed"] != 0
         # Steps of fixed length are judged by the convergence of Newton's method alone. On the branch the error is
         # unknown if the motion does not reach the positions of a limit, which shorter steps do not change.
-        # does not reach the places of a limit, which shorter steps do not change.
         unknown = 1 - (error < math.inf)
         unjudged = unknown if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + unknown, ca.if_else(accepted, trouble, unjudged))
@@ -222,9 +223,8 @@ class _Step:
         floor = ca.if_else(fixed, 0, floor)
         known |= zip(("dt", "before", "refused"), following, strict=True)
         known |= {"last": last, "accepted": accepted, "floor": floor}
-        following = ca.vertcat(*(known[name] for name in PACE))
         results = [ca.vertcat(after[: layout.trouble], trouble, after[layout.change :])]
-        results.append(ca.if_else(trouble, pace, following))
+        results.append(ca.if_else(trouble, pace, ca.vertcat(*(known[name] for name in PACE))))
         if kept:
             before, new = kept
             results.append(ca.if_else(ca.logic_and(trouble == 0, accepted), new, before))
@@ -274,7 +274,7 @@ class _Explicit(_Step):
             *x, off_q, off_v = known[: 2 + len(off[2:])]
             change = known[len(x) + 2 : len(x) + 2 + len(x)]
             least = judged(scene.least_error(rule, dt, v, scene.symbol("round_off"))) if rounds else None
-            return scene.error_size(z, q, v, (off_q, off_v), least, *x, *change)
+            return scene.error_size(z, q, v, (off_q, off_v), least, (*x, *change))
 
         calls(f"{self.name}_off", spaced("z step", rates, "k"), spaced(off), parted)
         self.tracer.along(calls, "off_q", "off_v")
@@ -282,8 +282,8 @@ class _Explicit(_Step):
         calls(f"{self.name}_error", known, "error floor", size)
         if self.kinked:
             places = [str(i + 1) for i in range(len(rule.nodes))]
-            known = [f"{x}{i}" for i in places for x in ("a", *["xdot"] * bool(self.e.states))]
-            self.judge_kinks(rule, places, known, getattr(scene.settings, allowed) if allowed else SX(1))
+            kinked = [f"{x}{i}" for i in places for x in ("a", *["xdot"] * bool(self.e.states))]
+            self.judge_kinks(rule, places, kinked, getattr(scene.settings, allowed) if allowed else SX(1))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
@@ -459,8 +459,8 @@ class _Collocation(_Implicit):
                     known = f"t{i} q{i} v{i} {self.inputs(i)}"
                     rubbing.power(self.calls, known, f"guess{i}", f"power{i}", "rubbing_power_at_node")
                     continue
-                known = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
-                self.calls.made.append(Call("power", known, (f"power{i}",)))
+                at = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
+                self.calls.made.append(Call("power", at, (f"power{i}",)))
                 self.tracer._supply(self.calls, i, {"u": self.inputs(i)}, whole=True)
                 self.tracer._supplied(self.calls, i)
             powers = [f"power{i}" for i in self.nodes]
@@ -487,9 +487,9 @@ class _Collocation(_Implicit):
 
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
             *x, dq, dv, renew = known
-            states = (None, *x, dv[n:]) if x else ()
+            states = (*x, dv[n:]) if x else ()
             parts = dq[:n], dv[:n]
-            size, floor = scene.error_size(z, q, v, scene.along(q, *parts) if self.e.l else parts, *states)
+            size, floor = scene.error_size(z, q, v, scene.along(q, *parts) if self.e.l else parts, states=states)
             size /= self.allowed
             return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 
@@ -570,7 +570,7 @@ class _Newmark(_Implicit):
         _, by_a = implicit.changes(self.rule, dt)
         size = ca.mmax(ca.fabs(dq[:n]) / ca.fmax(ca.fabs(z[:n]), 1))
         if self.e.states:  # displacements of the states' masses over the step
-            nominal = ca.DM([v.nominal for v in self.e.states])
+            nominal = ca.DM([v.nominal or 1.0 for v in self.e.states])
             x = ca.fmax(ca.fabs(z[layout.states : layout.time]), nominal)
             size = ca.fmax(size, ca.mmax(ca.fabs(dq[n:]) / (dt * x)))
         size = ca.if_else(ca.sumsqr(dq) < math.inf, size, math.inf)
@@ -584,9 +584,9 @@ class _Newmark(_Implicit):
         n, l, weights = self.e.n, self.e.l, self.scene.weights
 
         def right(*known: SX) -> SX:
-            *known, C = known
-            right = method.project(ca.reshape(C, l, n), weights, lambda b: b, residue(*known))
-            return ca.vertcat(right, self.moved)
+            *at, C = known
+            force: SX = method.project(ca.reshape(C, l, n), weights, lambda b: b, residue(*at))
+            return ca.vertcat(force, self.moved)
 
         self.calls(name, f"{known} rows p k", "right", right)
         self.solve(self.calls, "factors", ["right"], "dx")

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import TypeVar
 
 from ..equations.types import Configuration
 from ..method import singular
@@ -106,6 +107,8 @@ class LeastNorm(Routine):
 Step = Call | Lanes | Choice | Loop | Routine
 
 Steps = tuple[Step, ...]
+
+AnyCall = TypeVar("AnyCall", bound=Call | Routine)
 
 
 @dataclass(frozen=True)
@@ -209,6 +212,9 @@ def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
     def new(name: str) -> str:
         return names.get(name, name)
 
+    def moved(step: AnyCall) -> AnyCall:
+        return replace(step, arguments=tuple(map(new, step.arguments)), results=tuple(map(new, step.results)))
+
     def each(step: Step) -> Step:
         if isinstance(step, Choice):
             return Choice(new(step.number), renamed(step.nonzero, names), renamed(step.zero, names))
@@ -216,8 +222,8 @@ def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
             most = new(step.most) if isinstance(step.most, str) else step.most
             return Loop(new(step.number), most, renamed(step.body, names))
         if isinstance(step, Lanes):
-            return Lanes(tuple(each(call) for call in step.calls))
-        return replace(step, arguments=tuple(map(new, step.arguments)), results=tuple(map(new, step.results)))
+            return Lanes(tuple(map(moved, step.calls)))
+        return moved(step)
 
     return tuple(map(each, steps))
 

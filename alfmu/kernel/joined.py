@@ -50,7 +50,8 @@ class _Joining:
                 for k, step in enumerate(part, at - len(part) + 1):
                     made.append(self._inside(program, step, after.union(taken(steps[k:]))))
             else:
-                made += self._together(program, part, after.union(taken(steps[at:])))
+                calls = [step for step in part if isinstance(step, Call)]
+                made += self._together(program, calls, after.union(taken(steps[at:])))
         return tuple(made)
 
     def _inside(self, program: str, step: Step, later: set[str]) -> Step:
@@ -84,7 +85,7 @@ class _Joining:
         return [Call(self._known[key], inputs, outputs)]
 
     def _function(self, name: str, calls: Sequence[Call], inputs: Sequence[str], outputs: Sequence[str]) -> ca.Function:
-        functions, lengths = self._e.functions, {}
+        functions, lengths = self._e.functions, dict[str, int]()
         for call in calls:
             for i, each in enumerate(call.arguments):
                 lengths.setdefault(each, functions[call.function].size1_in(i))

@@ -8,13 +8,13 @@ tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .places import Places, line
-from .repeat import Repeat, pieces, repeats
+from .repeat import Numbers, Repeat, pieces, repeats
 from .stream import BINARY, CONSTANT, INPUT, UNARY, VALUE, Operations, number
 
 __all__ = ["blocks", "c_function"]
@@ -81,7 +81,7 @@ class _Code:
     def piece(self, i: int) -> list[str]:
         """Return the code of a straight piece, or a loop."""
         o, piece = self._operations, self._pieces[i]
-        body = _Body(piece.count)
+        body = _Body(piece.times)
         first = slice(piece.start, piece.start + piece.period)
         letters, which = (x[:, first].tolist() for x in (self._letter, self._which))
         entries = [piece.columns(x) for x in self._entry]
@@ -102,7 +102,7 @@ class _Code:
                 body.store("w", addresses[column], f"v{column}")
         return body.text()
 
-    def _operand(self, body: _Body, letter: str, which: int, entries: Sequence[int]) -> str:
+    def _operand(self, body: _Body, letter: str, which: int, entries: Numbers) -> str:
         """Return an expression that is valid in the rest of an iteration."""
         if letter == "v":
             return f"v{entries[0]}"
@@ -127,7 +127,7 @@ class _Body:
             return number(float(values[0]))
         return self._local(self._table("double", map(number, values.tolist())))
 
-    def loaded(self, array: str, entries: Sequence[int]) -> str:
+    def loaded(self, array: str, entries: Numbers) -> str:
         """Return a local variable with an array entry, loaded once per iteration, or once before the loop."""
         text = self._element(array, entries)
         if self._count == 1 or "k" in text:
@@ -136,7 +136,7 @@ class _Body:
         self._before[f"const double {name}"] = text
         return name
 
-    def store(self, array: str, entries: Sequence[int], value: str) -> None:
+    def store(self, array: str, entries: Numbers, value: str) -> None:
         self.lines.append(f"{self._element(array, entries)} = {value};")
 
     def text(self) -> list[str]:
@@ -152,14 +152,14 @@ class _Body:
             self.lines.append(f"const double {self._known[text]} = {text};")
         return self._known[text]
 
-    def _element(self, array: str, entries: Sequence[int]) -> str:
+    def _element(self, array: str, entries: Numbers) -> str:
         """Return an element of w, x or y; cached pointers avoid reloads after each store."""
         if array != "w":
             constant = "const " * array.startswith("x")
             self._before[f"{constant}double *const {array}"] = f"{array[0]}[{array[1:]}]"
         found = line(entries)
         if found is None:
-            return f"{array}[{self._table('int', map(str, entries.tolist()))}]"
+            return f"{array}[{self._table('int', map(str, np.asarray(entries).tolist()))}]"
         begin, step = found
         if not step:
             return f"{array}[{begin}]"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Generic, NamedTuple, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,21 +11,47 @@ from ..equations import Configuration
 from ..method.inputs import memory_size
 from .form import Traced
 
-__all__ = ["CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN", "Layout", "Memory"]
+__all__ = [
+    *("CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN"),
+    *("Layout", "Memory", "SceneSettings"),
+]
 
 TIERS = ("quick", "careful", "branch")
 """Tiers of RK4 steps in the order of attempts; `branch` comes first near a singular position."""
 
-SETTINGS = (
-    *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
-    *("relative", "absolute", "absolute_length", "inverse_length", "short", "beside", "stiff"),
-)
-"""Names of the first numbers of `k`. They are: degrees of freedom; logarithm of the product of the pivots contributed
-by masses; logarithm of the product of all pivots below which a position may be singular; margin that counts as zero;
-least distance of positions beside a singular position; whether to continue on the branch there (`method.singular`);
-tolerances of a step with error control, the second also for lengths; one over the length of the mechanism; and
-tolerances over that of the integrator: of a short step, of an explicit step on the branch that replaces an implicit
-one, and of an implicit step that replaces an explicit one."""
+Number = TypeVar("Number")
+
+
+class SceneSettings(NamedTuple, Generic[Number]):
+    """The first numbers of `k`.
+
+    They are: largest penalty; tolerance of constraints and iterations; degrees of freedom; logarithm of the product of
+    the pivots contributed by masses; logarithm of the product of all pivots below which a position may be singular;
+    margin that counts as zero; least distance of positions beside a singular position; whether to continue on the
+    branch there (`method.singular`); tolerances of a step with error control, the second also for lengths; one over the
+    length of the mechanism; and tolerances over that of the integrator: of a short step, of an explicit step on the
+    branch that replaces an implicit one, and of an implicit step that replaces an explicit one.
+    """
+
+    alpha: Number
+    tolerance: Number
+    freedom: Number
+    masses: Number
+    regular: Number
+    nothing: Number
+    least_distance: Number
+    continues: Number
+    relative: Number
+    absolute: Number
+    absolute_length: Number
+    inverse_length: Number
+    short: Number
+    beside: Number
+    stiff: Number
+
+
+SETTINGS = SceneSettings._fields
+"""Their names."""
 
 CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); source of steps (0 the tiers, 1 the scene's integrator

@@ -8,7 +8,7 @@ others are found by tables. Pieces of a function keep their order; within a piec
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -127,7 +127,8 @@ class _Writing:
         self._end = BEHIND + sum(inputs)
         """Address of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self._lines = [(sum(outputs), 0, 1, self._constant(0.0), 0)]  # results without an operation are zero
+        # Results without an operation are zero.
+        self._lines: list[tuple[int, ...]] = [(sum(outputs), 0, 1, self._constant(0.0), 0)]
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
         self._number[used] = [self._constant(value) for value in o.constant[used].tolist()]
@@ -140,7 +141,7 @@ class _Writing:
         o = self._operations
         carried = {each: one for each in found if (one := _carried(o, each)) is not None}
         parts = list(pieces(len(o), list(carried), max(len(o), 1)))
-        scope = np.concatenate([np.repeat(x.start + x.period * np.arange(x.count), x.period) for x in parts] or [[]])
+        scope = np.concatenate([np.zeros(0, int), *(np.repeat(x.passes(0), x.period) for x in parts)])
         self._local = (o.kind == VALUE) & (scope[o.made] == scope)
         """Operands computed in the same iteration of the same piece."""
         self._kept = np.zeros(len(o), bool)
@@ -160,18 +161,18 @@ class _Writing:
         """Encode a loop, or straight code as one iteration."""
         part = slice(piece.start, piece.end)
         found = self._found(part)
-        if piece.count == 1:
+        if piece.times == 1:
             self._straight(piece, found)
         else:
             body = _Body(piece, self._operations, self._local, self._kept, found, carried)
             made = arranged(body.instructions())
             at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
-            self._looped(piece.count, body, made, at)
+            self._looped(piece.times, body, made, at)
             for _, column, value in made.results:
                 first, step = at[value]
-                self._place[piece.passes(column)] = first + step * np.arange(piece.count)
+                self._place[piece.passes(column)] = first + step * np.arange(piece.times)
         writes = np.flatnonzero(self._operations.result[0, part][: piece.period] >= 0)
-        for columns in [writes] if piece.count == 1 else writes[:, None]:
+        for columns in [writes] if piece.times == 1 else writes[:, None]:
             users = (piece.passes(0)[:, None] + columns).reshape(-1)
             which, entry = self._operations.result[:, users]
             self._lines += in_line(self._results[which] + entry, self._found(users)[0])
@@ -307,7 +308,7 @@ class _Body:
         self._first = [x[..., first].tolist() for x in (operations.code, operations.kind, operations.made, local)]
         self._constant = operations.constant
         self._carried = carried
-        self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.count, -1).any(axis=0)).tolist()
+        self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.times, -1).any(axis=0)).tolist()
         self.sources: list[tuple[int, int, int]] = []
         """Sources of arguments: LINE, first address and step; TABLE and its number; BEFORE, operation, and number of
         iterations before."""
@@ -375,7 +376,7 @@ class _Body:
 def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tuple[int, int]] | None:
     """Map operands computed in another iteration of a loop (index of the operand, operation) to the operation that
     computes them and the number of iterations before; None if it varies."""
-    o, part, shape = operations, slice(piece.start, piece.end), (piece.count, piece.period)
+    o, part, shape = operations, slice(piece.start, piece.end), (piece.times, piece.period)
     begin = piece.passes(0)[:, None]
     found: dict[tuple[int, int], tuple[int, int]] = {}
     cells: dict[tuple[int, int], int] = {}
@@ -383,11 +384,11 @@ def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tup
         value, made = o.kind[j, part].reshape(shape) == VALUE, o.made[j, part].reshape(shape)
         for column in np.flatnonzero((value & (made < begin) & (made >= piece.start)).any(axis=0)).tolist():
             row, which = np.divmod(made[:, column] - piece.start, piece.period)
-            back = piece.count - 1 - int(row[-1])
+            back = piece.times - 1 - int(row[-1])
             later = slice(back, None)
-            if not 0 < back < piece.count or (row[:back] >= 0).any():
+            if not 0 < back < piece.times or (row[:back] >= 0).any():
                 return None
-            if (row[later] != np.arange(piece.count - back)).any() or (which[later] != which[-1]).any():
+            if (row[later] != np.arange(piece.times - back)).any() or (which[later] != which[-1]).any():
                 return None
             found[j, column] = int(which[-1]), back
             before = {(int(which[-1]), i - back): int(made[i, column]) for i in range(back)}
@@ -468,7 +469,7 @@ def in_line(*values: NDArray) -> list[tuple[int, ...]]:
     return rows
 
 
-def _runs(runs: list[list[Operation]], at: dict[int, tuple[int, ...]]) -> list[int]:
+def _runs(runs: list[list[Operation]], at: Mapping[int, tuple[int, ...]]) -> list[int]:
     """Return the words of runs of operations on values at these addresses."""
     words: list[int] = []
     for run in runs:

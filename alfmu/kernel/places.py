@@ -7,13 +7,13 @@ Values of straight code that continue them (as the first and the last of a chain
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .repeat import Repeat
+from .repeat import Numbers, Repeat
 from .stream import VALUE, Operations
 
 __all__ = ["Places", "line"]
@@ -52,7 +52,7 @@ class Places:
     def _sequences(self) -> Iterator[tuple[int, NDArray, NDArray]]:
         """Yield operands of loops from elsewhere: index of the operand, operation in all iterations, values."""
         for piece in self._pieces:
-            if piece.count > 1:
+            if piece.times > 1:
                 for column, j in np.argwhere(self.elsewhere[:, piece.start : piece.start + piece.period].T).tolist():
                     users = piece.passes(column)
                     yield j, users, self._made[j, users]
@@ -67,8 +67,8 @@ class Places:
                 self.fetched[j, users] = True
         self.stored[self._made[self.fetched]] = True
         for piece in self._pieces:
-            if piece.count > 1:
-                passes = self.stored[piece.start : piece.end].reshape(piece.count, piece.period)
+            if piece.times > 1:
+                passes = self.stored[piece.start : piece.end].reshape(piece.times, piece.period)
                 passes[:] = passes.any(axis=0)
 
     def _place(self, heap: _Heap) -> int:
@@ -97,7 +97,7 @@ class Places:
         values = np.flatnonzero(self.stored)
         values = values[np.argsort(owner[values], kind="stable")]
         for own in np.split(values, np.flatnonzero(np.diff(owner[values])) + 1) if len(values) else []:
-            if self._pieces[owner[own[0]]].count == 1:
+            if self._pieces[owner[own[0]]].times == 1:
                 for value in own.tolist():
                     yield _Table(int(self._piece[value]), int(last[value]), 1, np.array([value]), np.array([0]))
                 continue
@@ -118,7 +118,7 @@ class Places:
             middle = len(values) // 2
             one, other = values[middle - 1 : middle + 1]
             owner, column = int(self._piece[one]), int(self.column[one])
-            count = self._pieces[owner].count
+            count = self._pieces[owner].times
             if not self.fetched[j, users[0]] or count == 1:
                 continue
             if (self._piece[other], self.column[other]) != (owner, column):
@@ -169,7 +169,7 @@ class _Heap:
         self._free[low:high] = [(begin, end)]
 
 
-def line(entries: Sequence[int]) -> tuple[int, int] | None:
+def line(entries: Numbers) -> tuple[int, int] | None:
     """Return start and step of equally spaced numbers; None if they are not."""
     if len(entries) == 1:
         return int(entries[0]), 0

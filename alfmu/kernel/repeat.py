@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .stream import INPUT, VALUE, Operations
 
-__all__ = ["Repeat", "pieces", "repeats"]
+__all__ = ["Numbers", "Repeat", "pieces", "repeats"]
 
 FEWEST = 4
 """Least number of repetitions for a loop."""
@@ -48,25 +48,28 @@ _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """An odd constant without pattern, for hashes."""
 
 
+Numbers = Sequence[int] | NDArray
+
+
 class Repeat(NamedTuple):
-    """`count` repetitions of the same `period` operations from `start` on."""
+    """`times` repetitions of the same `period` operations from `start` on."""
 
     start: int
     period: int
-    count: int
+    times: int
 
     @property
     def end(self) -> int:
-        return self.start + self.period * self.count
+        return self.start + self.period * self.times
 
     def passes(self, column: int) -> NDArray:
         """Return the numbers of one operation in all repetitions."""
-        return self.start + column + self.period * np.arange(self.count)
+        return self.start + column + self.period * np.arange(self.times)
 
-    def columns(self, numbers: NDArray) -> Sequence[Sequence[int]]:
+    def columns(self, numbers: NDArray) -> Sequence[Numbers] | NDArray:
         """Return numbers of all operations, by operation of the period; plain lists for a single repetition."""
-        columns = numbers[self.start : self.end].reshape(self.count, self.period).T
-        return columns.tolist() if self.count == 1 else columns
+        columns = numbers[self.start : self.end].reshape(self.times, self.period).T
+        return columns.tolist() if self.times == 1 else columns
 
 
 def pieces(count: int, found: list[Repeat], most: int) -> Iterator[Repeat]:
@@ -180,10 +183,10 @@ class _Lines:
         for each in found:
             best = each
             if self._tables(each, ends=True):
-                ways = [Repeat(each.start, m * each.period, each.count // m) for m in _MULTIPLES]
+                ways = [Repeat(each.start, m * each.period, each.times // m) for m in _MULTIPLES]
                 best = self._best(ways, each, ends=False)
                 ways = [
-                    Repeat(best.start + first * best.period, best.period, best.count - first - last)
+                    Repeat(best.start + first * best.period, best.period, best.times - first - last)
                     for first, last in product(range(_TRIMMED + 1), repeat=2)
                 ]
                 best = self._best(ways, best, ends=True)
@@ -195,23 +198,23 @@ class _Lines:
         """Return the variant with the shortest C: table entries, operations in the loop and in straight code."""
 
         def cost(way: Repeat) -> int:
-            left = given.period * given.count - way.period * way.count
-            return self._tables(way, ends) * way.count + _LINE * (way.period + left)
+            left = given.period * given.times - way.period * way.times
+            return self._tables(way, ends) * way.times + _LINE * (way.period + left)
 
-        fit = (way for way in ways if way.count >= FEWEST and way.period <= LONGEST and self._alike(way))
+        fit = (way for way in ways if way.times >= FEWEST and way.period <= LONGEST and self._alike(way))
         return min(fit, key=cost, default=given)
 
     def _alike(self, way: Repeat) -> bool:
         """Return whether the same operands are computed in the same iteration, in all iterations: a longer period may
         include values that only one iteration finds there."""
         o, part, begin = self._operations, slice(way.start, way.end), way.passes(0)[:, None]
-        made = np.where(o.kind[:, part] == VALUE, o.made[:, part], -1).reshape(2, way.count, way.period)
+        made = np.where(o.kind[:, part] == VALUE, o.made[:, part], -1).reshape(2, way.times, way.period)
         here = np.where(made >= begin, made - begin, -1)
         return bool((here == here[:, :1]).all())
 
     def _tables(self, repeat: Repeat, ends: bool) -> int:
         """Return the number of tables of a loop; entries of the first and last iteration may differ unless `ends`."""
-        o, part, shape = self._operations, slice(repeat.start, repeat.end), (repeat.count, repeat.period)
+        o, part, shape = self._operations, slice(repeat.start, repeat.end), (repeat.times, repeat.period)
         self._period[part] = repeat.period
         made = o.made[:, part]
         which, entry = o.written[:, made].reshape(2, 2, *shape)
@@ -221,12 +224,12 @@ class _Lines:
 
         def even(steps: NDArray, ends: bool) -> NDArray:
             """Return the steps; _NONE if they vary."""
-            steps = steps if ends or repeat.count < FEWEST else steps[:, 1:-1]
+            steps = steps if ends or repeat.times < FEWEST else steps[:, 1:-1]
             first = steps[:, 0]
             return np.where((steps == first[:, None]).all(axis=1), first, _NONE)
 
         step = even(steps, ends)
-        kind, first, middle = o.kind[:, part][:, : repeat.period], repeat.count // 2, made.reshape(2, *shape)
+        kind, first, middle = o.kind[:, part][:, : repeat.period], repeat.times // 2, made.reshape(2, *shape)
         middle = middle[:, first]
         there = np.where(middle >= repeat.start, even(steps[3:5], False), step[3:5])
         owner = self._period[middle]
@@ -259,6 +262,6 @@ def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
 
 def _true(flags: NDArray) -> Iterator[tuple[int, int]]:
     """Yield starts and ends of ranges of true values."""
-    edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
-    edges = [0, *edges.tolist(), len(flags)] if len(flags) and flags[0] else [*edges.tolist(), len(flags)]
+    changes = (np.flatnonzero(flags[1:] != flags[:-1]) + 1).tolist()
+    edges = [0, *changes, len(flags)] if len(flags) and flags[0] else [*changes, len(flags)]
     yield from zip(edges[::2], edges[1::2], strict=False)

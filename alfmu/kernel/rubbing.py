@@ -17,7 +17,7 @@ from casadi import SX
 
 from ..method import friction as method
 from ..method.singular import NOISE_FLOOR
-from .form import Loop, Step
+from .form import Loop, Step, Steps
 from .symbolic import MATRICES, Scene, Watch
 
 __all__ = ["grip", "power", "rub", "supply"]
@@ -28,6 +28,9 @@ class Calls(Protocol):
 
     scene: Scene
     made: list[Step]
+
+    @property
+    def steps(self) -> Steps: ...
 
     def inside(self) -> Calls:
         """Return empty calls of the same plan."""
@@ -76,13 +79,13 @@ def _shared(scene: Scene, at: Sequence[SX], M: SX, C: SX, a: SX, lam: SX) -> SX:
     """Return multipliers as in the outputs, from which friction follows; `at` are time, q, v and inputs."""
     if scene.e.compliances:
         return scene.distributed(M, C, lam)
-    return scene.carried(*at, C, a, lam) if _carried(scene) else lam
+    if not _carried(scene):
+        return lam
+    t, q, v, u = at
+    return scene.carried(t, q, v, u, C, a, lam)
 
 
-def _rub(
-    scene: Scene,
-    *known: SX,
-) -> tuple[SX, ...]:
+def _rub(scene: Scene, *known: SX) -> tuple[SX, ...]:
     """Return a, lam and watch after one more pass, whether to continue, and the convergence of the laws: their residual
     over the friction (squared), the least pivot."""
     t, q, v, u, M, C, F, xi, D, L, a, lam, watch, moved, pressed = known
@@ -90,25 +93,25 @@ def _rub(
     count, rows = len(frictions), [x.row for x in frictions]
     law = scene.scale * e.rubbing(q, v, a, lam / scene.scale, u, scene.p, t)[:count]
     slides = [1 - scene.held[row] for row in rows]
-    moved, pressed = ca.vertsplit(moved, e.n), ca.vertsplit(pressed, e.l)
+    moves, presses = ca.vertsplit(moved, e.n), ca.vertsplit(pressed, e.l)
     units = [slides[j] * SX.eye(e.l)[:, row] for j, row in enumerate(rows)]
-    columns = [ca.jtimes(law, ca.vertcat(a, lam), ca.vertcat(moved[j], pressed[j] + units[j])) for j in range(count)]
+    columns = [ca.jtimes(law, ca.vertcat(a, lam), ca.vertcat(moves[j], presses[j] + units[j])) for j in range(count)]
     residues = [slides[i] * (law[i] - lam[rows[i]]) for i in range(count)]
     slopes = [[slides[i] * columns[j][i] for j in range(count)] for i in range(count)]
     change, pivots = method.newton(slopes, residues)
     after, lam = a, ca.densify(lam)
     for j in range(count):
-        after += moved[j] * change[j]
-        lam += (pressed[j] + units[j]) * change[j]
+        after += moves[j] * change[j]
+        lam += (presses[j] + units[j]) * change[j]
     after, lam, _ = scene.iterated((M, C, F, xi), (D, L), after, lam, 1)
     lam = _shared(scene, (t, q, v, u), M, C, after, lam)
     # Balanced forces leave round-off, which may exceed accelerations near zero.
     tolerance = scene.settings.tolerance
     left = tolerance**2 * (ca.sumsqr(F) + ca.sumsqr(C.T @ lam)) / (ca.sumsqr(ca.diag(M)) + _TINY)
-    moves = ca.fmax(ca.sumsqr(after - a) - left, 0)
+    changed = ca.fmax(ca.sumsqr(after - a) - left, 0)
     seen = Watch.of(watch)
     # Expected change by one more iteration, as in `Scene.judged`.
-    following = moves * ca.fmin(scene.settings.nothing / NOISE_FLOOR / seen.margin, 1) ** 2
+    following = changed * ca.fmin(scene.settings.nothing / NOISE_FLOOR / seen.margin, 1) ** 2
     watch = seen._replace(change=following, size=ca.sumsqr(after)).vector()
     size = sum((lam[row] ** 2 for row in rows), SX(_TINY))
     lacking = sum((x**2 for x in residues), SX(0)) / size

@@ -137,7 +137,7 @@ def code(f: ca.Function, scene: str) -> Code:
     )
     key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
     for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
-        key.update(np.ascontiguousarray(each))
+        key.update(np.ascontiguousarray(each).data)
     return _WRITTEN.get(key.digest(), lambda: written(instructions, inputs, outputs))
 
 

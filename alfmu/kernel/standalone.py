@@ -25,7 +25,7 @@ from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import CHOSEN, Alternatives, alternatives
 from .breaks import breaks
-from .form import Call, Choice, Plan, Program, Routine, Traced, called, renamed, rewritten
+from .form import Call, Choice, Loop, Plan, Program, Routine, Step, Traced, called, renamed, rewritten
 from .memory import SEEN
 from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
@@ -96,7 +96,7 @@ def beginning(equations: Configuration) -> Traced:
             kernel["impact"] = tracer.impact(Plan(CAREFUL, 3, weighted=True))
         q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)
         p, k = (ca.SX.sym(name, lengths_of(e)[name]) for name in "pk")
-        stand_ins = {
+        stand_ins: dict[str, tuple[list[SX], list[SX | float]]] = {
             "pivots": ([q, p, k], [ones, ones, ones, 1]),
             "weighted_place": ([q, p, k], [q]),
             "weighted_return": ([q, ca.SX.sym("wanted", e.n), v, p, k], [q, v]),
@@ -136,7 +136,7 @@ class _Patient(Alternatives):
         """Whether outputs at an instant need no more multiplier iterations than a quick step, and RK4 steps can reuse
         this evaluation: without rates of states or dry friction."""
         e = self.e
-        quick, read = self.kernel["quick"].plan, any(x == "a0" for x in _made(self.kernel["instant"]))
+        quick, read = self.kernel["quick"].plan, any("a0" in _results(x) for x in self.kernel["instant"].steps)
         plain = "method" not in self.kernel or default_settings(e).method == "auto"
         plain = plain and not (self.order or e.states or e.frictions)
         return plain and read and quick.quick
@@ -172,9 +172,9 @@ class _Patient(Alternatives):
 
     def onward(self, step: Program) -> Program:
         """Return the step from an instant whose outputs were evaluated, with its first evaluation taken from there."""
-        first = next(k for k, x in enumerate(step.steps) if "rate1" in x.results)
+        first = next(k for k, x in enumerate(step.steps) if "rate1" in _results(x))
         steps = renamed(step.steps, dict(zip(("a1", "power1", "watch1"), READ, strict=True)))
-        begin = [x for x in steps[:first] if {"v1", "step"} & set(x.results)]
+        begin = [x for x in steps[:first] if {"v1", "step"} & {*_results(x)}]
         return replace(step, steps=(Choice("onward", zero=steps[:first]), *begin, *steps[first:]))
 
     def close(self, plan: Plan) -> Program:
@@ -211,7 +211,7 @@ class _Patient(Alternatives):
 
             def shared(z: SX, C: SX, dv: SX, lam: SX) -> SX:
                 t, q, v = self._position(z)
-                return scene.carried(t, q, v, nothing, C, dv, lam, PATIENT_LOADED, impact=True)
+                return scene.carried(t, q, v, nothing, C, dv, lam, passes=PATIENT_LOADED, impact=True)
 
             self._settle(calls, "lam0")
             calls("bear_impact", "z p k C a0 lam0", "lam0", shared)
@@ -238,7 +238,7 @@ class _Patient(Alternatives):
 
         def found(q: SX) -> tuple[SX, ...]:
             C = e.C(q, scene.p)
-            H = method.augmented_mass(scene.scale * e.M(q, scene.p), C, scene.weights)
+            H: SX = method.augmented_mass(scene.scale * e.M(q, scene.p), C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
             return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, scene.margin(D)[1]
@@ -281,6 +281,7 @@ class _Patient(Alternatives):
         self._reached(last, watch)
         end.choice("unreached", last)
         [*_, limit, _] = calls.made
+        assert isinstance(limit, Choice)
         calls.made[-2] = replace(limit, nonzero=limit.nonzero + end.steps)
 
     def evaluation(
@@ -387,9 +388,9 @@ class _Patient(Alternatives):
         self._bear(calls, known, found)
 
 
-def _made(program: Program) -> Iterator[str]:
-    """Yield names of all results of a program without choices."""
-    return (name for step in program.steps for name in step.results)
+def _results(step: Step) -> tuple[str, ...]:
+    """Return names of the results of a step other than a choice or a loop."""
+    return () if isinstance(step, Choice | Loop) else step.results
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:

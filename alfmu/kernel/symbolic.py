@@ -7,7 +7,6 @@ in units of alpha here (times `scale`), and so are H, its pivots and its factors
 from __future__ import annotations
 
 import math
-from collections import namedtuple
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +16,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from ..equations import Configuration, Equations
+from ..equations import Configuration
 from ..equations.evaluation import DENSE, elimination_order, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
@@ -27,7 +26,7 @@ from ..method.implicit import Newmark
 from ..method.inputs import memory_size
 from ..method.stepping import NOISE, Explicit
 from .form import Plan
-from .memory import PACE, SETTINGS, TURN, Layout
+from .memory import PACE, SETTINGS, TURN, Layout, SceneSettings
 
 __all__ = ["MATRICES", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
 
@@ -81,10 +80,7 @@ _SAME = 1e-13
 """Largest relative difference of entries that are the same there."""
 
 
-_Settings = namedtuple("_Settings", SETTINGS)
-
-
-def lengths_of(equations: Equations) -> dict[str, int]:
+def lengths_of(equations: Configuration) -> dict[str, int]:
     """Return lengths of the named values of functions of programs; names with appended digits share a length."""
     e, n, l, inputs = equations, equations.n, equations.l, len(equations.inputs)
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
@@ -149,7 +145,7 @@ class Scene:
         self._factorisations: dict[tuple[int, ...], ca.Function] = {}
         """Factorisations by the sparsity of the matrix."""
         e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
-        self.settings = _Settings(*ca.vertsplit(self.k[: len(SETTINGS)]))
+        self.settings = SceneSettings(*ca.vertsplit(self.k[: len(SETTINGS)]))
         self.scale = 1 / self.settings.alpha
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)]).tolist()
         own, units, self.inverse_scales, self.stiffnesses = (self.k[begin:end] for begin, end in pairwise(ends))
@@ -314,7 +310,7 @@ class Scene:
         Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
         H = self.augmented_mass(M, C)
         found = implicit.stiffness(H, C, self.weights, self.scale * Rq, self.scale * Rv, Xq, Xv)
-        return self.beside_states(*found, *map(ca.sparsify, tangents[5:])) if self.e.states else found
+        return self.beside_states(*found, *(ca.sparsify(x) for x in tangents[5:])) if self.e.states else found
 
     def beside_states(self, H: SX, Q: SX, V: SX, Rx: SX, Gq: SX, Gv: SX, Gx: SX) -> tuple[SX, SX, SX]:
         """Return these matrices with rows and columns for states, which are no displacements."""
@@ -382,7 +378,7 @@ class Scene:
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
         """Return lam shared among joints by the given compliances or with least norm; NaN if the passes did not
         converge."""
-        weights, last = self._shares, []
+        weights, last = self._shares, list[SX]()
         lam, rubbing = self._apart(lam)
 
         def inverse(C: SX) -> method.Solve:
@@ -401,14 +397,14 @@ class Scene:
         return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
 
     def carried(
-        self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED, impact: bool = False
+        self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, *, passes: int = LOADED, impact: bool = False
     ) -> SX:
         """Return lam of the same effect with least loads of joints; NaN if the passes did not converge.
 
         In an impact, a are changes of v, and there are no other loads. docs/theory/redundancy.md defines the loads,
         `method.formulations.shared_again` the algorithm.
         """
-        e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
+        e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, list[SX]()
         held = SX.ones(e.l) if self.kind == "plain" else self.held
 
         def slope(lam: SX) -> SX:
@@ -428,7 +424,7 @@ class Scene:
         weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
 
         def done(change: SX, value: SX) -> bool:
-            size = sum(ca.dot(sizes * each, each) for each in (value, physical, slope(0 * x) / sizes))
+            size = sum((ca.dot(sizes * each, each) for each in (value, physical, slope(0 * x) / sizes)), SX(0))
             last[:] = [ca.dot(sizes * change, change), size + _TINY]
             return False
 
@@ -538,7 +534,7 @@ class Scene:
         clear = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
         return ca.if_else(clear, ca.sqrt(ca.fmax(squared, 0)), 0)
 
-    def places(self, q: SX, v: SX, spacing: SX, side: int) -> list[SX]:
+    def places(self, q: SX, v: SX, spacing: SX, *, side: int) -> list[SX]:
         """S4: return the positions from which a limit is taken."""
         return [q + k * spacing * v for k in branch.weights(side)]
 
@@ -581,20 +577,20 @@ class Scene:
         """
         count = len(branch.READ_MEAN)
         found, (here, lam_here, watch, *told) = found[: 3 * count], found[3 * count :]
-        a, lam, watches = (
+        accelerations, multipliers, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
         margin = Watch.of(watch).margin
-        limit, pole, magnified = self._with_pole(lam)
-        use_pole, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
+        limit, pole, magnified = self._with_pole(multipliers)
+        use_pole, fewer = 1 - pole * (magnified <= 0), branch.fewer(multipliers)
         rough, coarse = (self._with_pole(x, use_pole)[0] for x in (fewer, branch.fewer(fewer)))
         change = ca.mmax(ca.fabs(limit - rough))
         lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
         direct = ca.logic_and(margin > self.settings.nothing, lost < change)
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
-        largest = ca.mmax(ca.fabs(ca.vertcat(*lam.values())))
+        largest = ca.mmax(ca.fabs(ca.vertcat(*multipliers.values())))
         before = ca.mmax(ca.fabs(rough - coarse))
-        a, lam = (ca.if_else(direct, x, y) for x, y in zip((here, lam_here), (branch.mean(a), limit), strict=True))
+        a, lam = ca.if_else(direct, here, branch.mean(accelerations)), ca.if_else(direct, lam_here, limit)
         if told:
             error = branch.limit_error(change, before, largest, magnified, told[1]) / self.scale
             told = [ca.if_else(direct, told[0], error)]
@@ -616,7 +612,8 @@ class Scene:
 
     def _with_pole(self, values: dict[int, SX], use_pole: SX | float = 1.0) -> tuple[SX, SX, SX]:
         """Compute `singular.with_pole`."""
-        limit, first, second = map(ca.densify, branch.pole(values))
+        found: tuple[SX, ...] = branch.pole(values)
+        limit, first, second = (ca.densify(x) for x in found)
         least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
         steepest, at = first[0], second[0]
         for i in range(1, self.e.l):
@@ -636,7 +633,7 @@ class Scene:
         q = self._closer(M, C, solve, q)
         after = self.e.C(q, self.p)
         Cv = self.speed(q, v, after)
-        v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d: Cv + C @ d)
+        v = self._slower(M, C, solve, v, Cv)
         return q, v, ca.mmin(D), self._residues(q, self.speed(q, v, after))
 
     def placed(self, q: SX) -> SX:
@@ -648,8 +645,7 @@ class Scene:
         """Return v after corrections (10), the smallest pivot, and the residuals (squared) of q and v."""
         M, C, D, solve = self._augmented(q)
         for _ in range(corrections):
-            Cv = self.speed(q, v, C)
-            v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d, Cv=Cv: Cv + C @ d)
+            v = self._slower(M, C, solve, v, self.speed(q, v, C))
         return v, ca.mmin(D), self._residues(q, self.speed(q, v, C))
 
     def open(self, q: SX) -> SX:
@@ -666,26 +662,20 @@ class Scene:
         return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
 
     def error_size(
-        self,
-        z: SX,
-        q: SX,
-        v: SX,
-        parts: Sequence[SX],
-        least: SX | None = None,
-        x: SX | None = None,
-        change: SX | None = None,
+        self, z: SX, q: SX, v: SX, parts: Sequence[SX], least: SX | None = None, states: Sequence[SX] = ()
     ) -> tuple[SX, SX]:
         """Return the largest error of the constrained state over the tolerance, and the largest `least` over the
         tolerance.
 
         Errors below the round-off `least` (2 n) are zero; where it exceeds the tolerance, it replaces it. `parts` are
-        the errors of q and v along the motion, `x` are the states and `change` their error.
+        the errors of q and v along the motion, `states` are the states, if there are any, and their error.
         """
         size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
         floor, over = SX(0), size / allowed
         if least is not None:
             floor, over = ca.mmax(least / allowed), ca.fmax(size - least, 0) / ca.fmax(allowed, least)
-        if x is not None:
+        if states:
+            x, change = states
             size, over = ca.vertcat(size, change), ca.vertcat(over, ca.fabs(change) / self._allowed_of_states(z, x))
         # fmax ignores NaN.
         return ca.if_else(ca.sumsqr(size) < math.inf, ca.mmax(over), math.inf), floor
@@ -726,7 +716,7 @@ class Scene:
 
     def allowed_states(self, sizes: SX) -> SX:
         """Return the tolerance of states of given sizes."""
-        nominal = ca.DM([v.nominal for v in self.e.states])
+        nominal = ca.DM([v.nominal or 1.0 for v in self.e.states])
         return self.settings.absolute * nominal + self.settings.relative * sizes
 
     def closed(self, plan: Plan, names: Iterable[str]) -> SX:
@@ -744,12 +734,12 @@ class Scene:
         unjudged = 1 if plan.quick else fixed
         trouble, near = 1 - (pivot > 0) + unjudged * self.unconverged(plan, evaluations, limit), SX(0)
         if plan.branch or "zone1" in known:
-            near = sum(x for name, x in known.items() if name.startswith("zone"))
+            near = sum((x for name, x in known.items() if name.startswith("zone")), SX(0))
             trouble += 1 - self.settings.continues if plan.branch else near * self.settings.continues
             if plan.branch and plan.gaining:
                 trouble += near * (self.settings.least_distance > branch.FARTHEST)
         elif e.l:
-            near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
+            near = sum((x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations), SX(0))
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:
@@ -776,41 +766,46 @@ class Scene:
         plan: Plan,
         z: SX,
         u: SX,
-        C: SX | None = None,
-        xi: SX | None = None,
-        a: SX | None = None,
-        lam: SX | None = None,
-        watch: SX | None = None,
-        singular: SX | float = 0.0,
+        C: SX,
+        xi: SX,
+        a: SX,
+        lam: SX,
+        watch: SX,
+        singular: SX,
         lost: SX | float = 0.0,
+        *,
         limit: float | None = None,
     ) -> SX:
-        """Return outputs, monitors, and `memory.SEEN`; a, lam and watch are None if no output needs them.
+        """Return outputs, monitors, and `memory.SEEN`; `limit` is that of `unconverged`."""
+        seen, near = Watch.of(watch), SX(0)
+        shown = self._shown(plan, z, u, a, lam, seen.margin, singular, lost)
+        trouble = self.unconverged(plan, [seen], limit) + 1 - (seen.pivot > 0)
+        if self.e.l:
+            near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
+        return ca.vertcat(*shown, self._largest(C @ a - xi), near, trouble)
 
-        `limit` is that of `unconverged`.
-        """
+    def seen_at_rest(self, plan: Plan, z: SX, u: SX) -> SX:
+        """Return these if no output needs accelerations or multipliers."""
+        readings, *monitors = self._shown(plan, z, u, *self._at_rest(), SX(1))
+        return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
+
+    def _shown(
+        self, plan: Plan, z: SX, u: SX, a: SX, lam: SX, margin: SX, singular: SX | float = 0.0, lost: SX | float = 0.0
+    ) -> list[SX | float]:
+        """Return outputs, and each monitor."""
         e, p, layout = self.e, self.p, Layout(self.e)
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
-        if watch is None:
-            a, lam = self._at_rest()
         readings = e.readings(q, v, a, lam / self.scale, self.given(z, u), p, t)
         names = {o.name: i for i, o in enumerate(e.outputs)}
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
-        monitors = []
+        shown: list[SX | float] = [readings]
         if {monitor.name for monitor in MONITORS} - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
-            margin = Watch.of(watch).margin if watch is not None else SX(1)
-            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
-            values = *values, plan.iterations, ca.sqrt(margin), singular, lost
-            monitors = [x for each, x in zip(MONITORS, values, strict=True) if each.name not in e.monitors]
-        if watch is None:
-            return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
-        seen, near = Watch.of(watch), SX(0)
-        trouble = self.unconverged(plan, [seen], limit) + 1 - (seen.pivot > 0)
-        if e.l:
-            near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
-        return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
+            values: list[SX | float] = [self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0]
+            values += [plan.iterations, ca.sqrt(margin), singular, lost]
+            shown += [x for each, x in zip(MONITORS, values, strict=True) if each.name not in e.monitors]
+        return shown
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
         """Return computed angles moved by whole turns to the values nearest to those at the start of `near`."""
@@ -867,6 +862,10 @@ class Scene:
         Phi = self.e.Phi(q, self.p)
         return q + method.project_residual(M, C, self.weights, solve, Phi, lambda d: self.e.Phi(q + d, self.p))
 
+    def _slower(self, M: SX, C: SX, solve: method.Solve, v: SX, Cv: SX) -> SX:
+        """Return v after a correction (10)."""
+        return v + method.project_residual(M, C, self.weights, solve, Cv, lambda d: Cv + C @ d)
+
     def _augmented(self, q: SX) -> tuple[SX, SX, SX, method.Solve]:
         """Return M and C, the pivots of H, and its solver."""
         M, C = self.scale * self.e.M(q, self.p), self.e.C(q, self.p)
@@ -912,7 +911,8 @@ class Scene:
         pattern = *H.sparsity().colind(), *H.sparsity().row()
         if pattern not in self._factorisations:
             self._factorisations[pattern] = _factorisation(H.sparsity())
-        return self._factorisations[pattern](H)
+        D, L = self._factorisations[pattern](H)
+        return D, L
 
     def solver(self, D: SX, L: SX) -> method.Solve:
         """Return a solver with these factors, by one division per pivot, which takes as long as several products."""
@@ -948,7 +948,8 @@ def _factorisation(pattern: ca.Sparsity) -> ca.Function:
 def _worst(seen: Sequence[Watch], near: SX, margin: SX) -> SX:
     """Return the worst of several watches, with this distance to a singular position."""
     pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
-    return Watch(sum(x.change for x in seen), sum(x.size for x in seen), pivot, near, margin).vector()
+    change, size = sum((x.change for x in seen), SX(0)), sum((x.size for x in seen), SX(0))
+    return Watch(change, size, pivot, near, margin).vector()
 
 
 def _product(values: SX) -> SX:

@@ -27,7 +27,7 @@ from ..equations.interface import (
     variables_of,
 )
 from ..method import formulations, friction, implicit, singular, stepping
-from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
+from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, RADAU9, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
@@ -175,8 +175,8 @@ REALS: dict[str, Number] = {
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT5_SHORT)[0],
     "short_exponent": lambda t: share(EXPLICIT5_SHORT)[1],
-    "stiff_share": lambda t: share(implicit.RULES["stiff"])[0],
-    "stiff_exponent": lambda t: share(implicit.RULES["stiff"])[1],
+    "stiff_share": lambda t: share(RADAU9)[0],
+    "stiff_exponent": lambda t: share(RADAU9)[1],
     "beside_share": lambda t: share(EXPLICIT8)[0],
     "beside_exponent": lambda t: share(EXPLICIT8)[1],
 }
@@ -188,8 +188,13 @@ NODE_COST = 6
 def interface(equations: Equations) -> Interface:
     """Return the variables of a scene, which has one order of inputs."""
     found = variables_of(equations)
-    only = [replace(v, minimum=v.start, maximum=v.start) if v.name in _FIXED else v for v in found.parameters]
-    return replace(found, parameters=only)
+
+    def narrowed(v: Variable) -> Variable:
+        if v.name not in _FIXED or isinstance(v.start, str):
+            return v
+        return replace(v, minimum=v.start, maximum=v.start)
+
+    return replace(found, parameters=[narrowed(v) for v in found.parameters])
 
 
 _FIXED = ("solver.input_order",)
@@ -253,8 +258,8 @@ def layout_header() -> str:
     lines = [f"#define {name} {value}" for name, value in found.items()]
     tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
     tables |= {"OTHERS": CHOSEN.values()}
-    for name, names in tables.items():
-        rows = "".join(f" \\\n    X({each})" for each in names)
+    for name, entries in tables.items():
+        rows = "".join(f" \\\n    X({each})" for each in entries)
         lines += ["", f"#define SCENE_{name}(X){rows}"]
     head = "/* What alfmu's Python code and its runtime share; generated from alfmu/kernel/tables.py. */"
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
@@ -320,15 +325,18 @@ class _Table:
     """The tables of a scene file."""
 
     def __init__(self, equations: Traced):
-        self.e, self.layout = equations, Layout(equations)
-        self.variables, self.known = interface(equations), known_choices(equations)
-        self.passed, self.method = passed(equations), integrator(equations)
-        self.rule = equations.kernel["method"].rule if "method" in equations.kernel else ""
+        self.e: Traced = equations
+        self.layout: Layout = Layout(equations)
+        self.variables: Interface = interface(equations)
+        self.known: dict[str, dict[str, str]] = known_choices(equations)
+        self.passed: dict[str, int] = passed(equations)
+        self.method: str = integrator(equations)
+        self.rule: str = equations.kernel["method"].rule if "method" in equations.kernel else ""
         rule = explicit_rule(self.method, 1.0, self.rule) or implicit.RULES.get(self.method)
-        self.share = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
+        self.share: tuple[float, float] = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}
         """Addresses and lengths of values in the workspace that programs pass on."""
-        self.workspace = 0
+        self.workspace: int = 0
 
     def code(self) -> None:
         """Encode functions and programs, in the order of their numbers."""
@@ -455,8 +463,8 @@ class _Table:
             self._pattern(w, shape)
         w.reals(np.frombuffer(b"".join(self.constants.numbers), "<f8"))
         w.integer(len(self.functions))
-        for each in self.functions:
-            w.code(*each, len(self.constants.numbers))
+        for function, constants in self.functions:
+            w.code(function, constants, len(self.constants.numbers))
         w.integer(len(self.programs))
         for words in self.programs:
             w.integers(words)

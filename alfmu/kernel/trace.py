@@ -139,7 +139,7 @@ class Tracer:
 
     def _moved(self, calls: Calls) -> list[str]:
         """Compute q, v and work after a step of RK4 before projection; return names of the rates."""
-        n, layout, rates = self.e.n, self.layout, []
+        n, layout, rates = self.e.n, self.layout, list[str]()
         z, dt = map(calls.scene.symbol, ("z", "dt"))
         rate = self.rate(calls, "stage", rates)
         y = rk4(rate, z[layout.time], self.begun(z), dt)
@@ -183,7 +183,8 @@ class Tracer:
 
         def kept(z: SX, u: SX, past: SX) -> SX:
             known, times, inputs = reached(*self._kept(past), z[self.layout.time], u, ca.if_else)
-            return ca.vertcat(known, *times, *inputs)
+            found: list[SX] = [known, *times, *inputs]
+            return ca.vertcat(*found)
 
         calls("reach", "z u past", "past", kept)
         return Program(calls.steps)
@@ -196,7 +197,10 @@ class Tracer:
             calls("inputs", f"past t{i}", u, lambda past, t: extrapolated(*self._kept(past), t, self.order, ca.if_else))
         if self.e.states:
             # The time argument marks calls that use inputs with derivatives (`alfmu.kernel.standalone`).
-            calls("given", f"t{i} {u} x{i}", f"given{i}", lambda t, u, x: ca.vertcat(u, x))
+            def given(t: SX, u: SX, x: SX) -> SX:
+                return ca.vertcat(u, x)
+
+            calls("given", f"t{i} {u} x{i}", f"given{i}", given)
         return self.inputs_name(i)
 
     def inputs_name(self, i: str) -> str:
@@ -229,7 +233,7 @@ class Tracer:
         distance = {"monitor.distance", "monitor.singular", REACTION_ERROR} - set(e.monitors)
         if not distance and not any(o.instant for o in e.outputs):
             # No output needs accelerations or reactions.
-            calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
+            calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen_at_rest(plan, z, u))
             return Program(calls.steps, plan)
         self._unpacked(calls)
         u = self.here(calls)
@@ -325,7 +329,7 @@ class Tracer:
         self._brought(calls, place, "placed", "vz")
         self.evaluation(calls, j, {"u": u, f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
 
-    def _read_places(self, calls: Calls, places: list[str], length: str = "dt") -> None:
+    def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
         """Compute the positions from which a limit of outputs is taken; `length` is the base of their spacing."""
         scene = calls.scene
 
@@ -362,7 +366,7 @@ class Tracer:
     def _bear(self, calls: Calls, known: str, found: str) -> None:
         """Do so by more passes, which suffice near singular positions."""
         carried = calls.scene.carried
-        calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, PATIENT_LOADED))
+        calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, passes=PATIENT_LOADED))
 
     @cached_property
     def loaded(self) -> bool:
@@ -401,7 +405,7 @@ class Tracer:
             [f"{name}{j}" for j in count] for name in ("place", "acceleration", "watched")
         )
         limit = calls.inside()
-        limit(f"places{own}", f"q{i} v{i} spacing", spaced(places), lambda *x: scene.places(*x, side))
+        limit(f"places{own}", f"q{i} v{i} spacing", spaced(places), lambda *x: scene.places(*x, side=side))
         for place, a, watch in zip(places, accelerations, watches, strict=True):
             self.place(limit, place, "placed")
             self._brought(limit, place, "placed", f"v{i}")
@@ -614,8 +618,8 @@ class Calls:
             values = [values] if isinstance(values, SX) else values
             making(name)
             # Repeated operations are removed when the function is written or joined, much faster than in symbols.
-            arguments, results = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
-            functions[name] = ca.Function(name, arguments, results)
+            symbols, dense = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
+            functions[name] = ca.Function(name, symbols, dense)
         if name not in self._tracer.shapes:
             known = functions[name]
             self._tracer.shapes[name] = [known.numel_in(i) for i in range(known.n_in())], known.n_out()

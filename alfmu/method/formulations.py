@@ -119,7 +119,7 @@ def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> A
     return solve(C.T @ (lam - alpha @ (C @ z)))
 
 
-def settled(change: Array, before: Array, size: Array, tolerance: float) -> Array:
+def settled(change: Array, before: Array, size: Array, tolerance: Array) -> Array:
     """Return whether `minimum_norm` has converged, from squared norms of the last two changes and of lam."""
     return (change <= tolerance**2 * size) + (change <= SETTLED**2 * size) * (change > GAIN**2 * before) > 0
 
@@ -153,7 +153,7 @@ def shared_again(
     return residual(P, -g, C.T, C.T @ nothing, alpha, solve, nothing, C.T @ nothing, most, done)[0]
 
 
-def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:
+def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: Array, omega: Array) -> Array:
     """Return the right-hand side of (3) with Baumgarte's damping zeta and frequency omega [1/s], as (6) uses it too."""
     return xi - 2 * zeta * omega * Cv - omega**2 * Phi  # (6)
 

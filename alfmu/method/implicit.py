@@ -48,7 +48,7 @@ def tangent(
     solve: method.Solve,
     R: Array,
     X: Array,
-    zeros: tuple,
+    zeros: tuple[Array, Array],
     most: int,
     done: method.Done,
 ) -> Array:

@@ -18,6 +18,8 @@ KEPT = 3
 
 Array = Any
 Where = Callable[[Any, Any, Any], Any]
+Points = Sequence[Array] | NDArray[np.float64]
+"""Values at past communication points, newest first."""
 
 
 def memory_size(inputs: int) -> int:
@@ -26,12 +28,12 @@ def memory_size(inputs: int) -> int:
 
 
 def reached(
-    known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, u: Array, where: Where
+    known: Array, times: Points, inputs: Points, t: Array, u: Array, where: Where
 ) -> tuple[Array, list[Array], list[Array]]:
     """Return the record after inputs u at communication point t; a point already recorded is replaced."""
     later = sum(where(known > i, where(times[i] >= t, 1.0, 0.0), 0.0) for i in range(KEPT))
 
-    def older(values: Sequence[Array], i: int) -> Array:
+    def older(values: Points, i: int) -> Array:
         found = values[i]
         for shift in range(1, KEPT - i):
             found = where(later == shift, values[i + shift], found)
@@ -42,9 +44,7 @@ def reached(
     return kept, [t, *(older(times, i) for i in first)], [u, *(older(inputs, i) for i in first)]
 
 
-def extrapolated(
-    known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, order: int, where: Where
-) -> Array:
+def extrapolated(known: Array, times: Points, inputs: Points, t: Array, order: int, where: Where) -> Array:
     """Return inputs at t by the polynomial of this order through the newest points, of lower order if there are few."""
     total = 0.0
     for i in range(order + 1):

@@ -26,6 +26,7 @@ __all__ = [
     "combined",
     "continued",
     "explicit",
+    "explicit_at",
     "explicit_rule",
     "judged",
     "kink_bounds",
@@ -365,7 +366,7 @@ Appl. Math. 111 (1999) 93-111): order 9, L-stable, of order at least 5 for stiff
 # Steps ------------------------------------------------------------------------------------------------------------
 
 
-def combined(weights: tuple[float, ...], values: list[State], begin: State | None = None) -> State:
+def combined(weights: Sequence[float], values: Sequence[State], begin: State | None = None) -> State:
     """Return `begin` plus the weighted sum of values; values of weight zero are left out."""
     for weight, value in zip(weights, values, strict=True):
         if weight:
@@ -410,13 +411,12 @@ def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
     times the weight of that rate if it is above 1. Their maximum is at least two thirds of the error of a jump or kink
     anywhere in the step.
     """
-    implicit = isinstance(method, Collocation)
-    nodes, weights = np.array(method.nodes), np.abs(method.matrix[-1] if implicit else method.weights)
-    if implicit:
-        nodes, weights = np.append(0.0, nodes), np.append(0.0, weights)
+    nodes, weights = method.nodes, method.matrix[-1] if isinstance(method, Collocation) else method.weights
+    if isinstance(method, Collocation):
+        nodes, weights = (0.0, *nodes), (0.0, *weights)
     powers = np.vander(nodes, 3)
     left = np.eye(len(nodes)) - powers @ np.linalg.pinv(powers)
-    return [tuple(row) for row in (np.maximum(weights, 1.0)[:, None] * left).tolist()]
+    return [tuple(row) for row in (np.maximum(np.abs(weights), 1.0)[:, None] * left).tolist()]
 
 
 def collocation(
@@ -491,8 +491,11 @@ def explicit_rule(method: str, run: float, carried: str | None = None) -> Explic
 
     `carried` names the method traced into the scene; if given, it is used at any tolerance.
     """
-    if method != "explicit":
-        return EXPLICIT_METHODS.get(method)
+    return explicit_at(run, carried) if method == "explicit" else EXPLICIT_METHODS.get(method)
+
+
+def explicit_at(run: float, carried: str | None = None) -> Explicit:
+    """Return the method that `explicit` stands for, as `explicit_rule`."""
     wanted = EXPLICIT5 if run > LOOSE else EXPLICIT8
     return next((rule for rule in (EXPLICIT5, EXPLICIT8) if rule.name == carried), wanted)
 

@@ -157,7 +157,7 @@ class Declaration:
     """Bodies in space, without the ground."""
     spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Motion | Relation]] = _Parts()
+    closures: ClassVar[_Parts[Joint | SpatialJoint | Rigidity | Constraint | Lock | Motion | Relation]] = _Parts()
     """Everything that constraints close, in the order of the rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
     """Inputs that prescribe motion."""

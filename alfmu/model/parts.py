@@ -344,6 +344,7 @@ class Friction(Lock):
     """
 
     direction: ClassVar[str] = "friction"
+    of: AnyJoint
     slip: ca.SX
     coulomb: Scalar
     static: Scalar
