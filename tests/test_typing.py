@@ -165,12 +165,10 @@ def test_a_users_file_has_every_public_name():
     assert set(dir(alfmu)) <= words
 
 
-def test_every_module_of_a_public_name_is_checked():
-    """None of them is among those that mypy leaves out."""
+def test_every_module_is_checked():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
-    left = {module for each in settings["overrides"] if each.get("ignore_errors") for module in each["module"]}
     assert settings["files"] == ["alfmu"]
-    assert not {getattr(alfmu, name).__module__ for name in dir(alfmu)} & left
+    assert not any(each.get("ignore_errors") for each in settings["overrides"])
 
 
 @pytest.mark.slow
