@@ -99,8 +99,8 @@ def same(one: dict[str, np.ndarray], two: dict[str, np.ndarray], shift: bool) ->
 
 HELD = {
     ".xml": list(ALL),
-    ".urdf": [name for name in ALL if name not in ("shaper", "stewart", "floating")],
-    ".sdf": [name for name in ALL if name not in ("shaper", "raft", "joints")],
+    ".urdf": [name for name in ALL if name not in ("shaper", "stewart", "floating", "servos")],
+    ".sdf": [name for name in ALL if name not in ("shaper", "raft", "joints", "servos")],
 }
 """Mechanisms that formats hold."""
 
@@ -194,7 +194,7 @@ def test_a_flying_base_with_a_loop_moves_as_in_pinocchio(tmp_path: Path):
 
 
 FILES = {"five_bar.xml": FORMS, "carried.xml": FORMS, "slider_crank.xml": FORMS[:2], "slider_crank.sdf": FORMS,
-         "four_bar.urdf": FORMS}  # fmt: skip
+         "four_bar.urdf": FORMS, "spatial.xml": FORMS[:1], "coupled.xml": FORMS[:1]}  # fmt: skip
 
 
 @pytest.mark.slow

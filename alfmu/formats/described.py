@@ -31,7 +31,7 @@ __all__ = ["Form", "described"]
 @dataclass(frozen=True)
 class Form:
     """What a format holds: kinds of joints that can close a loop, springs, and if it is `full` scaled and constant
-    efforts, and couplings of more than two joints."""
+    efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than two joints."""
 
     name: str
     closures: Collection[str]
@@ -70,7 +70,8 @@ class _Describing:
         self.taken = set(mechanism._names)
         self.motions: dict[str, Joint] = {}
         self.along: dict[int | None, tuple[str, Any]] = {key_of(x.symbol): ("u", x) for x in mechanism.inputs}
-        """Inputs ("u"), displacements ("q") and rates ("v") of joints by their symbols."""
+        """Inputs ("u"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of balls and their rates
+        ("w") by their symbols."""
         self.coupled: set[Joint] = set()
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
@@ -181,6 +182,9 @@ class _Describing:
             ball = Joint(joint.name, "spherical", self.node, edge.point, rates=tuple(spin))
             ball.start = ball.zero
             edge.joints.append(ball)
+            for e in (ca.SX(x) for x in joint.coordinates or ()):
+                if e.is_symbolic():
+                    self.along[key_of(e)], self.along[key_of(self.m.rate(e))] = ("e", ball), ("w", ball)
             return
         normal, other, axis = (self.number(x).ravel() for x in joint.triad())
         axes = {"position1": normal, "position2": other}
@@ -246,14 +250,45 @@ class _Describing:
                 given.append((hinges[load.at.body][0], load.torque))
             else:
                 self.refuse(load.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
-        for x in (*m.potential, *m.kinetic, *(x for _, x in m.generalized)):
-            what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
-            self.refuse(str(x)[:60], what)
+        self._rated()
         for joint in dict.fromkeys(joint for joint, _ in given):
             self._drive(joint, self.fixed(sum((effort for moved, effort in given if moved is joint), ca.SX(0))))
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
+
+    def _rated(self) -> None:
+        """Take kinetic energies of rates as inertia of motors, and forces along Euler parameters as dampers."""
+        balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
+        for x in self.m.potential:
+            self._expression(x)
+        for along, given in (*((None, x) for x in self.m.kinetic), *self.m.generalized):
+            x = self.fixed(given)
+            v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
+            slope = ca.gradient(x, v)
+            size = slope if along is not None else ca.gradient(slope, v)
+            kind, joint = self.along.get(key_of(v), ("", None))
+            rests = all(ca.substitute(each, v, 0).is_zero() for each in ((x,) if along is not None else (x, slope)))
+            own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
+            if not (size.is_constant() and rests and own):
+                self._expression(given)
+            elif kind == "v":
+                joint.armature += float(size)
+            else:
+                shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
+                shares[key_of(v)] = float(size) / (4 if along is None else -4)
+        for (ball, what), shares in balls.items():
+            if len(shares) < 4 or len(set(shares.values())) > 1:
+                self.refuse(ball.name, f"its {what} differs about its axes")
+            value = next(iter(shares.values()))
+            ball.armature, ball.damping = (value, ball.damping) if what == "armature" else (ball.armature, (value,))
+        every = [joint for edge in self.edges for joint in edge.joints]
+        for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
+            self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
+
+    def _expression(self, x: Any) -> None:
+        what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+        self.refuse(str(x)[:60], what)
 
     def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
         """Add a stiffness, a damping and an effort at zero to those of a joint."""
@@ -261,7 +296,7 @@ class _Describing:
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
         if pull and not k and self.form.full:  # an actuator whose control does nothing
-            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=pull)
+            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=(pull, 0.0, 0.0))
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
@@ -278,11 +313,33 @@ class _Describing:
         return found | {("1", None): float(ca.substitute(x, stack(symbols), ca.SX.zeros(len(symbols))))}
 
     def _drive(self, joint: Joint, effort: ca.SX) -> None:
-        """Take an effort along a joint as motors, a spring and a damper, limited all together."""
-        x, factor, limits = effort, 1.0, [-math.inf, math.inf]
-        while x.op() in (ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX) and (x.dep(0).is_constant() or x.dep(1).is_constant()):
-            other, constant = (x.dep(0), x.dep(1)) if x.dep(1).is_constant() else (x.dep(1), x.dep(0))
-            if x.op() == ca.OP_MUL:
+        """Take an effort along a joint as motors, which may be limited, a spring and a damper."""
+        waiting, plain, limited = [(effort, 1.0)], ca.SX(0), list[ca.SX]()
+        while waiting:
+            x, sign = waiting.pop()
+            if self._linear(x) is not None:
+                plain += sign * x
+            elif x.op() in (ca.OP_ADD, ca.OP_SUB):
+                waiting += [(x.dep(0), sign), (x.dep(1), sign if x.op() == ca.OP_ADD else -sign)]
+            elif x.op() == ca.OP_NEG:
+                waiting.append((x.dep(0), -sign))
+            else:
+                limited.append(x if sign == 1 else -x)
+        for x in limited:
+            self._actuate(joint, x, len(limited) == 1 and plain.is_zero())
+        self._actuate(joint, plain, False)
+
+    def _actuate(self, joint: Joint, x: ca.SX, alone: bool) -> None:
+        """Take a linear effort, limited as a whole, which may be `alone` along the joint."""
+        factor, limits = 1.0, [-math.inf, math.inf]
+        while x.op() == ca.OP_NEG or (
+            x.op() in (ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX) and (x.dep(0).is_constant() or x.dep(1).is_constant())
+        ):
+            one, two = x.dep(0), x.dep(x.n_dep() - 1)
+            other, constant = (one, two) if two.is_constant() else (two, one)
+            if x.op() == ca.OP_NEG:
+                factor = -factor
+            elif x.op() == ca.OP_MUL:
                 factor *= float(constant)
             else:
                 upper = (x.op() == ca.OP_FMIN) == (factor > 0)
@@ -295,19 +352,34 @@ class _Describing:
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
         if limits != [-math.inf, math.inf]:
+            if self.form.full and len(terms) == 1:
+                ((_, given), gain), *_ = terms.items()
+                self._motor(joint, given.name, gain, given.start, (bias, k, d), (limits[0], limits[1]))
+                return
             joint.effort = (limits[0], limits[1])
-            if bias or k or d or not (self.form.full or limits[0] == -limits[1]):
+            if bias or k or d or not alone or not (self.form.full or limits[0] == -limits[1]):
                 self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
         for (_, given), gain in terms.items():
             self._motor(joint, given.name, gain, given.start)
         self._spring(joint, -k, -d, bias)
 
-    def _motor(self, joint: Joint, name: str, gain: float, start: float = 0.0, bias: float = 0.0) -> None:
-        if any(motor.name == name for motor in self.linkage.motors):
-            self.refuse(name, "this input drives several joints; declare one for each")
+    def _motor(
+        self,
+        joint: Joint,
+        name: str,
+        gain: float,
+        start: float = 0.0,
+        bias: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        force: tuple[float, float] | None = None,
+    ) -> None:
         if gain != 1 and not self.form.full:
             self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
-        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, (bias, 0.0, 0.0), start=start)
+        for motor in (x for x in self.linkage.motors if x.name == name):
+            if not self.form.full or any((*bias, *motor.bias, force, motor.force)) or not gain:
+                self.refuse(name, "this input drives several joints; declare one for each")
+            motor.along = (*motor.along, (joint, gain / motor.gain))
+            return
+        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, bias, start=start, force=force)
         self.linkage.motors.append(motor)
 
     # Closures ---------------------------------------------------------------------------------------------------
@@ -332,7 +404,9 @@ class _Describing:
                     self.refuse(each.name, "its static friction differs from that while it slides")
                 joint.friction = (coulomb * load,)
             elif isinstance(each, Constraint) and each.name not in units:
-                found = self._linear(each.expression) or {("", None): 1.0}
+                if not (found := self._linear(each.expression)) and self._polynomial(each.name, each.expression):
+                    continue
+                found = found or {("", None): 1.0}
                 self._couple(each.name, [(x[1] if x[0] == "q" else None, y) for x, y in found.items() if x[0] != "1"])
             elif not isinstance(each, Constraint | Rigidity) and each not in (*self.m.joints, *self.m.spatial_joints):
                 self.refuse(each.name, f"it is a {type(each).__name__.lower()}, which no file holds")
@@ -352,11 +426,26 @@ class _Describing:
             coupling = Coupling(name, self.node, ((one, 1.0),), ((two, 1.0),), [0.0, -b / a])
         self.linkage.couplings.append(coupling)
 
+    def _polynomial(self, name: str, expression: Any) -> bool:
+        """Take a constraint as a displacement that is a polynomial in another one, if it is so."""
+        x = self.fixed(expression)
+        places = [(s, *self.along.get(key_of(s), ("", None))) for s in ca.symvar(x)]
+        for (q, kind, joint), (by, other, leader) in (places, places[::-1]) if len(places) == 2 else ():
+            a, found = ca.gradient(x, q), [-x]
+            for power in range(1, 6):
+                found.append(ca.gradient(found[-1], by) / power)
+            if (kind, other) == ("q", "q") and self.form.full and a.is_constant() and found[-1].is_zero():
+                numbers = [self.scalar(each) / float(a) for each in found[:-1]]
+                self.linkage.couplings.append(Coupling(name, self.node, ((joint, 1.0),), ((leader, 1.0),), numbers))
+                self.coupled |= {joint, leader}
+                return True
+        return False
+
     # The tree ---------------------------------------------------------------------------------------------------
 
     def _closes(self, edge: _Edge) -> bool:
         """Return whether a joint may close a loop in this format."""
-        used = self.coupled | {motor.along[0][0] for motor in self.linkage.motors}
+        used = self.coupled | {joint for motor in self.linkage.motors for joint, _ in motor.along}
         forced = (any((*x.damping, *x.stiffness, *x.friction, x.armature, *x.limits, x in used)) for x in edge.joints)
         return edge.kind in self.form.closures and not any(forced)
 
