@@ -51,6 +51,15 @@ class _Edge:
     joints: list[Joint] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class _Control:
+    """An input with its limits."""
+
+    name: str
+    start: float
+    limits: tuple[float, float] = (-math.inf, math.inf)
+
+
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
     """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the Jacobian of constraints
     at its start; its causes are all that the format cannot hold."""
@@ -69,9 +78,13 @@ class _Describing:
         self.values = [[given[x.name] for x in some] for given, some in zip(numbers, (c, c, p), strict=True)]
         self.taken = set(mechanism._names)
         self.motions: dict[str, Joint] = {}
-        self.along: dict[int | None, tuple[str, Any]] = {key_of(x.symbol): ("u", x) for x in mechanism.inputs}
+        self.along: dict[int | None, tuple[str, Any]] = {
+            key_of(x.symbol): ("u", _Control(x.name, x.start)) for x in mechanism.inputs
+        }
         """Inputs ("u"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of balls and their rates
         ("w") by their symbols."""
+        self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
+        """Expressions, and the same with a symbol of its own for each input with limits, by keys of the former."""
         self.coupled: set[Joint] = set()
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
@@ -296,7 +309,7 @@ class _Describing:
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
         if pull and not k and self.form.full:  # an actuator whose control does nothing
-            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=(pull, 0.0, 0.0))
+            self._motor(joint, _Control(self.fresh(f"{joint.name}_effort"), 0.0), 0.0, (pull, 0.0, 0.0))
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
@@ -314,6 +327,7 @@ class _Describing:
 
     def _drive(self, joint: Joint, effort: ca.SX) -> None:
         """Take an effort along a joint as motors, which may be limited, a spring and a damper."""
+        effort = self._controlled(effort) if self.form.full else effort
         waiting, plain, limited = [(effort, 1.0)], ca.SX(0), list[ca.SX]()
         while waiting:
             x, sign = waiting.pop()
@@ -353,33 +367,49 @@ class _Describing:
         bias, k, d = (terms.pop(key, 0.0) for key in own)
         if limits != [-math.inf, math.inf]:
             if self.form.full and len(terms) == 1:
-                ((_, given), gain), *_ = terms.items()
-                self._motor(joint, given.name, gain, given.start, (bias, k, d), (limits[0], limits[1]))
+                ((_, control), gain), *_ = terms.items()
+                self._motor(joint, control, gain, (bias, k, d), (limits[0], limits[1]))
                 return
             joint.effort = (limits[0], limits[1])
             if bias or k or d or not alone or not (self.form.full or limits[0] == -limits[1]):
                 self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
-        for (_, given), gain in terms.items():
-            self._motor(joint, given.name, gain, given.start)
+        for (_, control), gain in terms.items():
+            self._motor(joint, control, gain)
         self._spring(joint, -k, -d, bias)
+
+    def _controlled(self, x: ca.SX) -> ca.SX:
+        """Return an expression with a symbol of its own for each input with limits."""
+        if not x.n_dep() or key_of(x) in self.known:
+            return self.known.get(key_of(x), (x, x))[1]
+        parts = [self._controlled(x.dep(i)) for i in range(x.n_dep())]
+        found = (ca.SX.binary if len(parts) == 2 else ca.SX.unary)(x.op(), *parts)
+        for u, limit in (parts, parts[::-1]) if x.op() in (ca.OP_FMIN, ca.OP_FMAX) else ():
+            kind, control = self.along.get(key_of(u), ("", None))
+            if kind == "u" and limit.is_constant():
+                low, high = control.limits
+                ends = (low, min(high, float(limit))) if x.op() == ca.OP_FMIN else (max(low, float(limit)), high)
+                found = ca.SX.sym(control.name)
+                self.along[key_of(found)] = ("u", replace(control, limits=ends))
+        self.known[key_of(x)] = (x, found)
+        return found
 
     def _motor(
         self,
         joint: Joint,
-        name: str,
+        control: _Control,
         gain: float,
-        start: float = 0.0,
         bias: tuple[float, float, float] = (0.0, 0.0, 0.0),
         force: tuple[float, float] | None = None,
     ) -> None:
+        name, limits = control.name, None if control.limits == (-math.inf, math.inf) else control.limits
         if gain != 1 and not self.form.full:
             self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
         for motor in (x for x in self.linkage.motors if x.name == name):
-            if not self.form.full or any((*bias, *motor.bias, force, motor.force)) or not gain:
+            if not self.form.full or any((*bias, *motor.bias, force, motor.force)) or motor.control != limits:
                 self.refuse(name, "this input drives several joints; declare one for each")
             motor.along = (*motor.along, (joint, gain / motor.gain))
             return
-        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, bias, start=start, force=force)
+        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, bias, 0.0, 0.0, limits, force, control.start)
         self.linkage.motors.append(motor)
 
     # Closures ---------------------------------------------------------------------------------------------------

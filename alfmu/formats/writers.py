@@ -143,9 +143,9 @@ def _mjcf(linkage: Linkage) -> Element:
         numbers = [*coupling.coefficients, *[0.0] * 5][:5]
         _add(equality, "joint", name=coupling.name, joint1=joint.name, joint2=by, polycoef=numbers)
     for motor in linkage.motors:
-        given = {"name": motor.name, "joint": motor.along[0][0].name}
+        given = {"name": motor.name, "joint": motor.along[0][0].name, "ctrlrange": motor.control}
         if len(motor.along) > 1:
-            given = {"name": motor.name, "tendon": motor.name}
+            given |= {"joint": None, "tendon": motor.name}
             fixed = _add(tendon, "fixed", name=motor.name)
             for joint, factor in motor.along:
                 _add(fixed, "joint", joint=joint.name, coef=factor)

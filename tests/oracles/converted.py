@@ -253,6 +253,7 @@ def servos() -> Mechanism:
         m.generalized_force(each, -4 * 0.03 * m.rate(each))
         m.kinetic_energy(2 * 0.002 * m.rate(each) ** 2)
     u, goal = m.input("torque", "N.m"), m.input("goal", "N.m", start=0.2)
+    goal = ca.fmin(ca.fmax(goal, -0.15), 0.15)
     servo = ca.fmin(ca.fmax(3 * goal - 2 * q["a"] - 0.1 * m.rate(q["a"]), -0.5), 0.3)
     m.drive(hinges[0], u + servo)
     m.drive(hinges[1], 0.1 - 2 * u)
