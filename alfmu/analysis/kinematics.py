@@ -932,8 +932,8 @@ def _undriven(declared: Mechanism, names: Sequence[str]) -> tuple[Mechanism, boo
     hidden = {f"{j.name}.{end}" for j in every if drives(j) for end in ends} & {x.name for x in m.outputs}
     m._names = {name: what for name, what in m._names.items() if name not in hidden}
     m._parts["outputs"] = [x for x in m.outputs if x.name not in hidden]
-    joints = [j for j in every if not any(f"{j.name}.{end}" in m._names for end in ends)]
-    m._parts["measured"] = [*m.measured, *joints]
+    m.measures_all = True
+    m._parts["measured"], m.measures_all = [*m.measured, *m.measured_joints()], declared.measures_all
     m._parts["closures"] = [x for x in m.closures if not any(x is each for each in gone)]
     m._parts["laws"] = [x for x in m.laws if x.what not in laws]
     m._parts["drives"] = [x for x in m.drives if not drives(x.joint)]

@@ -274,14 +274,24 @@ class Declaration:
         return list(named.items())
 
     def measured_joints(self) -> list[AnyJoint]:
-        """Return joints whose motion is an output on request, once each; hinges in space always have this output."""
+        """Return joints whose motion is an output on request, once each; hinges in space always have this output.
+
+        Those of all joints leave out joints whose names other outputs have.
+        """
         joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
+        ends = ("angle", "angular_velocity", "angular_acceleration"), ("displacement", "velocity", "acceleration")
         return [
             joint
             for joint in joints
             if joint.kind in ("revolute", "prismatic")
-            and (self.measures_all or any(joint is each for each in self.measured))
             and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
+            and (
+                any(joint is each for each in self.measured)
+                or (
+                    self.measures_all
+                    and not any(f"{joint.name}.{end}" in self._names for end in ends[joint.kind == "prismatic"])
+                )
+            )
         ]
 
     def measured_springs(self) -> list[tuple[str, Spring]]:
