@@ -29,7 +29,7 @@ from ..equations.changes import value
 from ..equations.evaluation import symbols
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.parts import EFFORTS, Joint, Marker, Motion, key_of, stack
+from ..model.parts import EFFORTS, FREE, Joint, Marker, Motion, key_of, stack
 from ..model.units import quotient, rate_of
 from ..model.words import counted, shown, there_is
 from ..simulation import by_name, names_in
@@ -927,7 +927,7 @@ def _undriven(declared: Mechanism, names: Sequence[str]) -> tuple[Mechanism, boo
     gone = [x for x in m.closures if isinstance(x, Motion) and drives(x.of, x.name)]
     laws, named = {f"the motion of {x.name}" for x in gone}, {key_of(c.q) for c in m.coordinates if c.name in names}
     m._parts = {name: [*each] for name, each in declared._parts.items()}
-    ends = ("angle", "displacement", "velocity", "acceleration", "angular_velocity", "angular_acceleration")
+    ends = [end for each in FREE.values() for end in each]
     every: list[Any] = [*m.joints, *m.spatial_joints]
     hidden = {f"{j.name}.{end}" for j in every if drives(j) for end in ends} & {x.name for x in m.outputs}
     m._names = {name: what for name, what in m._names.items() if name not in hidden}

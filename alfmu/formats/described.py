@@ -51,13 +51,14 @@ class _Edge:
     joints: list[Joint] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class _Control:
-    """An input with its limits."""
+@dataclass(frozen=True, eq=False)
+class _Limited:
+    """An input, or else terms of a linear expression, with limits."""
 
-    name: str
-    start: float
+    name: str = ""
+    start: float = 0.0
     limits: tuple[float, float] = (-math.inf, math.inf)
+    terms: Mapping[tuple[str, Any], float] = field(default_factory=dict)
 
 
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
@@ -79,12 +80,12 @@ class _Describing:
         self.taken = set(mechanism._names)
         self.motions: dict[str, Joint] = {}
         self.along: dict[int | None, tuple[str, Any]] = {
-            key_of(x.symbol): ("u", _Control(x.name, x.start)) for x in mechanism.inputs
+            key_of(x.symbol): ("u", _Limited(x.name, x.start)) for x in mechanism.inputs
         }
-        """Inputs ("u"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of balls and their rates
-        ("w") by their symbols."""
+        """Inputs ("u"), limited efforts ("l"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of
+        balls and their rates ("w") by their symbols."""
         self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
-        """Expressions, and the same with a symbol of its own for each input with limits, by keys of the former."""
+        """Expressions, and the same without limits, by keys of the former."""
         self.coupled: set[Joint] = set()
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
@@ -278,10 +279,10 @@ class _Describing:
         for along, given in (*((None, x) for x in self.m.kinetic), *self.m.generalized):
             x = self.fixed(given)
             v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
-            slope = ca.gradient(x, v)
-            size = slope if along is not None else ca.gradient(slope, v)
+            slopes = [x, ca.gradient(x, v)]
+            slopes += [ca.gradient(slopes[1], v)] if along is None else []
+            size, rests = slopes.pop(), all(ca.substitute(each, v, 0).is_zero() for each in slopes)
             kind, joint = self.along.get(key_of(v), ("", None))
-            rests = all(ca.substitute(each, v, 0).is_zero() for each in ((x,) if along is not None else (x, slope)))
             own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
             if not (size.is_constant() and rests and own):
                 self._expression(given)
@@ -309,7 +310,7 @@ class _Describing:
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
         if pull and not k and self.form.full:  # an actuator whose control does nothing
-            self._motor(joint, _Control(self.fresh(f"{joint.name}_effort"), 0.0), 0.0, (pull, 0.0, 0.0))
+            self._motor(joint, _Limited(self.fresh(f"{joint.name}_effort"), 0.0), 0.0, (pull, 0.0, 0.0))
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
@@ -327,78 +328,51 @@ class _Describing:
 
     def _drive(self, joint: Joint, effort: ca.SX) -> None:
         """Take an effort along a joint as motors, which may be limited, a spring and a damper."""
-        effort = self._controlled(effort) if self.form.full else effort
-        waiting, plain, limited = [(effort, 1.0)], ca.SX(0), list[ca.SX]()
-        while waiting:
-            x, sign = waiting.pop()
-            if self._linear(x) is not None:
-                plain += sign * x
-            elif x.op() in (ca.OP_ADD, ca.OP_SUB):
-                waiting += [(x.dep(0), sign), (x.dep(1), sign if x.op() == ca.OP_ADD else -sign)]
-            elif x.op() == ca.OP_NEG:
-                waiting.append((x.dep(0), -sign))
-            else:
-                limited.append(x if sign == 1 else -x)
-        for x in limited:
-            self._actuate(joint, x, len(limited) == 1 and plain.is_zero())
-        self._actuate(joint, plain, False)
-
-    def _actuate(self, joint: Joint, x: ca.SX, alone: bool) -> None:
-        """Take a linear effort, limited as a whole, which may be `alone` along the joint."""
-        factor, limits = 1.0, [-math.inf, math.inf]
-        while x.op() == ca.OP_NEG or (
-            x.op() in (ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX) and (x.dep(0).is_constant() or x.dep(1).is_constant())
-        ):
-            one, two = x.dep(0), x.dep(x.n_dep() - 1)
-            other, constant = (one, two) if two.is_constant() else (two, one)
-            if x.op() == ca.OP_NEG:
-                factor = -factor
-            elif x.op() == ca.OP_MUL:
-                factor *= float(constant)
-            else:
-                upper = (x.op() == ca.OP_FMIN) == (factor > 0)
-                limits[upper] = (min if upper else max)(limits[upper], factor * float(constant))
-            x = other
-        terms = self._linear(factor * x)
         own = [("1", None), ("q", joint), ("v", joint)]
-        if terms is None or any(key not in own and key[0] != "u" for key in terms):
+        terms = self._linear(self._unlimited(effort))
+        inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
+        if terms is None or any(key not in own and key[0] != "u" for key in inside):
             self.refuse(joint.name, "its effort is no sum of inputs, its displacement and its rate")
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
-        if limits != [-math.inf, math.inf]:
-            if self.form.full and len(terms) == 1:
-                ((_, control), gain), *_ = terms.items()
-                self._motor(joint, control, gain, (bias, k, d), (limits[0], limits[1]))
-                return
-            joint.effort = (limits[0], limits[1])
-            if bias or k or d or not alone or not (self.form.full or limits[0] == -limits[1]):
-                self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
-        for (_, control), gain in terms.items():
-            self._motor(joint, control, gain)
+        for (kind, given), gain in terms.items():
+            inner = {key: gain * x for key, x in given.terms.items()} if kind == "l" else {(kind, given): gain}
+            feedback = (*(inner.pop(key, 0.0) for key in own),)
+            force = tuple(sorted(gain * x for x in given.limits)) if kind == "l" else None
+            if force and not (self.form.full and len(inner) == 1):
+                (low, high), force = force, None
+                joint.effort = (low, high)
+                if any((*feedback, bias, k, d)) or len(terms) > 1 or not (self.form.full or low == -high):
+                    self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
+            for (_, control), factor in inner.items():
+                self._motor(joint, control, factor, feedback, force)
         self._spring(joint, -k, -d, bias)
 
-    def _controlled(self, x: ca.SX) -> ca.SX:
-        """Return an expression with a symbol of its own for each input with limits."""
+    def _unlimited(self, x: ca.SX) -> ca.SX:
+        """Return an expression with a symbol of its own for each input, and each linear part, that has limits."""
         if not x.n_dep() or key_of(x) in self.known:
             return self.known.get(key_of(x), (x, x))[1]
-        parts = [self._controlled(x.dep(i)) for i in range(x.n_dep())]
+        parts = [self._unlimited(x.dep(i)) for i in range(x.n_dep())]
         found = (ca.SX.binary if len(parts) == 2 else ca.SX.unary)(x.op(), *parts)
-        for u, limit in (parts, parts[::-1]) if x.op() in (ca.OP_FMIN, ca.OP_FMAX) else ():
-            kind, control = self.along.get(key_of(u), ("", None))
-            if kind == "u" and limit.is_constant():
-                low, high = control.limits
-                ends = (low, min(high, float(limit))) if x.op() == ca.OP_FMIN else (max(low, float(limit)), high)
-                found = ca.SX.sym(control.name)
-                self.along[key_of(found)] = ("u", replace(control, limits=ends))
+        for part, limit in (parts, parts[::-1]) if x.op() in (ca.OP_FMIN, ca.OP_FMAX) else ():
+            if not limit.is_constant() or (terms := self._linear(part)) is None:
+                continue
+            kind, given = self.along.get(key_of(part), ("", None))
+            if kind != "l" and not (kind == "u" and self.form.full):
+                kind, given = "l", _Limited(terms=terms)
+            low, high = given.limits
+            ends = (low, min(high, float(limit))) if x.op() == ca.OP_FMIN else (max(low, float(limit)), high)
+            found = ca.SX.sym("limited")
+            self.along[key_of(found)] = (kind, replace(given, limits=ends))
         self.known[key_of(x)] = (x, found)
         return found
 
     def _motor(
         self,
         joint: Joint,
-        control: _Control,
+        control: _Limited,
         gain: float,
-        bias: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        bias: Sequence[float],
         force: tuple[float, float] | None = None,
     ) -> None:
         name, limits = control.name, None if control.limits == (-math.inf, math.inf) else control.limits
@@ -409,7 +383,8 @@ class _Describing:
                 self.refuse(name, "this input drives several joints; declare one for each")
             motor.along = (*motor.along, (joint, gain / motor.gain))
             return
-        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, bias, 0.0, 0.0, limits, force, control.start)
+        along, (b, k, d) = ((joint, 1.0),), bias
+        motor = Motor(name, self.node, along, "", 1.0, gain, (b, k, d), 0.0, 0.0, limits, force, control.start)
         self.linkage.motors.append(motor)
 
     # Closures ---------------------------------------------------------------------------------------------------

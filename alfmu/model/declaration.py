@@ -21,6 +21,7 @@ from .errors import DeclarationError
 from .motion import Input, Law, Signal
 from .parts import (
     CONSTANT,
+    FREE,
     MOVING,
     PLACE,
     AnyJoint,
@@ -279,18 +280,14 @@ class Declaration:
         Those of all joints leave out joints whose names other outputs have.
         """
         joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
-        ends = ("angle", "angular_velocity", "angular_acceleration"), ("displacement", "velocity", "acceleration")
         return [
             joint
             for joint in joints
-            if joint.kind in ("revolute", "prismatic")
+            if joint.kind in FREE
             and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
             and (
                 any(joint is each for each in self.measured)
-                or (
-                    self.measures_all
-                    and not any(f"{joint.name}.{end}" in self._names for end in ends[joint.kind == "prismatic"])
-                )
+                or (self.measures_all and not any(f"{joint.name}.{x}" in self._names for x in FREE[joint.kind]))
             )
         ]
 
