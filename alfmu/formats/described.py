@@ -284,18 +284,18 @@ class _Describing:
             size, rests = slopes.pop(), all(ca.substitute(each, v, 0).is_zero() for each in slopes)
             kind, joint = self.along.get(key_of(v), ("", None))
             own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
-            if not (size.is_constant() and rests and own):
+            if not (size.is_constant() and rests and own and (float(size) > 0) == (along is None)):
                 self._expression(given)
             elif kind == "v":
                 joint.armature += float(size)
             else:
                 shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
-                shares[key_of(v)] = float(size) / (4 if along is None else -4)
+                shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
         for (ball, what), shares in balls.items():
             if len(shares) < 4 or len(set(shares.values())) > 1:
                 self.refuse(ball.name, f"its {what} differs about its axes")
             value = next(iter(shares.values()))
-            ball.armature, ball.damping = (value, ball.damping) if what == "armature" else (ball.armature, (value,))
+            setattr(ball, what, value if what == "armature" else (value,))
         every = [joint for edge in self.edges for joint in edge.joints]
         for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
             self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
