@@ -274,9 +274,7 @@ class _Describing:
     def _rated(self) -> None:
         """Take kinetic energies of rates as inertia of motors, and forces along Euler parameters as dampers."""
         balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
-        for x in self.m.potential:
-            self._expression(x)
-        for along, given in (*((None, x) for x in self.m.kinetic), *self.m.generalized):
+        for along, given in (*((None, x) for x in (*self.m.potential, *self.m.kinetic)), *self.m.generalized):
             x = self.fixed(given)
             v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
             slopes = [x, ca.gradient(x, v)]
@@ -285,7 +283,8 @@ class _Describing:
             kind, joint = self.along.get(key_of(v), ("", None))
             own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
             if not (size.is_constant() and rests and own and (float(size) > 0) == (along is None)):
-                self._expression(given)
+                what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+                self.refuse(str(given)[:60], what)
             elif kind == "v":
                 joint.armature += float(size)
             else:
@@ -299,10 +298,6 @@ class _Describing:
         every = [joint for edge in self.edges for joint in edge.joints]
         for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
             self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
-
-    def _expression(self, x: Any) -> None:
-        what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
-        self.refuse(str(x)[:60], what)
 
     def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
         """Add a stiffness, a damping and an effort at zero to those of a joint."""

@@ -279,17 +279,12 @@ class Declaration:
 
         Those of all joints leave out joints whose names other outputs have.
         """
-        joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
-        return [
-            joint
-            for joint in joints
-            if joint.kind in FREE
-            and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
-            and (
-                any(joint is each for each in self.measured)
-                or (self.measures_all and not any(f"{joint.name}.{x}" in self._names for x in FREE[joint.kind]))
-            )
-        ]
+        joints = [j for j in self.joints if j.kind in FREE] + [j for j in self.spatial_joints if j.kind == "prismatic"]
+
+        def named(joint: AnyJoint) -> bool:
+            return any(f"{joint.name}.{x}" in self._names for x in FREE[joint.kind])
+
+        return [j for j in joints if any(j is x for x in self.measured) or (self.measures_all and not named(j))]
 
     def measured_springs(self) -> list[tuple[str, Spring]]:
         """Return the measured springs, with the names of their outputs."""
