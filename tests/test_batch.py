@@ -251,6 +251,26 @@ def test_what_the_runtime_warns_of_is_told(caplog):
     assert caplog.text.count("the balance of energies is off") == 1
 
 
+def test_a_step_that_one_member_refuses_is_one_of_the_others():
+    """A constraint that is open cannot be switched on; members that are closed go on."""
+    m = alfmu.Mechanism("rods")
+    one, two = (m.bar(name, mass=1.0, length=1.0) for name in ("one", "two"))
+    a, b = (m.coordinate(name, "rad", start=0.0, independent=True) for name in "ab")
+    m.revolute("A", m.ground.at(0, 0), one.start, coordinate=a)
+    m.revolute("B", m.ground.at(0, 1), two.start, coordinate=b)
+    m.distance("rod", one.end, two.end, length=1.0)
+    m.gravity(0.0, -9.81)
+    m.release("rod")
+    batch = Batch(m, 2)
+    batch.set("rod.released", True)
+    batch.set("start.b", [0.0, 1.0])
+    batch.initialize()
+    batch.set("rod.released", False)
+    assert batch.step(0.01).tolist() == [False, True]
+    assert batch.time.tolist() == [0.01, 0.0]
+    assert "a constraint that is open" in batch.message(1)
+
+
 def test_a_failed_step_leaves_the_state_before_it(caplog):
     batch = Batch("four_bar", 9)
     batch.initialize()
@@ -315,7 +335,7 @@ def test_members_whose_redundant_constraints_would_brake():
         (lambda b: (b.initialize(), b.set("m2", 1.0)), "four_bar: m2 is fixed once a member is initialised"),
         (
             lambda b: (b.initialize(), b.step(-0.1)),
-            "four_bar, t = 0 s: a communication step of -0.1 s",
+            "four_bar: a communication step of -0.1 s; it must be a finite",
         ),
         (lambda b: b.restore(np.zeros((1, 8), np.uint8), [0]), "four_bar"),
         (lambda b: b.restore(np.zeros((2, 8), np.uint8), [0]), "four_bar: 2 states for 1 members"),
@@ -482,10 +502,13 @@ def test_names_of_an_environment_are_checked():
         ({"render_mode": "human"}, "there is no render_mode 'human'"),
         (
             {"reward": lambda values, actions: np.ones((2, 1))},
-            r"four_bar: reward must be one number, or numbers \(2,\)",
+            r"four_bar: reward takes one number, or numbers \(2,\)",
         ),
         ({"reward": lambda values, actions: None}, "four_bar: reward is nan for member 0; it must be finite"),
-        ({"done": lambda values: np.zeros((2, 1), bool)}, r"four_bar: done must be one number, or numbers \(2,\)"),
+        ({"done": lambda values: np.zeros((2, 1), bool)}, r"four_bar: done takes one number, or numbers \(2,\)"),
+        ({"done": lambda values: None}, "four_bar: done is None; it must be true or false for each member"),
+        ({"done": True}, "four_bar: done is True; give a function"),
+        ({"observations": ["link1.angle"]}, r"four_bar: bounds are \['link1.angle'\]"),
         ({"start": lambda random, count: None}, "four_bar: start returned None; it must return values by name"),
         ({"start": lambda random, count: {"nothing": 1.0}}, "four_bar has no input or parameter 'nothing'"),
         ({"start": lambda random, count: {"m2": np.ones(3)}}, r"four_bar: m2 takes one number, or numbers \(2,\)"),
@@ -508,6 +531,32 @@ def test_an_environment_takes_actions_of_its_shape_alone():
     for wrong in (np.zeros(2), np.zeros((1, 1)), 0.0, "push"):
         with pytest.raises(InputError, match=r"four_bar: actions have the shape .*; they must be \(2, 1\)"):
             many.step(wrong)
+    with pytest.raises(InputError, match=r"four_bar: an action has the shape \(\); it must be \(1,\)"):
+        alfmu.Environment("four_bar", **SWING).step(0.0)
+
+
+def test_every_seed_of_an_environment_counts():
+    """As an environment of Gymnasium has it; and masks and seeds of other kinds are refused."""
+    many = alfmu.VectorEnvironment("four_bar", 3, **SWING)
+    begun = [many.reset(seed=seed)[0].tolist() for seed in (1, [1, 2, 3], [1, 3, 2], (1, 2, 3), np.array([1, 2, 3]))]
+    assert begun[1] == begun[3] == begun[4]
+    assert begun[0] != begun[1] != begun[2]
+    for how, message in (
+        ({"seed": -1}, "seed is -1; give whole numbers"),
+        ({"seed": [1, "a", 2]}, "seed is .* give whole numbers"),
+        ({"options": 3}, "options are 3"),
+        ({"options": {"reset_mask": [0, 3, 0]}}, "reset_mask is .* true or false"),
+        ({"options": {"reset_mask": None}}, "reset_mask is None"),
+    ):
+        with pytest.raises(InputError, match=f"four_bar: {message}"):
+            many.reset(**how)
+
+
+def test_an_environment_observes_parameters_and_inputs():
+    seen = {**SWING, "observations": {"m2": (0.0, 9.0), "A.torque": (-5.0, 5.0)}, "reward": lambda values, actions: 0.0}
+    many = alfmu.VectorEnvironment("four_bar", 2, **{**seen, "start": lambda random, count: {"m2": [2.0, 3.0]}})
+    np.testing.assert_array_equal(many.reset()[0], [[2.0, 0.0], [3.0, 0.0]])
+    np.testing.assert_array_equal(many.step(np.array([[1.0], [-2.0]]))[0], [[2.0, 1.0], [3.0, -2.0]])
 
 
 def test_without_gymnasium_an_environment_says_what_to_install():

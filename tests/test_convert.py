@@ -102,8 +102,8 @@ def same(one: dict[str, np.ndarray], two: dict[str, np.ndarray], shift: bool) ->
 
 HELD = {
     ".xml": list(ALL),
-    ".urdf": [name for name in ALL if name not in ("shaper", "stewart", "floating")],
-    ".sdf": [name for name in ALL if name not in ("shaper", "raft", "joints")],
+    ".urdf": [name for name in ALL if name not in ("shaper", "stewart", "floating", "servos")],
+    ".sdf": [name for name in ALL if name not in ("shaper", "raft", "joints", "servos")],
 }
 """Mechanisms that formats hold."""
 
@@ -197,7 +197,7 @@ def test_a_flying_base_with_a_loop_moves_as_in_pinocchio(tmp_path: Path):
 
 
 FILES = {"five_bar.xml": FORMS, "carried.xml": FORMS, "slider_crank.xml": FORMS[:2], "slider_crank.sdf": FORMS,
-         "four_bar.urdf": FORMS}  # fmt: skip
+         "four_bar.urdf": FORMS, "spatial.xml": FORMS[:1], "coupled.xml": FORMS[:1]}  # fmt: skip
 
 
 @pytest.mark.slow
@@ -294,6 +294,8 @@ def alone(what: str) -> Mechanism:
         "force": lambda: m.force(bar.end, 1.0, 0.0),
         "rod": lambda: m.distance("rod", m.ground.at(0, 1), bar.end, length=float(np.sqrt(2 - 2 * np.sin(0.3)))),
         "energy": lambda: m.potential_energy(th**2),
+        "armature": lambda: m.kinetic_energy(0.1 * m.rate(th) ** 2),
+        "rotor": lambda: m.kinetic_energy(0.1 * m.rate(th) ** 2 * th),
         "blade": lambda: m.blade("blade", bar.end),
         "stiffness": lambda: m.spring_damper(pin, damping=th**2),
         "gravity": lambda: m.gravity(0, -9.0),
@@ -306,7 +308,8 @@ def alone(what: str) -> Mechanism:
 REFUSED = {
     "spring": "a spring acts between points", "friction": "in proportion to the reaction", "static": "static friction",
     "lock": "it is a lock", "law": "depend on time", "effort": "no sum of inputs", "force": "a force from the ground",
-    "rod": "a rod without mass", "energy": "is an expression", "blade": "it is a blade",
+    "rod": "a rod without mass", "energy": "is an expression", "armature": "holds no inertia of motors",
+    "rotor": "is an expression", "blade": "it is a blade",
     "world": "call the ground so", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
     "pose": "leave 4 motions, and the coordinates 2",

@@ -182,6 +182,29 @@ def delta(n: Names) -> None:
     assert min(each.parallel for each in n["near"]) > 0.1
 
 
+def five_bar_robot(n: Names) -> None:
+    assert n["off"].max() < 1e-3 * np.ptp(n["path"][:, 0])
+    assert n["lag"] == pytest.approx(n["expected"], rel=0.05)
+    assert np.ptp(n["alone"]["tool.y"]) > 1.1 * np.ptp(n["path"][:, 1])
+
+
+def gripper(n: Names) -> None:
+    assert n["force"] == pytest.approx(n["expected"], rel=1e-6)
+    assert n["turned"] < 1e-12
+    assert abs(n["centred"]) < 1e-9
+    at = np.interp(
+        n["result"]["right_nail.x"][-1], n["way"]["right_nail.x"][::-1], n["way"]["right_nail.x/right_axle"][::-1]
+    )
+    assert n["TORQUE"] / 2 / abs(at) == pytest.approx(n["force"], rel=1e-4)
+
+
+def biped_leg(n: Names) -> None:
+    assert n["deviation"] < 1e-11
+    assert n["work"] + n["lifted"] == pytest.approx(n["gained"], abs=1e-4)
+    assert n["work"] > 40
+    assert np.abs(n["result"]["left_motor.torque"] - n["result"]["right_motor.torque"]).max() > 1
+
+
 CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
@@ -217,7 +240,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             bricard,
             swing_up,
         ),
-        *(bar_clamp, delta),
+        *(bar_clamp, delta, five_bar_robot, gripper, biped_leg),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

@@ -135,7 +135,7 @@ def test_all_solutions():
     found = k.solutions({"tool": (0.2, 0.45)})
     every = {(a, b) for a in (1, -1) for b in (1, -1)}
     wanted = sorted((elbow_angle(0, 0.2 + 0.45j, a), elbow_angle(BASE, 0.2 + 0.45j, b)) for a, b in every)
-    turned = sorted(tuple(math.remainder(x[name], 2 * math.pi) for name in "AB") for x in found)
+    turned = sorted(tuple(round(math.remainder(x[name], 2 * math.pi), 12) for name in "AB") for x in found)
     np.testing.assert_allclose(turned, wanted, atol=1e-10)
     np.testing.assert_allclose([found[0]["A"], found[0]["B"]], (wanted[-2]), atol=1e-10)
     c, d = CRANK * cmath.exp(1.9j), BASE + CRANK * cmath.exp(1.2j)
@@ -194,6 +194,14 @@ def test_the_verdict_is_the_same_far_away(sort: str):
     found, far = here.transmission(here.start), there.transmission(there.start)
     assert far.singular == ()
     assert far.constraint == pytest.approx(found.constraint, rel=1e-6)
+
+
+def test_equilibria_are_found_far_away():
+    """The places of the search lie about the start, wherever that is."""
+    near, far = (alfmu.equilibrium(five_bar("absolute", 0.3, shift)) for shift in (0j, 300 - 200j))
+    assert len(near) > 8
+    heights = [sorted(x.outputs["tool.y"] - y for x in some) for some, y in ((near, 0.0), (far, -200.0))]
+    np.testing.assert_allclose(heights[1], heights[0], atol=1e-9)
 
 
 def test_constraint_singularity():
@@ -503,6 +511,36 @@ def test_outputs_of_the_mechanism_keep_their_names():
     assert k.start["elbowA.angle"] == pytest.approx(2.0 * k.start["bendA"])
 
 
+def test_outputs_called_as_a_joint_do_not_stand_for_it():
+    """An actuated joint is its own motion, whatever outputs have its name before a dot."""
+    m = five_bar("absolute")
+    for name in ("B.angle", "A.velocity", "A.x"):
+        m.output(name, m.coordinates[2].q, "rad")
+    found, plain = (kinematics(x).forward({"A": 1.9, "B": 1.2}) for x in (m, five_bar("absolute")))
+    np.testing.assert_allclose(found["tool"], plain["tool"], atol=1e-12)
+
+
+def test_a_place_has_no_rates():
+    """The height of a table never changes, and its constant rate is no place."""
+    m = Mechanism("table")
+    top = m.spatial_body("top", mass=1.0, inertia=(0.1, 0.1, 0.1), relative=True)
+    q = [m.coordinate(name, unit) for name, unit in (("x", "m"), ("y", "m"), ("a", "rad"))]
+    m.planar("J", m.spatial_ground.at(0, 0, 0.4), top.at(), axis=(0, 0, 1), coordinates=q)
+    m.watch("pen", top.at(0.3, 0.0, 0.0))
+    m.gravity(0, 0, -9.81)
+    k = kinematics(m, ["x", "y", "a"])
+    np.testing.assert_allclose(k.start["pen"], (0.3, 0.0, 0.4), atol=1e-15)
+    there = k.inverse({"pen": (0.0, 0.3, 0.4), "a": math.pi / 2})
+    np.testing.assert_allclose([there[x] for x in "xya"], (0, 0, math.pi / 2), atol=1e-12)
+
+
+def test_a_cycle_of_few_rows_begins_in_the_middle():
+    """No straight way leads from a dead position, beside which the start is."""
+    k = kinematics(crank_rocker(), ["D"], ["A"])
+    few, many = k.cycle(near=k.forward({"D": 2.4}), rows=3), k.cycle()
+    assert few["A.angle"][1] == pytest.approx(many["A.angle"][90], abs=1e-9)
+
+
 def test_along_a_sampled_motion():
     """A spline through samples has the efforts of the law they were taken from."""
     k = kinematics(five_bar())
@@ -691,6 +729,9 @@ def test_laws_of_time_carry_a_mechanism():
     assert tau == pytest.approx(wanted, abs=1e-10)
 
 
+TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -722,12 +763,16 @@ def test_laws_of_time_carry_a_mechanism():
         (lambda: kinematics(five_bar()).forward(near=1.0), "robot: 1.0 is no position of it"),
         (lambda: kinematics(five_bar()).cycle("E"), "robot: 'E' is not actuated"),
         (lambda: kinematics(five_bar()).cycle(rows=1), "robot: rows is 1"),
-        (lambda: kinematics(five_bar()).cycle(span=3), "robot: span is 3; give two values of A"),
+        (lambda: kinematics(five_bar()).cycle(span=3), "robot: span is given 1 value; give 2 numbers"),
         (lambda: kinematics(five_bar()).cycle(transmission="Q"), "robot has no joint 'Q'"),
         (lambda: kinematics(five_bar()).efforts(3), "robot: 3 is no position of it"),
         (lambda: kinematics(alfmu.Instance("five_bar")), "it must be a name, a path or a Mechanism"),
         (lambda: kinematics(five_bar()).along({"A": ((0, 1), (0, 1))}), "the motion of A has 2 times and 2 values"),
         (lambda: kinematics(five_bar()).along({}), "robot: no joint moves"),
+        (lambda: kinematics(five_bar()).along(TABLE, [0.0, 5.0]), "A is given from 0 to 1 s, and times go from 0 to 5"),
+        (lambda: kinematics(five_bar()).along(TABLE, []), "times is given 0 values"),
+        (lambda: kinematics(stewart()[0]).inverse({"platform": np.zeros(7)}), "Euler parameters of platform are zero"),
+        (lambda: kinematics(five_bar()).forward({"A": (1.9, 1.8)}), "A is given 2 values; give 1 number"),
         (lambda: kinematics(five_bar()).start["nothing"], "robot has no place 'nothing'"),
     ],
 )

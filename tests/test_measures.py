@@ -132,3 +132,13 @@ def test_a_mechanism_of_the_gallery_is_measured_from_outside(tmp_path):
     assert {"A.angle", "A.angular_velocity"} <= outputs
     assert "B.angle" not in outputs
     assert "B.angle" in {o.name for o in alfmu.derive(Recipe("four_bar", measure=["all"]).declared()).outputs}
+
+
+def test_all_joints_are_measured_but_those_whose_names_are_taken():
+    """Whoever measures a whole mechanism need not know its outputs."""
+    m = alfmu.load("flexible_four_bar")
+    m.measure()
+    run = alfmu.simulate(m, 0.01, 0.01)
+    own = alfmu.simulate("flexible_four_bar", 0.01, 0.01)
+    np.testing.assert_array_equal(run["B.angle"], own["B.angle"])
+    assert set(own.names) < set(run.names)

@@ -15,11 +15,13 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
+from alfmu.fmi import records
 from alfmu.fmi.checks.pages import FORMS, lines, save
 from alfmu.fmi.checks.registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Finding
 from alfmu.fmi.checks.validation import Report, examine, known_checks
 from alfmu.fmi.records import FOLDER
 from alfmu.runtime import build
+from alfmu.simulation import driver
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the FMUs of these tests are built for Unix")
 
@@ -631,3 +633,23 @@ def test_reports_hold_every_check_and_no_markup_of_an_fmu(springs, tmp_path, chr
     assert len(rows) == len(report.findings)
     # A narrow window scrolls the table, not the page.
     assert chromium.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_wild_inputs_of_records_are_tried_for_a_moment(monkeypatch):
+    """A torque that spins a light rod is told from the begin of the run, and a smaller one is recorded."""
+    m = alfmu.Mechanism("light")
+    rod = m.bar("rod", mass=1e-3, length=0.1)
+    angle = m.coordinate("angle", "rad", start=0.3, independent=True)
+    m.drive(m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=angle), m.input("torque", "N.m"))
+    m.gravity(0, 0)
+    spans = []
+
+    def run(instance, stop_time, *how, **more):
+        spans.append(stop_time)
+        return driver.run(instance, stop_time, *how, **more)
+
+    monkeypatch.setattr(records, "run", run)
+    files = records.record_files(alfmu.Instance(m).equations)
+    assert any("validation_ref" in name for name in files)
+    assert spans[0] == spans[-1] == 10.0
+    assert max(spans[1:7]) < 1.0

@@ -24,7 +24,7 @@ from ..model.words import counted
 from ..simulation.result import Signal
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
-from .loops import STEP, Loops, WithStates, evenly, plain
+from .loops import REACH, STEP, Loops, WithStates, arm_of, evenly, plain
 from .situation import Situation, Subject, Vector, begun
 from .small import ZERO, Small, small_motions
 
@@ -298,9 +298,10 @@ def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
     frictions = ", ".join(x.name for x in where.equations.frictions)
     where, moved = held_still(where.without_friction())
     check_at_rest(where, where.at_rest(where.state.q))
-    loops = Loops(where, settled=True)
+    size = REACH * arm_of(where)
+    loops = Loops(where, settled=True, size=size)
     unsettled = loops.unsettled()
-    search = _Search(WithStates(where) if unsettled else loops)
+    search = _Search(WithStates(where, size) if unsettled else loops)
     found = search.all(starts)
     notes = search.notes(found)
     if unsettled and not found:

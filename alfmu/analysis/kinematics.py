@@ -27,15 +27,14 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from ..equations.changes import value
 from ..equations.evaluation import symbols
-from ..equations.reactions import square_of_size
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.parts import EFFORTS, Joint, Marker, Motion, key_of, stack
+from ..model.parts import EFFORTS, FREE, Joint, Marker, Motion, key_of, stack
 from ..model.units import quotient, rate_of
 from ..model.words import counted, shown, there_is
 from ..simulation import by_name, names_in
 from ..simulation.result import Result, Signal
-from .loops import CLOSED, STEP, Loops, plain
+from .loops import CLOSED, REACH, STEP, Loops, arm_of, plain
 from .situation import Situation, State, Vector, begun, source
 
 __all__ = ["Kinematics", "Position", "Transmission", "kinematics"]
@@ -54,9 +53,6 @@ place it to the square root of that, 1e-6."""
 STARTS = 64
 """Default number of places from which all solutions are searched [1]: 32 find the four of a robot with five bars, 256
 all of a delta robot, whose platform may also turn over."""
-
-AROUND = 3.0
-"""Places are searched within so many lengths of the mechanism from the start [1]."""
 
 SAME = 1e-6
 """Largest difference [rad, sizes] of positions that count as one solution."""
@@ -150,7 +146,7 @@ class _Quantities:
         x = symbols(e)
         q, v, y, n = x["q"], x["v"], value(e, "readings", x), e.dependent
         moved = set(ca.jacobian_sparsity(y, ca.vertcat(*(x[k] for k in ("v", "a", "lam", "u", "t")))).row())
-        own = [i for i in range(len(e.outputs)) if i not in moved]
+        own = [i for i, o in enumerate(e.outputs) if not (i in moved or ("/s" in o.unit and y[i].is_constant()))]
         spin = [i for i, o in enumerate(e.outputs) if ".angular_velocity." in o.name]
         known = [*e.coordinates[: 0 if e.resting else n], *(e.outputs[i] for i in own)]
         self.names, self.units = [each.name for each in known], [each.unit for each in known]
@@ -180,11 +176,12 @@ class _Quantities:
 class _Steered(Loops):
     """Loops closed together with given values of quantities; without these until `steered`."""
 
-    def __init__(self, situation: Situation, of: _Quantities, size: float):
+    def __init__(self, situation: Situation, of: _Quantities):
         self.of, self.rows, self.goal = of, np.zeros(0, int), np.zeros(0)
-        super().__init__(situation)
-        self.weights: Vector = np.array([1 / size if unit == "m" else 1.0 for unit in of.units])
-        self._shorter = np.where(self.units == "m", size / self.size, 1.0)
+        self.arm = arm_of(situation)
+        super().__init__(situation, size=REACH * self.arm)
+        self.arm = self.arm or self.size
+        self.weights: Vector = np.array([1 / self.arm if unit == "m" else 1.0 for unit in of.units])
         self._still = situation.at_rest(situation.state.q).v
         self._seen: tuple[bytes, list[Matrix]] = (b"", [])
         self.closing = self.rank
@@ -219,8 +216,9 @@ class _Steered(Loops):
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
 
     def sizes(self, y: Vector) -> Vector:
-        """Return these with lengths over the size of the mechanism, which stays the same wherever it stands."""
-        return np.asarray(np.linalg.svd(self.matrix(y) * self._shorter, compute_uv=False)[: self.rank], float)
+        """Return these with lengths over the longest arm."""
+        shorter = np.where(self.units == "m", self.arm / self.size, 1.0)
+        return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
         return np.zeros(len(y))  # positions are the same whatever their loads
@@ -258,12 +256,9 @@ class Kinematics:
         self._where, self._declared = where, declared
         self.name: str = where.name
         self._of = where.equations.kept.latest(_Quantities, lambda: _Quantities(where.equations))
-        self.size: float = Loops(where).size
+        self._loops = _Steered(where, self._of)
+        self.size: float = self._loops.arm
         """Length of the mechanism [m]: the longest arm from a centre of mass to a joint."""
-        if declared.joints or declared.spatial_joints or any(body.length is not None for body in declared.bodies):
-            p, arm = [x.symbol for x in declared.parameters], ca.sqrt(square_of_size(declared))
-            self.size = float(ca.Function("size", [stack(p)], [arm])(where.p[: len(p)]))
-        self._loops = _Steered(where, self._of, self.size)
         self.freedom: int = self._loops.freedom
         """Degrees of freedom without the motions of the actuated joints."""
         self.actuated: tuple[str, ...] = tuple(actuated)
@@ -333,8 +328,7 @@ class Kinematics:
         Values of all actuated joints give the assemblies of the loops, those of what is watched the inverse solutions;
         positions beyond limit stops are among them. Raises InputError if the values leave a freedom.
         """
-        if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-            raise InputError(f"{self.name}: starts is {shown(starts)}; it must be a whole number, 0 or above")
+        self._whole("starts", starts, 0)
         rows, goal = self._targets(values, near)
         if left := self.freedom - self._spans(rows):
             text = f"{self.name}: these values leave {counted(left, 'degree')} of freedom, so solutions are not apart"
@@ -345,7 +339,7 @@ class Kinematics:
         loops, begin = self._loops.steered(rows, goal, self._spans(rows)), self._begin(near)
         found: list[Vector] = []
         angles = [i for i in rows if self._of.units[i] == "rad" and not self._of.wrapped[i]]
-        for place in (begin, *loops.scattered(starts, AROUND * self.size)):
+        for place in (begin, *loops.scattered(starts)):
             y = loops.closed(place)
             if y is not None and not any(self._loops.same(y.copy(), other, SAME) for other in found):
                 kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles are as given
@@ -417,6 +411,9 @@ class Kinematics:
 
     def _single(self, name: str) -> int:
         rows = self._named(name)
+        joints: list[Any] = [*self._declared.joints, *self._declared.spatial_joints]
+        if len(rows) > 1 and any(x.name == name for x in joints):
+            rows = self._of.ends(name, "angle", "displacement")
         if len(rows) > 1:
             has = f"{self.name}: {name} has {counted(len(rows), 'value')} and cannot be actuated as a whole"
             raise InputError(f"{has}; name a joint with one free motion, or a coordinate")
@@ -427,13 +424,20 @@ class Kinematics:
             raise InputError(f"{self.name}: {name!r} is not actuated; {there_is(name, self.actuated)}")
         return self.actuated.index(name)
 
-    def _numbers(self, what: str, given: Any) -> Vector:
+    def _whole(self, what: str, given: Any, least: int) -> None:
+        if isinstance(given, bool) or not isinstance(given, int | np.integer) or given < least:
+            raise InputError(f"{self.name}: {what} is {shown(given)}; it must be a whole number of {least} or more")
+
+    def _numbers(self, what: str, given: Any, count: int | None = None) -> Vector:
         try:
             found = np.atleast_1d(np.array(given, float))
         except (TypeError, ValueError):
             found = np.array([np.nan])
         if isinstance(given, bool) or found.ndim > 1 or not np.isfinite(found).all():
             raise InputError(f"{self.name}: {what} is {shown(given)}; give finite numbers")
+        if len(found) != (len(found) or 1 if count is None else count):
+            text = f"{self.name}: {what} is given {counted(len(found), 'value')}"
+            raise InputError(f"{text}; give {counted(count, 'number') if count else 'some'}")
         return found
 
     def _targets(self, values: Values, near: Position | None) -> tuple[list[int], Vector]:
@@ -449,7 +453,9 @@ class Kinematics:
                 has = ", ".join(self._of.names[i] for i in parts)
                 raise InputError(f"{self.name}: {name} is given {counted(len(numbers), 'value')}, and it has {has}")
             turns = [k for k, i in enumerate(parts) if self._of.names[i][:-1].endswith(".e")]
-            if len(turns) == 4 and np.any(numbers[turns]):
+            if len(turns) == 4:
+                if not numbers[turns].any():
+                    raise InputError(f"{self.name}: Euler parameters of {name} are zero; they are at unit length")
                 numbers[turns] /= np.linalg.norm(numbers[turns])
                 numbers[turns] *= np.sign(here[[parts[k] for k in turns]] @ numbers[turns]) or 1.0
             rows, goal = [*rows, *parts], [*goal, *numbers.tolist()]
@@ -469,7 +475,7 @@ class Kinematics:
         named = sorted(self._index(name) for name in values)
         if self._spans([self._rows[k] for k in named]) < self.freedom:
             named = list(range(len(self.actuated)))
-        goal = [self._numbers(self.actuated[k], values.get(self.actuated[k], others[k]))[0] for k in named]
+        goal = [self._numbers(self.actuated[k], values.get(self.actuated[k], others[k]), 1)[0] for k in named]
         return [self._rows[k] for k in named], np.array(goal, float)
 
     def _regular(self) -> list[Vector]:
@@ -613,6 +619,10 @@ class Kinematics:
         if not laws:
             raise InputError(f"{self.name}: no joint moves; give tables (times, values) of actuated joints by name")
         instants, position, rows = self._numbers("times", times), self.start, []
+        for name, law in laws.items():
+            if instants.min() < law.t[0] or instants.max() > law.t[-1]:
+                text = f"{self.name}: the motion of {name} is given from {law.t[0]:g} to {law.t[-1]:g} s, and times"
+                raise InputError(f"{text} go from {instants.min():g} to {instants.max():g} s; give it for all of them")
         positions = list[Position]()
         for t in instants:
             given, v, a = ({name: float(law(t, k)) for name, law in laws.items()} for k in range(3))
@@ -692,27 +702,25 @@ class Kinematics:
         """
         at = 0 if joint is None else self._index(joint)
         joint, begin = self.actuated[at], self.start if near is None else near
-        if isinstance(rows, bool) or not isinstance(rows, int) or rows < 2:
-            raise InputError(f"{self.name}: rows is {shown(rows)}; it must be a whole number of 2 or more")
+        self._whole("rows", rows, 2)
         angle_of = self._hinge_angle(transmission)
         ends: dict[float, Position] = {}
         if span is None:
             low, high, ends = self._range(at, begin)
         else:
-            low, high = self._numbers("span", span)[[0, -1]]
-            if np.shape(span) != (2,) or low >= high:
+            low, high = self._numbers("span", span, 2)
+            if low >= high:
                 raise InputError(f"{self.name}: span is {shown(span)}; give two values of {joint}, the lower one first")
         grid = np.linspace(low, high, rows)
         fixed = {self.actuated[k]: begin.actuated[self.actuated[k]] for k in self._others(at)}
 
-        def reach(x: float, near: Position) -> Position:
-            return ends[x] if x in ends else self.forward({**fixed, joint: x}, near)
-
+        found = dict(ends)
         middle = int(np.argmin(np.abs(grid - begin.actuated[joint])))
-        found = {middle: reach(grid[middle], begin)}
-        for k in (*range(middle + 1, rows), *range(middle - 1, -1, -1)):
-            found[k] = reach(grid[k], found[k - 1 if k > middle else k + 1])
-        positions = [found[k] for k in range(rows)]
+        for way in (range(middle, rows), range(middle - 1, -1, -1)):
+            near = begin  # and no dead position, from which no straight way leads
+            for x in (grid[k] for k in way if grid[k] not in ends):
+                found[x] = near = self.forward({**fixed, joint: x}, near)
+        positions = [found[x] for x in grid]
         unit, seen = self.units[joint], [self.transmission(each) for each in positions]
         columns: Columns = {joint: (unit, grid)}
         toggles: dict[str, list[float]] = {}
@@ -919,10 +927,13 @@ def _undriven(declared: Mechanism, names: Sequence[str]) -> tuple[Mechanism, boo
     gone = [x for x in m.closures if isinstance(x, Motion) and drives(x.of, x.name)]
     laws, named = {f"the motion of {x.name}" for x in gone}, {key_of(c.q) for c in m.coordinates if c.name in names}
     m._parts = {name: [*each] for name, each in declared._parts.items()}
-    ends = ("angle", "displacement", "velocity", "acceleration", "angular_velocity", "angular_acceleration")
+    ends = [end for each in FREE.values() for end in each]
     every: list[Any] = [*m.joints, *m.spatial_joints]
-    joints = [j for j in every if not any(f"{j.name}.{end}" in m._names for end in ends)]
-    m._parts["measured"] = [*m.measured, *joints]
+    hidden = {f"{j.name}.{end}" for j in every if drives(j) for end in ends} & {x.name for x in m.outputs}
+    m._names = {name: what for name, what in m._names.items() if name not in hidden}
+    m._parts["outputs"] = [x for x in m.outputs if x.name not in hidden]
+    m.measures_all = True
+    m._parts["measured"], m.measures_all = [*m.measured, *m.measured_joints()], declared.measures_all
     m._parts["closures"] = [x for x in m.closures if not any(x is each for each in gone)]
     m._parts["laws"] = [x for x in m.laws if x.what not in laws]
     m._parts["drives"] = [x for x in m.drives if not drives(x.joint)]

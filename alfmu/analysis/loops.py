@@ -13,20 +13,26 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..equations.arrays import ArrayFunctions
+from ..equations.reactions import square_of_size
 from ..model.errors import InputError
+from ..model.parts import stack
 from .situation import Situation, State, Vector
 
-__all__ = ["CLOSED", "STEP", "Loops", "WithStates", "evenly", "plain"]
+__all__ = ["CLOSED", "REACH", "STEP", "Loops", "WithStates", "arm_of", "evenly", "plain"]
 
 CLOSED = 1e-12
 """Largest gap of closed loops [units of a row]."""
 
 STEP = 0.3
 """Longest step [rad, or sizes]: short enough for a linear step to lead to the nearest assembly."""
+
+REACH = 3.0
+"""Size of a mechanism [1] over its longest arm: the coordinates of linkages vary by about so much."""
 
 CORRECTIONS = 60
 """Most corrections until the loops of a position must be closed [1]."""
@@ -48,15 +54,16 @@ NOTHING = 1e-10
 class Loops:
     """Positions (n,) that close the loops of a situation, with `freedom` independent motions at regular ones.
 
-    States keep their values of the situation, or with `settled` are in equilibrium at each position.
+    States keep their values of the situation, or with `settled` are in equilibrium at each position. The size of the
+    mechanism is its largest length at the start, if none is given.
     """
 
-    def __init__(self, situation: Situation, settled: bool = False):
+    def __init__(self, situation: Situation, settled: bool = False, size: float = 0.0):
         self.situation = situation
         e = situation.equations
         self.units = np.array([c.unit for c in e.coordinates])
         lengths = np.abs(situation.state.q[self.units == "m"])
-        self.size: float = float(lengths.max(initial=0.0)) or 1.0
+        self.size: float = size or float(lengths.max(initial=0.0)) or 1.0
         self.scale: Vector = np.where(self.units == "m", self.size, 1.0)
         self.freedom: int = situation.start.freedom
         self.rank: int = 0 if e.resting else e.dependent - self.freedom
@@ -203,21 +210,13 @@ class Loops:
             before, y = y, found
             yield y
 
-    def scattered(self, count: int, within: float = 0.0) -> Iterator[Vector]:
-        """Yield places anywhere, with open loops, the same each time; lengths within some [m] of home if it is given,
-        which is the same for a mechanism that is shifted."""
-        n, moving, lengths = (
-            len(self.home),
-            self.moving,
-            np.pad(self.units == "m", (0, len(self.home) - len(self.units))),
-        )
-        for places in evenly(moving, count):
-            numbers = np.pad(places, (0, n - moving))
-            units = np.pad(self.units, (0, n - len(self.units)))
-            spread = np.where(lengths, within / self.size or 1.5, np.where(units == "rad", np.pi, 1.0))
-            middle = np.where((units == "rad") | (lengths & bool(within)), self.home, 0.0)
-            spread[moving:], middle[moving:] = 0.0, self.home[moving:]
-            yield middle + spread * (2 * numbers - 1)
+    def scattered(self, count: int) -> Iterator[Vector]:
+        """Yield places within a size of home, with open loops, the same each time."""
+        units = np.pad(self.units, (0, len(self.home) - len(self.units)))
+        spread = np.where(units == "rad", np.pi, 1.0)[: self.moving]
+        middle = np.where(np.isin(units, ("rad", "m")), self.home, 0.0)[: self.moving]
+        for places in evenly(self.moving, count):
+            yield np.append(middle + spread * (2 * places - 1), self.home[self.moving :])
 
     # Equality of positions ----------------------------------------------------------------------------------------
 
@@ -308,8 +307,8 @@ class WithStates(Loops):
     the equations of equilibrium are the loads along the former and the rates of the latter, in units of a load.
     """
 
-    def __init__(self, situation: Situation):
-        super().__init__(situation)
+    def __init__(self, situation: Situation, size: float = 0.0):
+        super().__init__(situation, size=size)
         e, s = situation.equations, situation.state
         self._states = len(e.states)
         home = self.home
@@ -379,6 +378,16 @@ class WithStates(Loops):
 
     def same(self, y: Vector, other: Vector, within: float) -> bool:
         return self.apart(y, other) <= within
+
+
+def arm_of(situation: Situation) -> float:
+    """Return the longest arm from a centre of mass to a joint [m], which is the same wherever the mechanism stands; 0
+    if bodies have neither joints nor bars."""
+    m = situation.source.declared
+    if not m or not (m.joints or m.spatial_joints or any(body.length is not None for body in m.bodies)):
+        return 0.0
+    p, arm = [x.symbol for x in m.parameters], ca.sqrt(square_of_size(m))
+    return float(ca.Function("arm", [stack(p)], [arm])(situation.p[: len(p)]))
 
 
 def _inverses(s: Vector) -> Vector:

@@ -7,17 +7,11 @@ from typing import Protocol
 import casadi as ca
 
 from ..model.mechanism import Mechanism
-from ..model.parts import EFFORTS, AnyJoint, AnyMarker, Joint
+from ..model.parts import EFFORTS, FREE, AnyJoint, AnyMarker, Joint
 from ..model.units import rate_of
 from .types import Variable
 
 __all__ = ["measures"]
-
-_MOTION = {
-    "rad": ("angle", "angular_velocity", "angular_acceleration"),
-    "m": ("displacement", "velocity", "acceleration"),
-}
-"""Names of the free motion of a joint and of its rates."""
 
 
 class Displacements(Protocol):
@@ -44,8 +38,8 @@ def measures(
         x, unit, j = places.free(joint), "rad" if joint.kind == "revolute" else "m", joint.name
         rate = ca.jtimes(x, q, v)
         second = ca.jtimes(rate, q, v) + ca.jtimes(x, q, a)
-        of, along, along_twice = (f"{j}.{suffix}" for suffix in _MOTION[unit])
-        add(of, x, unit, f"{_MOTION[unit][0]} of {joint.second.body.name} from {joint.first.body.name} in {j}")
+        of, along, along_twice = (f"{j}.{suffix}" for suffix in FREE[joint.kind])
+        add(of, x, unit, f"{FREE[joint.kind][0]} of {joint.second.body.name} from {joint.first.body.name} in {j}")
         add(along, rate, rate_of(unit), f"rate of {of}")
         add(along_twice, second, rate_of(rate_of(unit)), f"second rate of {of}")
         if isinstance(joint, Joint) and unit == "rad":

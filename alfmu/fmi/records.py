@@ -65,6 +65,9 @@ to be visible, small enough to leave the motion similar."""
 _TRIES = 12
 """Number of amplitudes of moving inputs to try."""
 
+_BEGIN = 16
+"""Part of a run with moving inputs that is tried first [1]: wild motions take long, and are told from it."""
+
 _HEAVIER = 1.1
 """Factor on masses in the run with moving inputs [1]: always feasible, and visible in the motion."""
 
@@ -158,10 +161,8 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         table = {name: (inputs.time, inputs[name]) for name in inputs.names}
         try:
             with _warned() as warnings:
-                how: dict[str, Any] = {"inputs": table, "parameters": parameters}
-                result = run(Instance(e), still.time[-1], still.time[1], **how)
-            changes = [_apart(result[name], still[name]) for name in kept]
-            change = max(changes) if np.isfinite(changes).all() else math.inf
+                begin = _change(e, still, kept, parameters, table, max(1, len(still.time) // _BEGIN))
+                change = _change(e, still, kept, parameters, table, -1) if begin <= _GENTLE else math.inf
         except AlfmuError:
             change = math.inf
         if math.isfinite(change) and warnings:
@@ -179,9 +180,16 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
     if chosen is None:
         return None
     table = {name: (chosen.time, chosen[name]) for name in chosen.names}
-    how = {"inputs": table, "parameters": parameters, "held_rows": True}
+    how: dict[str, Any] = {"inputs": table, "parameters": parameters, "held_rows": True}
     with _warned():
         return parameters, chosen, run(Instance(e), still.time[-1], still.time[1], **how)
+
+
+def _change(e: Equations, still: Result, kept: list[str], parameters: Any, inputs: Any, row: int) -> float:
+    """Return the change due to moving inputs up to a row, infinite if it is no number."""
+    result = run(Instance(e), still.time[row], still.time[1], inputs=inputs, parameters=parameters)
+    changes = [_apart(result[name], still[name]) for name in kept]
+    return max(changes) if np.isfinite(changes).all() else math.inf
 
 
 @contextmanager
@@ -231,7 +239,7 @@ def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size:
 
 def _apart(got: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
     """Return max |got - wanted| / (1 + max |wanted|)."""
-    return float(np.abs(got - wanted).max() / (1 + np.abs(wanted).max()))
+    return float(np.abs(got - wanted[: len(got)]).max() / (1 + np.abs(wanted).max()))
 
 
 # Files ----------------------------------------------------------------------------------------------------------------

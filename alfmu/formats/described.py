@@ -31,7 +31,7 @@ __all__ = ["Form", "described"]
 @dataclass(frozen=True)
 class Form:
     """What a format holds: kinds of joints that can close a loop, springs, and if it is `full` scaled and constant
-    efforts, and couplings of more than two joints."""
+    efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than two joints."""
 
     name: str
     closures: Collection[str]
@@ -49,6 +49,16 @@ class _Edge:
     point: Array
     placing: bool = False
     joints: list[Joint] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class _Limited:
+    """An input, or else terms of a linear expression, with limits."""
+
+    name: str = ""
+    start: float = 0.0
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    terms: Mapping[tuple[str, Any], float] = field(default_factory=dict)
 
 
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
@@ -69,8 +79,13 @@ class _Describing:
         self.values = [[given[x.name] for x in some] for given, some in zip(numbers, (c, c, p), strict=True)]
         self.taken = set(mechanism._names)
         self.motions: dict[str, Joint] = {}
-        self.along: dict[int | None, tuple[str, Any]] = {key_of(x.symbol): ("u", x) for x in mechanism.inputs}
-        """Inputs ("u"), displacements ("q") and rates ("v") of joints by their symbols."""
+        self.along: dict[int | None, tuple[str, Any]] = {
+            key_of(x.symbol): ("u", _Limited(x.name, x.start)) for x in mechanism.inputs
+        }
+        """Inputs ("u"), limited efforts ("l"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of
+        balls and their rates ("w") by their symbols."""
+        self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
+        """Expressions, and the same without limits, by keys of the former."""
         self.coupled: set[Joint] = set()
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
@@ -181,6 +196,9 @@ class _Describing:
             ball = Joint(joint.name, "spherical", self.node, edge.point, rates=tuple(spin))
             ball.start = ball.zero
             edge.joints.append(ball)
+            for e in (ca.SX(x) for x in joint.coordinates or ()):
+                if e.is_symbolic():
+                    self.along[key_of(e)], self.along[key_of(self.m.rate(e))] = ("e", ball), ("w", ball)
             return
         normal, other, axis = (self.number(x).ravel() for x in joint.triad())
         axes = {"position1": normal, "position2": other}
@@ -246,14 +264,40 @@ class _Describing:
                 given.append((hinges[load.at.body][0], load.torque))
             else:
                 self.refuse(load.at.body.name, "a force from the ground acts on it; files hold efforts along joints")
-        for x in (*m.potential, *m.kinetic, *(x for _, x in m.generalized)):
-            what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
-            self.refuse(str(x)[:60], what)
+        self._rated()
         for joint in dict.fromkeys(joint for joint, _ in given):
             self._drive(joint, self.fixed(sum((effort for moved, effort in given if moved is joint), ca.SX(0))))
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
+
+    def _rated(self) -> None:
+        """Take kinetic energies of rates as inertia of motors, and forces along Euler parameters as dampers."""
+        balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
+        for along, given in (*((None, x) for x in (*self.m.potential, *self.m.kinetic)), *self.m.generalized):
+            x = self.fixed(given)
+            v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
+            slopes = [x, ca.gradient(x, v)]
+            slopes += [ca.gradient(slopes[1], v)] if along is None else []
+            size, rests = slopes.pop(), all(ca.substitute(each, v, 0).is_zero() for each in slopes)
+            kind, joint = self.along.get(key_of(v), ("", None))
+            own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
+            if not (size.is_constant() and rests and own and (float(size) > 0) == (along is None)):
+                what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+                self.refuse(str(given)[:60], what)
+            elif kind == "v":
+                joint.armature += float(size)
+            else:
+                shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
+                shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
+        for (ball, what), shares in balls.items():
+            if len(shares) < 4 or len(set(shares.values())) > 1:
+                self.refuse(ball.name, f"its {what} differs about its axes")
+            value = next(iter(shares.values()))
+            setattr(ball, what, value if what == "armature" else (value,))
+        every = [joint for edge in self.edges for joint in edge.joints]
+        for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
+            self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
 
     def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
         """Add a stiffness, a damping and an effort at zero to those of a joint."""
@@ -261,7 +305,7 @@ class _Describing:
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
         if pull and not k and self.form.full:  # an actuator whose control does nothing
-            self._motor(joint, self.fresh(f"{joint.name}_effort"), 0.0, bias=pull)
+            self._motor(joint, _Limited(self.fresh(f"{joint.name}_effort"), 0.0), 0.0, (pull, 0.0, 0.0))
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
@@ -278,36 +322,64 @@ class _Describing:
         return found | {("1", None): float(ca.substitute(x, stack(symbols), ca.SX.zeros(len(symbols))))}
 
     def _drive(self, joint: Joint, effort: ca.SX) -> None:
-        """Take an effort along a joint as motors, a spring and a damper, limited all together."""
-        x, factor, limits = effort, 1.0, [-math.inf, math.inf]
-        while x.op() in (ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX) and (x.dep(0).is_constant() or x.dep(1).is_constant()):
-            other, constant = (x.dep(0), x.dep(1)) if x.dep(1).is_constant() else (x.dep(1), x.dep(0))
-            if x.op() == ca.OP_MUL:
-                factor *= float(constant)
-            else:
-                upper = (x.op() == ca.OP_FMIN) == (factor > 0)
-                limits[upper] = (min if upper else max)(limits[upper], factor * float(constant))
-            x = other
-        terms = self._linear(factor * x)
+        """Take an effort along a joint as motors, which may be limited, a spring and a damper."""
         own = [("1", None), ("q", joint), ("v", joint)]
-        if terms is None or any(key not in own and key[0] != "u" for key in terms):
+        terms = self._linear(self._unlimited(effort))
+        inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
+        if terms is None or any(key not in own and key[0] != "u" for key in inside):
             self.refuse(joint.name, "its effort is no sum of inputs, its displacement and its rate")
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
-        if limits != [-math.inf, math.inf]:
-            joint.effort = (limits[0], limits[1])
-            if bias or k or d or not (self.form.full or limits[0] == -limits[1]):
-                self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
-        for (_, given), gain in terms.items():
-            self._motor(joint, given.name, gain, given.start)
+        for (kind, given), gain in terms.items():
+            inner = {key: gain * x for key, x in given.terms.items()} if kind == "l" else {(kind, given): gain}
+            feedback = (*(inner.pop(key, 0.0) for key in own),)
+            force = tuple(sorted(gain * x for x in given.limits)) if kind == "l" else None
+            if force and not (self.form.full and len(inner) == 1):
+                (low, high), force = force, None
+                joint.effort = (low, high)
+                if any((*feedback, bias, k, d)) or len(terms) > 1 or not (self.form.full or low == -high):
+                    self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
+            for (_, control), factor in inner.items():
+                self._motor(joint, control, factor, feedback, force)
         self._spring(joint, -k, -d, bias)
 
-    def _motor(self, joint: Joint, name: str, gain: float, start: float = 0.0, bias: float = 0.0) -> None:
-        if any(motor.name == name for motor in self.linkage.motors):
-            self.refuse(name, "this input drives several joints; declare one for each")
+    def _unlimited(self, x: ca.SX) -> ca.SX:
+        """Return an expression with a symbol of its own for each input, and each linear part, that has limits."""
+        if not x.n_dep() or key_of(x) in self.known:
+            return self.known.get(key_of(x), (x, x))[1]
+        parts = [self._unlimited(x.dep(i)) for i in range(x.n_dep())]
+        found = (ca.SX.binary if len(parts) == 2 else ca.SX.unary)(x.op(), *parts)
+        for part, limit in (parts, parts[::-1]) if x.op() in (ca.OP_FMIN, ca.OP_FMAX) else ():
+            if not limit.is_constant() or (terms := self._linear(part)) is None:
+                continue
+            kind, given = self.along.get(key_of(part), ("", None))
+            if kind != "l" and not (kind == "u" and self.form.full):
+                kind, given = "l", _Limited(terms=terms)
+            low, high = given.limits
+            ends = (low, min(high, float(limit))) if x.op() == ca.OP_FMIN else (max(low, float(limit)), high)
+            found = ca.SX.sym("limited")
+            self.along[key_of(found)] = (kind, replace(given, limits=ends))
+        self.known[key_of(x)] = (x, found)
+        return found
+
+    def _motor(
+        self,
+        joint: Joint,
+        control: _Limited,
+        gain: float,
+        bias: Sequence[float],
+        force: tuple[float, float] | None = None,
+    ) -> None:
+        name, limits = control.name, None if control.limits == (-math.inf, math.inf) else control.limits
         if gain != 1 and not self.form.full:
             self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
-        motor = Motor(name, self.node, ((joint, 1.0),), "", 1.0, gain, (bias, 0.0, 0.0), start=start)
+        for motor in (x for x in self.linkage.motors if x.name == name):
+            if not self.form.full or any((*bias, *motor.bias, force, motor.force)) or motor.control != limits:
+                self.refuse(name, "this input drives several joints; declare one for each")
+            motor.along = (*motor.along, (joint, gain / motor.gain))
+            return
+        along, (b, k, d) = ((joint, 1.0),), bias
+        motor = Motor(name, self.node, along, "", 1.0, gain, (b, k, d), 0.0, 0.0, limits, force, control.start)
         self.linkage.motors.append(motor)
 
     # Closures ---------------------------------------------------------------------------------------------------
@@ -332,7 +404,9 @@ class _Describing:
                     self.refuse(each.name, "its static friction differs from that while it slides")
                 joint.friction = (coulomb * load,)
             elif isinstance(each, Constraint) and each.name not in units:
-                found = self._linear(each.expression) or {("", None): 1.0}
+                if not (found := self._linear(each.expression)) and self._polynomial(each.name, each.expression):
+                    continue
+                found = found or {("", None): 1.0}
                 self._couple(each.name, [(x[1] if x[0] == "q" else None, y) for x, y in found.items() if x[0] != "1"])
             elif not isinstance(each, Constraint | Rigidity) and each not in (*self.m.joints, *self.m.spatial_joints):
                 self.refuse(each.name, f"it is a {type(each).__name__.lower()}, which no file holds")
@@ -352,11 +426,26 @@ class _Describing:
             coupling = Coupling(name, self.node, ((one, 1.0),), ((two, 1.0),), [0.0, -b / a])
         self.linkage.couplings.append(coupling)
 
+    def _polynomial(self, name: str, expression: Any) -> bool:
+        """Take a constraint as a displacement that is a polynomial in another one, if it is so."""
+        x = self.fixed(expression)
+        places = [(s, *self.along.get(key_of(s), ("", None))) for s in ca.symvar(x)]
+        for (q, kind, joint), (by, other, leader) in (places, places[::-1]) if len(places) == 2 else ():
+            a, found = ca.gradient(x, q), [-x]
+            for power in range(1, 6):
+                found.append(ca.gradient(found[-1], by) / power)
+            if (kind, other) == ("q", "q") and self.form.full and a.is_constant() and found[-1].is_zero():
+                numbers = [self.scalar(each) / float(a) for each in found[:-1]]
+                self.linkage.couplings.append(Coupling(name, self.node, ((joint, 1.0),), ((leader, 1.0),), numbers))
+                self.coupled |= {joint, leader}
+                return True
+        return False
+
     # The tree ---------------------------------------------------------------------------------------------------
 
     def _closes(self, edge: _Edge) -> bool:
         """Return whether a joint may close a loop in this format."""
-        used = self.coupled | {motor.along[0][0] for motor in self.linkage.motors}
+        used = self.coupled | {joint for motor in self.linkage.motors for joint, _ in motor.along}
         forced = (any((*x.damping, *x.stiffness, *x.friction, x.armature, *x.limits, x in used)) for x in edge.joints)
         return edge.kind in self.form.closures and not any(forced)
 

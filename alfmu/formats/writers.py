@@ -113,7 +113,7 @@ def _mjcf(linkage: Linkage) -> Element:
         for joint in link.joints:
             given = {"name": joint.name, "type": _HINGED[joint.kind]}
             if joint.kind != "free":
-                given |= {"pos": joint.point, "damping": joint.damping[0]}
+                given |= {"pos": joint.point, "damping": joint.damping[0], "armature": joint.armature}
             if joint.axes:
                 given |= {"axis": joint.axes[0], "ref": joint.reference, "range": _limits(joint)}
                 given |= {"stiffness": joint.stiffness[0], "springref": joint.rest[0]}
@@ -143,9 +143,15 @@ def _mjcf(linkage: Linkage) -> Element:
         numbers = [*coupling.coefficients, *[0.0] * 5][:5]
         _add(equality, "joint", name=coupling.name, joint1=joint.name, joint2=by, polycoef=numbers)
     for motor in linkage.motors:
-        given = {"name": motor.name, "joint": motor.along[0][0].name}
-        if any(motor.bias):
-            _add(actuator, "general", **given, gainprm=motor.gain, biastype="affine", biasprm=motor.bias)
+        given = {"name": motor.name, "joint": motor.along[0][0].name, "ctrlrange": motor.control}
+        if len(motor.along) > 1:
+            given |= {"joint": None, "tendon": motor.name}
+            fixed = _add(tendon, "fixed", name=motor.name)
+            for joint, factor in motor.along:
+                _add(fixed, "joint", joint=joint.name, coef=factor)
+        if any(motor.bias) or motor.force:
+            given |= {"gainprm": motor.gain, "biastype": "affine", "biasprm": motor.bias, "forcerange": motor.force}
+            _add(actuator, "general", **given)
         else:
             _add(actuator, "motor", **given, gear=motor.gain)
     root.extend(part for part in (tendon, equality, actuator) if len(part))

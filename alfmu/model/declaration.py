@@ -21,6 +21,7 @@ from .errors import DeclarationError
 from .motion import Input, Law, Signal
 from .parts import (
     CONSTANT,
+    FREE,
     MOVING,
     PLACE,
     AnyJoint,
@@ -274,15 +275,16 @@ class Declaration:
         return list(named.items())
 
     def measured_joints(self) -> list[AnyJoint]:
-        """Return joints whose motion is an output on request, once each; hinges in space always have this output."""
-        joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
-        return [
-            joint
-            for joint in joints
-            if joint.kind in ("revolute", "prismatic")
-            and (self.measures_all or any(joint is each for each in self.measured))
-            and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
-        ]
+        """Return joints whose motion is an output on request, once each; hinges in space always have this output.
+
+        Those of all joints leave out joints whose names other outputs have.
+        """
+        joints = [j for j in self.joints if j.kind in FREE] + [j for j in self.spatial_joints if j.kind == "prismatic"]
+
+        def named(joint: AnyJoint) -> bool:
+            return any(f"{joint.name}.{x}" in self._names for x in FREE[joint.kind])
+
+        return [j for j in joints if any(j is x for x in self.measured) or (self.measures_all and not named(j))]
 
     def measured_springs(self) -> list[tuple[str, Spring]]:
         """Return the measured springs, with the names of their outputs."""

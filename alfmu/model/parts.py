@@ -19,6 +19,7 @@ __all__ = [
     "DIRECTIONS",
     "EFFORT",
     "EFFORTS",
+    "FREE",
     "GUESS",
     "LAW",
     "MOTION",
@@ -86,6 +87,12 @@ there."""
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
+
+FREE = {
+    "revolute": ("angle", "angular_velocity", "angular_acceleration"),
+    "prismatic": ("displacement", "velocity", "acceleration"),
+}
+"""Names of the free motion of a joint and of its rates."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,7 +23,7 @@ from ..kernel.memory import Layout
 from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
-from .library import BRAKES, DONE, REFUSED, Scene
+from .library import BRAKES, DONE, Scene
 from .pipeline import derive, loaded, ready, with_brakes, with_defaults
 
 __all__ = ["Batch", "Members"]
@@ -84,6 +84,8 @@ class Batch:
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
             if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
+        if parameters is not None and not isinstance(parameters, Mapping):
+            raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
         own = dict(parameters or {})
         for name, value in own.items():
             if not isinstance(value, str | int | float | np.number):
@@ -343,22 +345,20 @@ class Batch:
     def step(self, communication_step: float, members: Members = None) -> _Mask:
         """Cover one communication step [s]; return which members failed (count,), and say why in a warning.
 
-        A member that fails keeps the state before the step. Raises InputError if one of them is not initialised.
+        A member that fails keeps the state before the step. Raises InputError if the step is not above zero, or a
+        member is not initialised.
         """
-        mask = self._mask(members)
-        if not isinstance(communication_step, int | float | np.number):
-            raise InputError(f"{self.name}: a communication step of {communication_step!r} s; it must be above zero")
-        h = float(communication_step)
+        mask, h = self._mask(members), communication_step
+        if isinstance(h, bool) or not isinstance(h, int | float | np.number) or not 0 < h < np.inf:
+            raise InputError(f"{self.name}: a communication step of {h!r} s; it must be a finite number above zero")
         if (unready := mask & ~self._ready).any():
             raise InputError(f"{self.name}: member {int(np.argmax(unready))} is not initialised; initialise it first")
 
         def task(part: int | None, own: slice) -> None:
             where = [x[own].ctypes.data for x in (mask.view(np.uint8), self._outcomes)]
-            self._scene.library.alfmu_batch_step(part, h, *where)
+            self._scene.library.alfmu_batch_step(part, float(h), *where)
 
         self._call(task)
-        if (refused := mask & (self._outcomes == REFUSED)).any():
-            raise InputError(self._text(self._members[int(np.argmax(refused))]))
         return self._moved("step", mask)
 
     def reset(self, members: Members = None) -> None:

@@ -15,6 +15,7 @@ from ..equations import Equations
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..runtime.batch import Batch
+from ..runtime.pipeline import derive
 from ..view.picture import draw, view_of
 from ..view.shapes import geometry
 
@@ -71,16 +72,22 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
             raise InputError(f"{mechanism.name}: equations have no pictures; give the mechanism, or no render_mode")
         declared = mechanism if isinstance(mechanism, Mechanism | Equations) else load(mechanism)
         self._shapes = geometry(declared, parameters) if render_mode and isinstance(declared, Mechanism) else None
+        for what, made in (("reward", reward), ("done", done), ("start", start)):
+            if not callable(made) and (made is not None or what == "reward"):
+                raise InputError(f"{declared.name}: {what} is {made!r}; give a function")
         for what, seconds in (("step", step), ("horizon", horizon)):
             if not (isinstance(seconds, int | float | np.number) and 0 < seconds < math.inf):
                 raise InputError(f"{declared.name}: {what} is {seconds!r}; it must be a finite time above zero [s]")
         spaces_of = [_box(declared.name, bounds) for bounds in (actions, observations)]
+        e = declared if isinstance(declared, Equations) else derive(declared)
+        given = {x.name for x in (*e.inputs, *e.parameters, *e.starts, *e.start_rates)}
         drawn = self._shapes.columns if self._shapes else []
-        self.batch: Batch = Batch(declared, count, parameters, [*dict.fromkeys([*observations, *drawn])], threads)
+        outputs = [name for name in dict.fromkeys([*observations, *drawn]) if name not in given]
+        self.batch: Batch = Batch(e, count, parameters, outputs, threads)
         self.metadata: dict[str, Any] = {
             "autoreset_mode": AutoresetMode.NEXT_STEP,
             "render_modes": ["rgb_array"],
-            "render_fps": round(1 / step),
+            "render_fps": max(1, round(1 / step)),
         }
         self.num_envs: int = count
         self.render_mode: str | None = render_mode
@@ -102,11 +109,18 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
-        """Let all members begin; or those of `options["reset_mask"]`, a mask (count,)."""
-        first = next(iter(seed), None) if isinstance(seed, list) else seed
-        super().reset(seed=None if first is None else int(first))
-        mask = self._shaped("reset_mask", (options or {}).get("reset_mask", True), (self.num_envs,)).astype(bool)
-        self._begin(mask)
+        """Let all members begin; or those of `options["reset_mask"]`, a mask (count,) of Booleans.
+
+        All members draw from one generator, which several seeds start together.
+        """
+        if options is not None and not isinstance(options, dict):
+            raise InputError(f"{self.batch.name}: options are {options!r}; give a dictionary")
+        seeds = [] if seed is None else [x for x in np.atleast_1d(np.array(seed, object)).tolist() if x is not None]
+        if any(isinstance(x, bool) or not isinstance(x, int | np.integer) or x < 0 for x in seeds):
+            raise InputError(f"{self.batch.name}: seed is {seed!r}; give whole numbers of 0 or above")
+        if seeds:
+            self._np_random, self._np_random_seed = np.random.Generator(np.random.PCG64(seeds)), int(seeds[0])
+        self._begin(self._mask("reset_mask", (options or {}).get("reset_mask", True)))
         return self._observed(), {}
 
     def _begin(self, members: NDArray[np.bool_]) -> None:
@@ -138,7 +152,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
             raise InputError(
                 f"{self.batch.name}: actions have the shape {given.shape}; they must be {self.action_space.shape}"
             )
-        taken = np.clip(self._shaped("actions", given, given.shape), low, high)
+        taken = np.clip(self.batch._given("actions", given, given.shape), low, high)
         begun = self._over
         on = ~begun
         if begun.any():
@@ -148,23 +162,23 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         seen = self._observed()
         values = dict(zip(self._observations, seen.T, strict=True))
         found = self._reward(values, dict(zip(self._actions, taken.T, strict=True)))
-        reward = np.where(on & ~failed, self._shaped("reward", found, (self.num_envs,)), 0.0)
+        reward = np.where(on & ~failed, self.batch._given("reward", found, (self.num_envs,)), 0.0)
         if not np.isfinite(reward).all():
             member = int(np.argmin(np.isfinite(reward)))
             raise InputError(f"{self.batch.name}: reward is {reward[member]} for member {member}; it must be finite")
-        over = self._shaped("done", self._done(values) if self._done else False, (self.num_envs,))
-        done = on & ~failed & over.astype(bool)
+        over = self._mask("done", self._done(values) if self._done else False)
+        done = on & ~failed & over
         late = on & (failed | (self.batch.time > self._horizon - 0.5 * self._step))
         self._over = done | late
         infos = {"failed": failed, "_failed": failed} if failed.any() else {}
         return seen, reward, done, late & ~done, infos
 
-    def _shaped(self, what: str, values: Any, shape: tuple[int, ...]) -> Numbers:
-        """Return values that a user gave as numbers of this shape."""
-        try:
-            return np.broadcast_to(np.asarray(values, float), shape)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{self.batch.name}: {what} must be one number, or numbers {shape}: {error}") from None
+    def _mask(self, what: str, values: Any) -> NDArray[np.bool_]:
+        """Return a mask (count,) that a user gave."""
+        mask = self.batch._given(what, values, (self.num_envs,))
+        if not np.isin(mask, (0.0, 1.0)).all():
+            raise InputError(f"{self.batch.name}: {what} is {values!r}; it must be true or false for each member")
+        return mask.astype(bool)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return pictures (height, width, 3) of all members, if the mode is "rgb_array"."""
@@ -199,6 +213,9 @@ class Environment(gymnasium.Env[Any, Any]):
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
         """Hold an action (inputs,) over one step."""
+        if np.shape(action) != self.action_space.shape:
+            what = f"an action has the shape {np.shape(action)}; it must be {self.action_space.shape}"
+            raise InputError(f"{self.many.batch.name}: {what}")
         seen, reward, done, late, infos = self.many.step(np.asarray(action)[None])
         return seen[0], float(reward[0]), bool(done[0]), bool(late[0]), {"failed": True} if infos else {}
 
@@ -210,6 +227,8 @@ class Environment(gymnasium.Env[Any, Any]):
 
 def _box(name: str, bounds: Bounds) -> spaces.Box:
     """Return the space of variables with these bounds; raise InputError if one has none."""
+    if not isinstance(bounds, Mapping):
+        raise InputError(f"{name}: bounds are {bounds!r}; give least and largest values by name")
     for each, ends in bounds.items():
         if np.shape(ends) != (2,) or not ends[0] <= ends[1]:
             raise InputError(f"{name}: bounds of {each} are {ends!r}; give its least and largest value")

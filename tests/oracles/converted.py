@@ -236,6 +236,33 @@ def vice() -> Mechanism:
     return m
 
 
+def servos() -> Mechanism:
+    """One input on two hinges, a servo of limited effort, rotors of motors, a damped ball, a polynomial follower."""
+    m = Mechanism("servos")
+    q = {k: m.coordinate(k, "rad", start=x, **({"rate": 1.0, "independent": True} if k != "c" else {})) for k, x in
+         (("a", 0.4), ("b", -0.3), ("c", 0.2 * -0.3 + 0.1 * 0.09))}  # fmt: skip
+    bodies = [m.spatial_body(f"body{i}", mass=0.5 + i, inertia=SOLID, center=(0.1, 0.02, 0.0), relative=True)
+              for i in range(4)]  # fmt: skip
+    hinges = []
+    for k, (name, axis) in enumerate(zip("abc", ((0, 1, 0), (0, 0.6, 0.8), (0, 1, 0)), strict=True)):
+        before = bodies[k - 1].at(0.2, 0, 0) if k else m.spatial_ground.at()
+        hinges.append(m.spatial_revolute(name.upper(), before, bodies[k].at(), axis=axis, coordinate=q[name]))
+    e = [m.coordinate(f"e{k}", "1", start=float(k == 0)) for k in range(4)]
+    m.spherical("ball", bodies[0].at(0, 0.1, 0), bodies[3].at(), coordinates=e)
+    for each in e:
+        m.generalized_force(each, -4 * 0.03 * m.rate(each))
+        m.kinetic_energy(2 * 0.002 * m.rate(each) ** 2)
+    u, goal = m.input("torque", "N.m"), m.input("goal", "N.m", start=0.2)
+    goal = ca.fmin(ca.fmax(goal, -0.15), 0.15)
+    servo = ca.fmin(ca.fmax(3 * goal - 2 * q["a"] - 0.1 * m.rate(q["a"]), -0.5), 0.3)
+    m.drive(hinges[0], u + servo)
+    m.drive(hinges[1], 0.1 - 2 * u)
+    m.kinetic_energy(0.5 * 0.01 * m.rate(q["a"]) ** 2)
+    m.constraint("follows", q["c"] - 0.2 * q["b"] - 0.1 * q["b"] ** 2, "rad")
+    m.gravity(0.5, 0, -9.81)
+    return m
+
+
 BUILT: dict[str, Callable[[], Mechanism]] = {
-    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints, gears, vice)
+    each.__name__: each for each in (robot, press, shaper, raft, delta, stewart, floating, joints, gears, vice, servos)
 }
