@@ -61,9 +61,8 @@ needed = robot.along({name: (time, np.array([each[name] for each in positions]))
 STEP = 0.003
 middle = time - STEP / 2
 start = {f"start.angle{name}": positions[0][name] for name in robot.actuated}
-goals = {}
-for name in robot.actuated:
-    goals |= {f"{name}.goal": (middle, needed[name]), f"{name}.speed": (middle, needed[f"der({name})"])}
+goals = {f"{name}.goal": (middle, needed[name]) for name in robot.actuated}
+goals |= {f"{name}.speed": (middle, needed[f"der({name})"]) for name in robot.actuated}
 torques = {f"{name}.given": (middle, needed[f"{name}.torque"]) for name in robot.actuated}
 alone = simulate(mechanism, PERIOD, STEP, parameters=start, inputs=goals)
 result = simulate(mechanism, PERIOD, STEP, parameters=start, inputs=goals | torques)

@@ -33,9 +33,8 @@ def gripper() -> Mechanism:
     inner = {}
     for name, side in (("left", -1), ("right", 1)):
         start = math.pi / 2 - 0.7 * side
-        given = {"independent": True} if side > 0 else {}
         angle, other, tilt = (
-            m.coordinate(f"{name}_{what}", "rad", start=value, **(given if what == "angle" else {}))
+            m.coordinate(f"{name}_{what}", "rad", start=value, independent=side > 0 and what == "angle")
             for what, value in (("angle", start), ("other", start), ("tilt", -start))
         )
         inner[name], outer = (m.bar(f"{name}_{which}", mass=0.02, length=LINK) for which in ("inner", "outer"))
