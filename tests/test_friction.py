@@ -764,7 +764,7 @@ def test_a_coefficient_that_an_input_makes_negative_counts_as_none(kind):
 
 
 def test_methods_without_dry_friction_are_refused_by_name(incline):
-    with pytest.raises(InputError, match=r"trapezoidal has no dry friction, which guide has; use auto, rk4"):
+    with pytest.raises(InputError, match=r"trapezoidal has no dry friction, which guide has; use rk4, order8"):
         alfmu.simulate(incline, 0.1, 0.01, parameters={"solver.method": "trapezoidal"})
     with pytest.raises(InputError, match="the oracle has no dry friction, as guide has"):
         alfmu.simulate(incline, 0.1, 0.01, kernel="oracle")

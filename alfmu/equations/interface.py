@@ -136,6 +136,9 @@ MONITORS = (
 """Outputs in which every instance reports its own accuracy."""
 
 
+SOLVED = {"monitor.distance", "monitor.singular", REACTION_ERROR}
+"""Monitors that need accelerations, multipliers or pivots: where no output needs them either, none are computed."""
+
 BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
 """Monitors of the energy balance: without all of them, no work is integrated."""
 

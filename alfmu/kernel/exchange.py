@@ -7,8 +7,7 @@ with outputs, at the position on the constraints nearest to them (`step/exchange
 from __future__ import annotations
 
 from ..equations import Equations, Variable
-from ..equations.interface import MONITORS
-from ..equations.types import REACTION_ERROR
+from ..equations.interface import SOLVED
 from ..model.units import quotient
 from .form import Traced
 
@@ -30,8 +29,7 @@ def obstacle(e: Traced) -> str:
         return f"{names} moves something, and its course between communication points comes from its past values"
     if e.breaks and e.functions["breaks"].jac_sparsity(0, 1).nnz():
         return "a force, a law of motion or the rate of a state jumps or bends where an input passes a value"
-    monitors = {"monitor.distance", "monitor.singular", REACTION_ERROR} & {v.name for v in MONITORS} - set(e.monitors)
-    if not monitors and not any(output.instant for output in e.outputs):
+    if not SOLVED - set(e.monitors) and not any(output.instant for output in e.outputs):
         return "none of its outputs needs accelerations; add monitor.distance to them"
     return ""
 

@@ -25,6 +25,7 @@ from casadi import SX
 
 from ..equations import Configuration, Equations
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
+from ..equations.interface import SOLVED
 from ..equations.types import REACTION_ERROR, configured
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
@@ -230,8 +231,7 @@ class Tracer:
     def instant(self, plan: Plan, redundant: bool) -> Program:
         """Return the program for outputs, monitors, largest |Phi-ddot|, trouble."""
         e, calls = self.e, Calls(self, plan)
-        distance = {"monitor.distance", "monitor.singular", REACTION_ERROR} - set(e.monitors)
-        if not distance and not any(o.instant for o in e.outputs):
+        if not SOLVED - set(e.monitors) and not any(o.instant for o in e.outputs):
             # No output needs accelerations or reactions.
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen_at_rest(plan, z, u))
             return Program(calls.steps, plan)

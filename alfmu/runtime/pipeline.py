@@ -33,7 +33,8 @@ from ..model.errors import InputError
 from ..model.kept import latest, once
 from ..model.making import getting_ready
 from ..model.mechanism import Mechanism
-from ..model.settings import Settings
+from ..model.settings import METHODS, Settings
+from ..model.words import in_words
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
@@ -177,7 +178,7 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     if chosen in UNRUBBED and equations.frictions:
         limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
-        raise InputError(f"{equations.name}: {limit}; use auto, rk4, order8, explicit or stiff")
+        raise InputError(f"{equations.name}: {limit}; use {in_words([x for x in METHODS if x not in UNRUBBED])}")
     if stiffens := _may_stiffen(equations, chosen):
         note = "; implicit steps where stability keeps these short" * undecided
         decision = replace(decision, reason=decision.reason + note)
