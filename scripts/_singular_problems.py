@@ -112,9 +112,13 @@ def plain(problem: Problem) -> dict[str, Any]:
 
 
 def saved(problem: Problem) -> None:
-    """Write the JSON file."""
-    text = json.dumps(plain(problem), indent=1)
-    (FOLDER / f"{problem.name}.json").write_text(text + "\n", encoding="utf-8")
+    """Write the JSON file, with a line for each body, closure and run."""
+    lines = []
+    for key, x in plain(problem).items():
+        rows = ",\n  ".join(map(json.dumps, x)) if isinstance(x, list) and isinstance(x[0], dict) else ""
+        lines.append(f' "{key}": ' + (f"[\n  {rows}\n ]" if rows else json.dumps(x)))
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    (FOLDER / f"{problem.name}.json").write_text(text, encoding="utf-8")
 
 
 def loaded(name: str) -> Problem:
@@ -461,7 +465,7 @@ def n_four_bar(loops: int) -> Made:
         q, v = [*q, -th, th], [*v, 1.0, -1.0]
     points = {"first": ("crank1", (1, 0, 0)), "last": (f"crank{loops + 1}", (1, 0, 0))}
     name, title = f"n_four_bar_{loops}", f"Row of {loops} four-bars"
-    p = Problem(name, title, bodies, closures, points, [Run(q, v)], 2.5, ["crank1"])
+    p = Problem(name, title, bodies, closures, points, [Run(q, v)], 2.5, ["crank1"], reactions="pole")
 
     def geometry(f: Any, s: Sequence) -> tuple[list[Part], list[tuple]]:
         (first, P), last = link(f, (0.0, 0.0), s[0]), link(f, (float(loops), 0.0), s[0])[1]
@@ -611,6 +615,7 @@ def kite() -> Made:
     turn = float(np.cos(th / 2) / b / np.cos(lean)) * w / 2
     q, v = [th, -th / 2 - lean, th / 2 + lean], [w, -w / 2 - turn, w / 2 + turn]
     p = Problem("kite", "Kite four-bar through its branch point", bodies, closures, points, [Run(q, v)], 2.0, ["link1"])
+    p.reactions = "pole"
 
     def geometry(f: Any, s: Sequence) -> tuple[list[Part], list[tuple]]:
         c, e = f.cos(s[0] / 2), f.sin(s[0] / 2)
