@@ -717,13 +717,13 @@ def write_reference(name: str) -> str:
         for k, run in enumerate(problem.runs):
             states = motion.integrate(problem, k, step)
             while k < CHECKED:
-                step, coarse = step / 2, states
-                states = motion.integrate(problem, k, step)
-                pairs = [(a, b) for x, y in zip(coarse, states, strict=True) for a, b in zip(x[0], y[0], strict=True)]
+                finer = motion.integrate(problem, k, step / 2)
+                pairs = [(a, b) for x, y in zip(states, finer, strict=True) for a, b in zip(x[0], y[0], strict=True)]
                 change = max(abs(a - b) for a, b in pairs)
                 if change < 10**-KEPT:
                     worst = max(worst, change)
                     break
+                step, states = step / 2, finer
             for t, (s, w) in zip(problem.times, states, strict=True):
                 a = motion.rates(problem, mpf(run.torque), s, w)
                 parts, points = motion.derivatives(s, w, a)
@@ -737,4 +737,4 @@ def write_reference(name: str) -> str:
         saved(problem)
     with (FOLDER / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([columns, *rows])
-    return f"{name}: steps of {step:g} s, and those of twice that, differ by {nstr(worst, 2)} in s"
+    return f"{name}: steps of {step:g} s, and those of half that, differ by {nstr(worst, 2)} in s"

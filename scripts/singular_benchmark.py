@@ -33,7 +33,7 @@ BRANCH, OPEN, CLOSE = 0.05, 1e-3, 0.1
 """Distance [m] from the nearest place of the branch, gap [m] of a closure, and error [m], above which a run has left
 its branch, has opened its loops, or is inaccurate."""
 
-LIMIT, LONG, BRIEF = 60.0, 300.0, 0.2
+LIMIT, LONG, BRIEF = 30.0, 300.0, 0.2
 """Processor time [s] that a code has for a problem, and for the row of 1000 loops; runs below the last are repeated."""
 
 QUICK = ("particle", "five_bar", "kite"), ("alfmu", "SciPy")
@@ -102,7 +102,7 @@ def measured(name: str, code: str) -> None:
 
     try:
         ways: list[tuple[tuple[bool, float], Simulation, str]] = []
-        variants = chosen.variants[: 1 if len(problem.bodies) > 100 else None]
+        variants = chosen.variants[: 1 if len(problem.bodies) > 50 else None]
         for variant in variants:
             simulate, alone = chosen.build(problem, **variant), len(variants) == 1
             row = {} if alone else judge(simulate, chosen.values[1], 0, 5)
