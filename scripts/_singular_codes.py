@@ -182,7 +182,7 @@ def _mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
     return m, bodies
 
 
-def _given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
+def given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
     """The start and the torque of a run, by the names that an alfmu mechanism has for them."""
     index = [i for i, body in enumerate(p.bodies) if body.name in p.independent]
     given = dict(zip((v.name for v in e.starts), (run.q[i] for i in index), strict=True))
@@ -223,7 +223,7 @@ def by_alfmu(p: Problem, kernel: str = "vm") -> Simulation:
 
     def simulate(run: Run, value: float) -> Found:
         i = alfmu.Instance(scene)
-        for name, x in {**_given(p, run, e), **_settings(value)}.items():
+        for name, x in {**given(p, run, e), **_settings(value)}.items():
             i.set(name, x)
         begin = time.process_time()
         values, error = i.run(p.times, [], np.empty((len(p.times), 0)), names)
@@ -238,8 +238,8 @@ def by_fmu(p: Problem) -> Simulation:
     e = alfmu.derive(declared(p))
     names = _columns(p, e)
     folder = tempfile.TemporaryDirectory()
-    given = {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]}
-    path = alfmu.export(declared(p), Path(folder.name) / "problem.fmu", outputs=names, parameters=given)  # type: ignore[arg-type]
+    parameters = {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]}
+    path = alfmu.export(declared(p), Path(folder.name) / "problem.fmu", outputs=names, parameters=parameters)  # type: ignore[arg-type]
     fmu = Fmu(path)
     order = [[v.name for v in fmu.outputs].index(name) for name in names]
 
@@ -247,7 +247,7 @@ def by_fmu(p: Problem) -> Simulation:
         assert folder
         if fmu.begun:
             fmu.reset()
-        for name, x in {**_given(p, run, e), **_settings(value)}.items():
+        for name, x in {**given(p, run, e), **_settings(value)}.items():
             fmu.set(name, x)
         rows, stopped, begin = [], "", time.process_time()
         try:

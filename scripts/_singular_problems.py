@@ -85,8 +85,8 @@ class Problem:
     gravity: Sequence[float] = DOWN
     every: float = 0.05
     reactions: str = "limit"
-    """What the force of the first closure has where the motion passes a singular position: `limit`, `pole`; or `none`
-    where the motion passes none or the force is not unique."""
+    """What forces have where the motion passes a singular position: `limit`, `pole` if one of them has it; or `none`
+    where the motion passes none or that of the first closure is not unique."""
 
     @property
     def times(self) -> NDArray:
@@ -309,8 +309,8 @@ def extrapolated(rate: Callable[[list], list], y: list, h: Any, levels: int = LE
 # Reactions in the plane -------------------------------------------------------------------------------------------
 
 
-def reaction(problem: Problem, parts: Sequence[Part], torque: float) -> NDArray:
-    """Force of the first closure on its second body (x, y), by Newton and Euler; NaN where it is not unique."""
+def reactions(problem: Problem, parts: Sequence[Part], torque: float) -> NDArray:
+    """Forces on second bodies in the plane, those of closures (x, y) first, by Newton and Euler; NaN if not unique."""
     index = {body.name: i for i, body in enumerate(problem.bodies)}
     n, columns = len(problem.bodies), []
     at = {name: np.array([[float(x.x[0]) for x in parts[i][k][:2]] for k in (2, 3)]) for name, i in index.items()}
@@ -344,8 +344,7 @@ def reaction(problem: Problem, parts: Sequence[Part], torque: float) -> NDArray:
     U, sizes, V = np.linalg.svd(A)
     rank = int((sizes > 1e-9 * sizes[0]).sum())
     found = V[:rank].T @ ((U.T @ wanted)[:rank] / sizes[:rank])
-    unique = np.abs(V[rank:, :2]).max(0, initial=0) < 1e-6
-    return np.where(unique, found[:2], np.nan)
+    return np.where(np.abs(V[rank:]).max(0, initial=0) < 1e-6, found, np.nan)
 
 
 OFF, CHECKED = 0.05, 3
@@ -730,7 +729,7 @@ def write_reference(name: str) -> str:
                 row = [str(k), f"{t:.10g}", *(nstr(x.x[0], KEPT) for point in points for x in point[: len(axes)])]
                 if reacts:
                     near = min(abs(float(motion.aligned(x))) for x in s) < OFF
-                    force = [np.nan] * 2 if near else reaction(problem, parts, run.torque)
+                    force = [np.nan] * 2 if near else reactions(problem, parts, run.torque)[:2]
                     row += ["" if np.isnan(x) else f"{x:.17g}" for x in force]
                 rows.append(row)
     if len(problem.bodies) < 100:

@@ -21,13 +21,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from _singular_codes import CODES, Found, Simulation, judged
+from _singular_codes import CATALOGUE, CODES, Found, Simulation, declared, given, judged
 from _singular_problems import FOLDER, PROBLEMS, Motion, Problem, loaded, table, write_reference
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import alfmu
-from alfmu.studies.tables import Row, environment, markdown, rounded, write_csv
+from alfmu.studies.tables import Cell, Row, environment, markdown, rounded, write_csv
 
 BRANCH, OPEN, CLOSE = 0.05, 1e-3, 0.1
 """Distance [m] from the nearest place of the branch, gap [m] of a closure, and error [m], above which a run has left
@@ -38,7 +38,7 @@ LIMIT, LONG, BRIEF = 30.0, 300.0, 0.2
 
 QUICK = ("particle", "five_bar", "kite"), ("alfmu", "SciPy")
 OWN = [name for name in CODES if name.startswith("alfmu")]
-LOST = ("left the branch", "loops open")
+LOST, DONE = ("left the branch", "loops open"), ("ok", "inaccurate")
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 
 # One code on one problem ------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ def measured(name: str, code: str) -> None:
         for variant in variants:
             simulate, alone = chosen.build(problem, **variant), len(variants) == 1
             row = {} if alone else judge(simulate, chosen.values[1], 0, 5)
-            rank = row.get("result", "ok") not in ("ok", "inaccurate"), row.get("error [m]", 0.0)
+            rank = row.get("result", "ok") not in DONE, row.get("error [m]", 0.0)
             ways.append((rank, simulate, ", ".join(f"{key} {x:g}" for key, x in variant.items())))  # type: ignore[arg-type]
     except Exception as error:
         print(json.dumps(base | {"result": f"stopped: {_said(error)}"}), flush=True)
@@ -169,42 +169,55 @@ def apart(name: str, code: str, limit: float) -> list[Row]:
 
 
 def class_row(name: str) -> Row:
-    """Pole or limit of the force where the motion passes its singular position, and what alfmu says it is."""
-    from _singular_codes import _given, declared
-
+    """Pole or limit of forces where the motion passes its singular position, and what alfmu says 1e-4 rad beside."""
     problem, motion = loaded(name), PROBLEMS[name]()[1]
+    problem.runs[0].q = [motion.singular] * len(
+        problem.bodies
+    )  # guesses, of which each is 0 where this file declares it
     e = alfmu.derive(declared(problem))
     i = alfmu.Instance(e)
-    for key, x in {**_given(problem, problem.runs[0], e), "solver.method": "rk4"}.items():
+    parameters = CATALOGUE.get(name, ("", {}, {}))[2]
+    for key, x in {**given(problem, problem.runs[0], e), **parameters, "solver.method": "rk4"}.items():
         i.set(key, x)
     for v in e.starts:
-        i.set(v.name, motion.singular)
+        i.set(v.name, motion.singular + 1e-4)
+    for v in e.start_rates:
+        i.set(v.name, 2.0)
     i.initialize()
     says = {0: "regular", 1: "limit", 2: "pole"}[round(float(i.get("monitor.singular")))]
-    return {"problem": name, "force of the first closure": problem.reactions, "alfmu says": says}
+    return {"problem": name, "forces": problem.reactions, "alfmu says": says}
 
 
 # Tables and picture -----------------------------------------------------------------------------------------------
 
 
 def best(rows: Sequence[Row], problem: str, code: str) -> Row:
-    """The most accurate row of a code on a problem."""
+    """The most accurate row of a code on a problem; of lost ones that which kept the branch most often."""
     mine = [row for row in rows if (row["problem"], row["code"]) == (problem, code)]
-    done = [row for row in mine if row["result"] in ("ok", "inaccurate")]
-    return min(done, key=lambda row: row["error [m]"]) if done else mine[0] if mine else {}  # type: ignore[arg-type,return-value]
+    done = [row for row in mine if row["result"] in DONE]
+    if done:
+        return min(done, key=lambda row: row["error [m]"])  # type: ignore[arg-type,return-value]
+    return max(mine, key=lambda row: int(str(row.get("branch kept", "0")).split()[0]), default={})
 
 
 def cell(rows: Sequence[Row], problem: str, code: str) -> str:
     """Least error and its time, or why there is none."""
     row = best(rows, problem, code)
-    if row.get("result") in ("ok", "inaccurate"):
+    if row.get("result") in DONE:
         return f"{row['error [m]']:.0e} m, {rounded(row['seconds'], 2)} s"
-    return str(row.get("result", "-")).split(":")[0]
+    kept = str(row.get("branch kept", ""))
+    return str(row.get("result", "-")).split(":")[0] + f", {kept} kept" * (not kept.endswith("of 1") and bool(kept))
+
+
+def felt(rows: Sequence[Row], problem: str, code: str) -> Cell:
+    """The error of the force in the most accurate run that was not lost."""
+    row = best(rows, problem, code)
+    return row.get("force error [N]") if row.get("result") in DONE else None
 
 
 def duel(rows: Sequence[Row], problem: str) -> Row:
     """The rival that comes closest to alfmu at equal time, over all settings of all codes."""
-    runs = [row for row in rows if row["problem"] == problem and row["result"] in ("ok", "inaccurate")]
+    runs = [row for row in rows if row["problem"] == problem and row["result"] in DONE]
     own = [(row["seconds"], row["error [m]"]) for row in runs if row["code"] in OWN]
     found: Row = {"problem": problem}
     ratios, faster = [], []
@@ -219,6 +232,8 @@ def duel(rows: Sequence[Row], problem: str) -> Row:
         ratio, row = min(ratios, key=lambda pair: pair[0])
         found |= {"closest": row["code"], "its error [m]": row["error [m]"], "in [s]": row["seconds"]}
         found["its error / alfmu's"] = float(ratio)
+        as_good = [seconds for seconds, error in own if error <= row["error [m]"]]  # type: ignore[operator]
+        found["its time / alfmu's for that error"] = row["seconds"] / min(as_good) if as_good else None  # type: ignore[operator,type-var]
     if faster:
         row = min(faster, key=lambda row: row["error [m]"])  # type: ignore[arg-type,return-value]
         found["faster than any run of alfmu"] = f"{row['code']}: {row['error [m]']:.1e} m in {row['seconds']:.2g} s"
@@ -235,7 +250,7 @@ def picture(rows: Sequence[Row], names: Sequence[str]) -> Figure:
             style = {"color": f"C{k}", "marker": "osD^v<>ph"[k], "ls": "-" if code in OWN else ":"}
             runs = [row for row in rows if (row["problem"], row["code"]) == (name, code) and row.get("seconds")]
             for lost in (False, True):
-                chosen = [row for row in runs if (row["result"] not in ("ok", "inaccurate")) == lost]
+                chosen = [row for row in runs if (row["result"] not in DONE) == lost]
                 at = [(row["seconds"], row["error [m]"]) for row in chosen if row.get("error [m]")]
                 more = {"ls": "", "marker": "x"} if lost else {}
                 if at:
@@ -259,7 +274,7 @@ def page(rows: Sequence[Row], names: Sequence[str], classes: Sequence[Row], comm
     facts = environment(command, [CODES[code].package for code in dict.fromkeys(codes)])
     duels = [duel(rows, name) for name in names]
     heads = list(dict.fromkeys(key for row in duels for key in row))
-    lost = [row for row in rows if row["result"] not in ("ok", "inaccurate")]
+    lost = [row for row in rows if row["result"] not in DONE]
     kinds: dict[tuple, list[str]] = {}
     for row in lost:
         value = row.get("step") or row.get("tolerance")
@@ -272,7 +287,7 @@ def page(rows: Sequence[Row], names: Sequence[str], classes: Sequence[Row], comm
         "**Largest error of the force [N], of the most accurate run**",
         markdown(
             ["problem", *codes],
-            [[name, *(best(rows, name, code).get("force error [N]") for code in codes)] for name in names],
+            [[name, *(felt(rows, name, code) for code in codes)] for name in names],
             2,
         ),
         "**Pole or limit**",
