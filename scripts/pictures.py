@@ -14,8 +14,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import _passages as study
 import numpy as np
-import singular_study as study
 from matplotlib.figure import Figure
 
 import alfmu
@@ -64,7 +64,7 @@ def distance(equations: alfmu.Equations, angle: float) -> float:
 
 def singular(output: Path) -> None:
     """Draw the distance from a singular position, and the error of the angle, over a motion through it."""
-    equations = study.scene("vm", "four_bar", coordinates="joint")
+    equations = study.scene("four_bar", coordinates="joint")
     acceleration, before = study.parallelogram(), -STEP * BEFORE
     # The acceleration depends on the angle alone, so that a motion run backwards is one.
     start = study.motion(acceleration, np.array([[0.0], [SPEED]]), TORQUE, np.array([0.0, -before]), 0.005)[-1, :, 0]

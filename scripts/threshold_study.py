@@ -113,10 +113,10 @@ def references(cases: Sequence[str]) -> dict[str, Any]:
     """The exact motions that these cases are judged by; no constant of the modules is part of them."""
     if set(cases) <= set(RUBBING):
         return {}
-    import singular_study as study
+    import _passages as study
 
     th, torque, w = study.np.array(study.phases(STARTS)).T
-    start, crank = (0.0, study.DRIVEN_SPEED), (study.slider_crank(study.ROD, study.ROD), study.CRANK_START)
+    start, crank = (0.0, study.DRIVEN_SPEED), (study.slider_crank, study.CRANK_START)
     five, four = study.parallelogram(m4=1.0), study.parallelogram()
     return {
         "five-bar": study.reference(five, start, sum(FIVE_BAR.values()), 0.02, 250).exact[:, 0],
@@ -154,7 +154,7 @@ def _started(equations: Any, given: Mapping[str, float]) -> Any:
 
 def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
     """A linkage from exactly its singular start over 5 s by steps of dt [s]: the error [rad] of its angle."""
-    import singular_study as study
+    import _passages as study
 
     import alfmu
 
@@ -167,7 +167,7 @@ def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, meth
 
 def _row(exact: Any) -> Found:
     """A row of two four-bars in absolute coordinates over 10 s at 1e-9: the error [rad] at the end."""
-    import singular_study as study
+    import _passages as study
 
     import alfmu
 
@@ -196,36 +196,29 @@ def _pressed(_: Any) -> Found:
 
 def _starts(exact: Any) -> Found:
     """The four-bar from random starts over 2.5 s by steps of 0.02 s: the largest error [rad]."""
-    import singular_study as study
+    import _passages as study
 
-    runs = study.run_phases("vm", "mixed", study.OWN, 0.02, study.phases(STARTS))
+    runs = study.run_phases(0.02, study.phases(STARTS))
     errors = [math.inf if run.stopped else run.error(exact[:, k]) for k, run in enumerate(runs)]
     return Found(max(errors), sum(run.evaluations for run in runs))
 
 
 def _crank(exact: Any) -> Found:
     """The slider-crank of equal links over 2 s by steps of 0.00125 s: the error [rad] of its crank."""
-    import singular_study as study
+    import _passages as study
 
-    import alfmu
-
-    equations = study.scene("vm", "slider_crank", coordinates="natural")
-    row = study.crank_run(equations, "vm", 2.0, study.ROD, exact)
-    if len(row) == 1:
-        raise alfmu.StepError(*row.values())
-    error, _, evaluations = row.values()
-    return Found(error, round(1600 * evaluations))
+    return Found(*study.crank_run(exact))
 
 
 def _read(_: Any, torque: float) -> Found:
     """Reactions of the four-bar at B, 1e-6 to 0.02 rad from its singular position: the error [N], poles aside."""
+    import _passages as study
     import numpy as np
-    import singular_study as study
 
     from alfmu.studies.paper import Parallelogram
 
     exact, worst = Parallelogram(m4=0.0, torque=torque), 0.0
-    equations = study.scene("vm", "four_bar", coordinates="mixed")
+    equations = study.scene("four_bar", coordinates="mixed")
     for distance in (1e-6, 1e-4, 1e-3, 4e-3, 0.02):
         i = _started(equations, {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY})
         forces = exact.multipliers(np.array([distance]), np.array([study.DRIVEN_SPEED]))[:, 0]

@@ -1,0 +1,665 @@
+"""The codes of the singular benchmark: each builds any of its problems from the JSON file, and runs it.
+
+To add a code, write a function that takes a problem and returns a simulation, and add it to CODES.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from _singular_problems import GROUND, Body, Closure, Problem, Run
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dgelsy
+
+import alfmu
+from alfmu.equations.specialisation import specialised
+from alfmu.fmi.drive import Fmu
+from alfmu.runtime.pipeline import prepared, with_defaults
+from alfmu.studies.peers import solved
+
+TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+
+class Found(NamedTuple):
+    """What a run gave up to where it ended."""
+
+    places: NDArray
+    """The points, and both sides of each closure that is seen, (k, m, 3) [m]."""
+    force: NDArray | None
+    """Of the first closure on its second body (k, 2) [N]."""
+    seconds: float
+    """Processor time of the run without the time to prepare it."""
+    stopped: str = ""
+
+
+Simulation = Callable[[Run, float], Found]
+"""A run from a start by a step [s] or a tolerance."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """A way to simulate."""
+
+    build: Callable[..., Simulation]
+    package: str
+    values: Sequence[float]
+    """Steps [s] or tolerances, the coarsest first."""
+    control: str = "step"
+    module: str = ""
+    """By which it is imported."""
+    variants: Sequence[dict[str, float]] = ({},)
+    """Arguments of `build`: those with the least error at a middle setting are taken for each problem; of a long row
+    only the first are tried."""
+
+
+class Unable(Exception):
+    """The code has no such joint or constraint."""
+
+
+# Kinematics of the tree -------------------------------------------------------------------------------------------
+
+
+def judged(p: Problem) -> list[tuple[str, Sequence[float]]]:
+    """Body and place of each point of which places are returned."""
+    sides = [(c.first, c.first_at, c.second, c.second_at) for c in p.seen]
+    return [*p.points.values(), *(pair for a, x, b, y in sides for pair in ((a, x), (b, y)))]
+
+
+def skew(a: Sequence[float]) -> NDArray:
+    x, y, z = a
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], float)
+
+
+def poses(p: Problem, q: NDArray) -> dict[str, tuple[NDArray, NDArray]]:
+    """Attitude (k, 3, 3) and origin (k, 3) of every body over coordinates (k, n)."""
+    k = len(q)
+    found = {GROUND: (np.broadcast_to(np.eye(3), (k, 3, 3)), np.zeros((k, 3)))}
+    for body, x in zip(p.bodies, q.T, strict=True):
+        R, o = found[body.parent]
+        o, K = o + R @ np.array(body.at, float), skew(body.axis)
+        if body.joint == "prismatic":
+            found[body.name] = R, o + (R @ np.array(body.axis, float)) * x[:, None]
+        else:
+            s, c = np.sin(x)[:, None, None], np.cos(x)[:, None, None]
+            found[body.name] = R @ (np.eye(3) + s * K + (1 - c) * K @ K), o
+    return found
+
+
+def places(p: Problem, q: NDArray) -> NDArray:
+    """The judged points (k, m, 3) over coordinates (k, n)."""
+    at = poses(p, q)
+    return np.stack([at[body][1] + at[body][0] @ np.array(x, float) for body, x in judged(p)], 1)
+
+
+def chosen(p: Problem, name: str) -> Body:
+    return next(body for body in p.bodies if body.name == name)
+
+
+def axes_points(c: Closure) -> list[tuple[Sequence[float], Sequence[float]]]:
+    """Pairs of points that a closure keeps together: a hinge has two on its axis, at a distance of 0.2 m."""
+    if c.kind == "point":
+        return [(c.first_at, c.second_at)]
+    if c.kind == "distance":
+        raise Unable("has no constraint that keeps a distance")
+    pairs = []
+    for x in (-0.1, 0.1):
+        first, second = np.array(c.first_at) + x * np.array(c.axis), np.array(c.second_at) + x * np.array(c.second_axis)
+        pairs.append((first.tolist(), second.tolist()))
+    return pairs
+
+
+# alfmu ------------------------------------------------------------------------------------------------------------
+
+CATALOGUE: dict[str, tuple[str, dict[str, Any], dict[str, float]]] = {
+    "five_bar": ("five_bar", {"coordinates": "joint"}, {}),
+    "five_bar_massless": ("five_bar", {"coordinates": "mixed"}, {"m2": 0.0}),
+    "four_bar": ("four_bar", {"coordinates": "joint"}, {}),
+    "slider_crank": ("slider_crank", {"coordinates": "joint"}, {"l1": 0.5, "l2": 0.5}),
+    **{f"n_four_bar_{n}": ("n_four_bar", {"loops": n}, {}) for n in (2, 40, 1000)},
+}
+"""Mechanisms that come with alfmu: name, options and parameters. Others are declared from the file."""
+
+
+def declared(p: Problem) -> alfmu.Mechanism:
+    """The mechanism of a problem, with its points."""
+    if p.name in CATALOGUE:
+        name, options, _ = CATALOGUE[p.name]
+        m = alfmu.load(name, **options)
+        bodies: dict[str, Any] = {body.name: body for body in m.bodies}
+    else:
+        m, bodies = _mechanism(p)
+    for i, (body, x) in enumerate(judged(p)):
+        if body != GROUND:
+            m.watch(f"point{i}", bodies[body].at(*(x[:2] if p.planar else x)))
+    return m
+
+
+def _mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
+    m = alfmu.Mechanism(p.name, p.title)
+    run, planar = p.runs[0], p.planar
+    bodies: dict[str, Any] = {GROUND: m.ground if planar else m.spatial_ground}
+
+    def at(body: str, x: Sequence[float]) -> Any:
+        return bodies[body].at(*(x[:2] if planar else x))
+
+    for i, (body, q, v) in enumerate(zip(p.bodies, run.q, run.v, strict=True)):
+        free = body.name in p.independent
+        unit = "rad" if body.joint == "revolute" else "m"
+        coordinate = m.coordinate(f"q{i}", unit, start=q, rate=v if free else 0.0, independent=free)
+        inertia, center = np.array(body.inertia), tuple(body.center)
+        mass: Any = {"mass": body.mass}
+        if planar:
+            bodies[body.name] = m.body(body.name, inertia=inertia[2, 2], center=center[:2], **mass)
+            kind = {"revolute": m.revolute, "prismatic": m.prismatic}[body.joint]
+            turn = {"axis": math.atan2(body.axis[1], body.axis[0])} if body.joint == "prismatic" else {}
+        else:
+            bodies[body.name] = m.spatial_body(body.name, inertia=inertia, center=center, relative=True, **mass)
+            kind, turn = m.spatial_revolute, {"axis": tuple(body.axis)}  # type: ignore[dict-item]
+        joint = kind(f"joint{i}", at(body.parent, body.at), at(body.name, (0, 0, 0)), coordinate=coordinate, **turn)  # type: ignore[arg-type]
+        if i == 0 and any(run.torque for run in p.runs):
+            m.drive(joint, m.input("A.torque", "N.m" if body.joint == "revolute" else "N"))
+    for c in p.closures:
+        ends, turns = (at(c.first, c.first_at), at(c.second, c.second_at)), (c.axis, c.second_axis)
+        if c.second == GROUND:  # which alfmu takes first
+            ends, turns = ends[::-1], turns[::-1]
+        if c.kind == "distance":
+            m.distance(c.name, *ends, length=c.length)
+        elif c.kind == "hinge":
+            m.spatial_revolute(c.name, *ends, axis=turns[0], second_axis=turns[1])
+        else:
+            (m.revolute if planar else m.spherical)(c.name, *ends)
+    m.gravity(*(p.gravity[:2] if planar else p.gravity))
+    return m, bodies
+
+
+def given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
+    """The start and the torque of a run, by the names that an alfmu mechanism has for them."""
+    index = [i for i, body in enumerate(p.bodies) if body.name in p.independent]
+    given = dict(zip((v.name for v in e.starts), (run.q[i] for i in index), strict=True))
+    given |= dict(zip((v.name for v in e.start_rates), (run.v[i] for i in index), strict=True))
+    return given | ({"A.torque": run.torque} if run.torque else {})
+
+
+def _columns(p: Problem, e: alfmu.Equations) -> list[str]:
+    """Names of the outputs that are read."""
+    names = [f"point{i}.{axis}" for i, (body, _) in enumerate(judged(p)) if body != GROUND for axis in "xyz"]
+    force = [f"{p.closures[0].name}.force.{axis}" for axis in "xy"]
+    known = {v.name for v in e.outputs}
+    return [name for name in names if name in known] + [x for x in force if x in known and p.reactions != "none"]
+
+
+def _seen(p: Problem, names: Sequence[str], values: NDArray) -> tuple[NDArray, NDArray | None]:
+    """Places and force from values (k, names) of outputs."""
+    found = np.zeros((len(values), len(judged(p)), 3))
+    for i, (body, x) in enumerate(judged(p)):
+        found[:, i] = x if body == GROUND else 0.0
+    for name, column in zip(names, values.T, strict=True):
+        if name.startswith("point"):
+            point, axis = name.removeprefix("point").split(".")
+            found[:, int(point), "xyz".index(axis)] = column
+    force = [i for i, name in enumerate(names) if ".force." in name]
+    return found, values[:, force] if len(force) == 2 else None
+
+
+def _settings(tolerance: float) -> dict[str, float]:
+    return {"solver.relative_tolerance": tolerance, "solver.absolute_tolerance": tolerance}
+
+
+def by_alfmu(p: Problem, kernel: str = "vm") -> Simulation:
+    """alfmu's library, a whole run in one call."""
+    e = with_defaults(alfmu.derive(declared(p)), {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]})
+    names = _columns(p, e)
+    scene = prepared(specialised(e, names), kernel)
+
+    def simulate(run: Run, value: float) -> Found:
+        i = alfmu.Instance(scene)
+        for name, x in {**given(p, run, e), **_settings(value)}.items():
+            i.set(name, x)
+        begin = time.process_time()
+        values, error = i.run(p.times, [], np.empty((len(p.times), 0)), names)
+        seconds = time.process_time() - begin
+        return Found(*_seen(p, names, values), seconds, str(error) if error else "")
+
+    return simulate
+
+
+def by_fmu(p: Problem) -> Simulation:
+    """alfmu's co-simulation FMU in fmpy, a `doStep` and a `getReal` for each time."""
+    e = alfmu.derive(declared(p))
+    names = _columns(p, e)
+    folder = tempfile.TemporaryDirectory()
+    parameters = {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]}
+    path = alfmu.export(declared(p), Path(folder.name) / "problem.fmu", outputs=names, parameters=parameters)  # type: ignore[arg-type]
+    fmu = Fmu(path)
+    order = [[v.name for v in fmu.outputs].index(name) for name in names]
+
+    def simulate(run: Run, value: float) -> Found:
+        assert folder
+        if fmu.begun:
+            fmu.reset()
+        for name, x in {**given(p, run, e), **_settings(value)}.items():
+            fmu.set(name, x)
+        rows, stopped, begin = [], "", time.process_time()
+        try:
+            fmu.initialize()
+            rows.append(fmu.read())
+            for t in p.times[:-1]:
+                fmu.step(p.every, float(t))
+                rows.append(fmu.read())
+        except alfmu.AlfmuError as error:
+            stopped = str(error)
+        seconds = time.process_time() - begin
+        return Found(*_seen(p, names, np.array(rows)[:, order]), seconds, stopped)
+
+    return simulate
+
+
+# Pinocchio --------------------------------------------------------------------------------------------------------
+
+
+def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
+    """Pinocchio's tree with `CONTACT_3D`, Baumgarte's stabilisation of a frequency [1/s], and RK4 in NumPy."""
+    import pinocchio as pin
+
+    model, ids = pin.Model(), {GROUND: 0}
+    model.gravity.linear = np.array(p.gravity, float)
+
+    def at(x: Sequence[float]) -> Any:
+        return pin.SE3(np.eye(3), np.array(x, float))
+
+    def branch(parent: str) -> list[Body]:
+        """Bodies on a body, depth first, as Pinocchio must have them."""
+        return [x for body in p.bodies if body.parent == parent for x in (body, *branch(body.name))]
+
+    for body in branch(GROUND):
+        kind = pin.JointModelRevoluteUnaligned if body.joint == "revolute" else pin.JointModelPrismaticUnaligned
+        joint = model.addJoint(ids[body.parent], kind(np.array(body.axis, float)), at(body.at), body.name)
+        inertia = pin.Inertia(body.mass, np.array(body.center, float), np.array(body.inertia, float))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        ids[body.name] = joint
+    order = [model.joints[ids[body.name]].idx_q for body in p.bodies]
+    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    for c in p.closures:
+        for first, second in axes_points(c):
+            one = pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_3D, model, ids[c.first], at(first), ids[c.second], at(second), pin.LOCAL
+            )
+            one.m_baumgarte_parameters.Kp, one.m_baumgarte_parameters.Kd = frequency**2, 2 * frequency
+            models.append(one)
+            datas.append(one.createData())
+    data, n = model.createData(), model.nv
+    if lcaba:
+        pin.computeJointMinimalOrdering(model, data, models)
+        settings, function = pin.ProximalSettings(1e-12, 1e-12, mu, 10), pin.lcaba
+    else:
+        pin.initConstraintDynamics(model, data, models, datas)
+        settings, function = pin.ProximalSettings(1e-12, 1e-12, mu, 5), pin.constraintDynamics
+    tau = np.zeros(n)
+
+    def rate(y: NDArray) -> NDArray:
+        a = function(model, data, y[:n], y[n:], tau, models, datas, settings)
+        return np.concatenate([y[n:], a])
+
+    def simulate(run: Run, value: float) -> Found:
+        y = np.zeros(2 * n)
+        y[:n][order], y[n:][order] = run.q, run.v
+        tau[order[0]] = run.torque
+        states, forces, each, begin = [], [], round(p.every / value), time.process_time()
+        for k in range(len(p.times)):
+            for _ in range(each if k else 0):
+                k1 = rate(y)
+                k2 = rate(y + value / 2 * k1)
+                k3 = rate(y + value / 2 * k2)
+                k4 = rate(y + value * k3)
+                y = y + value / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            if not np.isfinite(y).all():
+                break
+            states.append(y[:n].copy())
+            if not lcaba:
+                rate(y)
+                forces.append(np.array(data.lambda_c[:3]))
+        seconds, q = time.process_time() - begin, np.array(states)[:, order]
+        R = poses(p, q)[p.closures[0].first][0]
+        force = -np.einsum("kij,kj->ki", R, np.array(forces))[:, :2] if forces else None
+        return Found(places(p, q), force, seconds, "" if len(q) == len(p.times) else "the state is NaN")
+
+    return simulate
+
+
+# MuJoCo -----------------------------------------------------------------------------------------------------------
+
+
+def by_mujoco(p: Problem, hardness: float) -> Simulation:
+    """MuJoCo by RK4, with `connect` and tendons of fixed length; stiffness is `hardness` over the step squared."""
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda text: None)
+
+    def numbers(x: Sequence[float]) -> str:
+        return " ".join(repr(float(each)) for each in x)
+
+    children: dict[str, list[Body]] = {}
+    for body in p.bodies:
+        children.setdefault(body.parent, []).append(body)
+    sites: dict[str, list[str]] = {}
+    loops, tendons = [], []
+    for i, c in enumerate(p.closures):
+        pairs = [(c.first_at, c.second_at)] if c.kind == "distance" else axes_points(c)
+        for j, pair in enumerate(pairs):
+            for side, body, x in zip("ab", (c.first, c.second), pair, strict=True):
+                sites.setdefault(body, []).append(f'<site name="{i}{side}{j}" pos="{numbers(x)}"/>')
+            if c.kind == "distance":
+                tendons.append(f'<spatial name="{i}"><site site="{i}a{j}"/><site site="{i}b{j}"/></spatial>')
+                loops.append(f'<tendon tendon1="{i}" polycoef="{c.length} 0 0 0 0"/>')
+            else:
+                loops.append(f'<connect site1="{i}a{j}" site2="{i}b{j}"/>')
+
+    def text(body: Body, joints: str = "", at: Sequence[float] | None = None) -> str:
+        kind = "hinge" if body.joint == "revolute" else "slide"
+        joints += f'<joint name="{body.name}" type="{kind}" axis="{numbers(body.axis)}"/>'
+        at, below = body.at if at is None else at, children.get(body.name, [])
+        if body.mass == 0 and len(below) == 1 and not any(below[0].at) and body.name not in sites:
+            return text(below[0], joints, at)  # bodies may have several joints
+        J = np.array(body.inertia) + 1e-9 * np.eye(3) * (body.mass > 0)
+        full = numbers([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])
+        mass = f'<inertial pos="{numbers(body.center)}" mass="{body.mass}" fullinertia="{full}"/>'
+        inner = "".join(sites.get(body.name, [])) + "".join(map(text, below))
+        return f'<body name="{body.name}" pos="{numbers(at)}">{joints}{mass}{inner}</body>'
+
+    tree = "".join(sites.get(GROUND, [])) + "".join(map(text, children[GROUND]))
+    xml = f"""<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>
+<option gravity="{numbers(p.gravity)}" integrator="RK4" solver="Newton" tolerance="1e-14" iterations="5">
+<flag contact="disable" refsafe="disable" autoreset="disable"/></option>
+<worldbody>{tree}</worldbody><tendon>{"".join(tendons)}</tendon><equality>{"".join(loops)}</equality></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    order = [model.joint(body.name).qposadr[0] for body in p.bodies]
+    reacts = p.closures[0].kind == "point"
+
+    def simulate(run: Run, value: float) -> Found:
+        stiffness = hardness / value**2
+        model.opt.timestep = value
+        model.eq_solref[:], model.eq_solimp[:, :3] = (-stiffness, -2 * math.sqrt(stiffness)), (0.9999, 0.9999, 1)
+        mujoco.mj_resetData(model, data)
+        data.qpos[order], data.qvel[order], data.qfrc_applied[order[0]] = run.q, run.v, run.torque
+        states, forces, each, begin = [], [], round(p.every / value), time.process_time()
+        for k in range(len(p.times)):
+            if k:
+                mujoco.mj_step(model, data, each)
+            mujoco.mj_forward(model, data)
+            if not np.isfinite(data.qpos).all():
+                break
+            states.append(data.qpos[order].copy())
+            forces.append(-data.efc_force[:2] if reacts else None)
+        seconds = time.process_time() - begin
+        stopped = "" if len(states) == len(p.times) else "the state is NaN"
+        return Found(places(p, np.array(states)), np.array(forces) if reacts else None, seconds, stopped)
+
+    return simulate
+
+
+# Exudyn -----------------------------------------------------------------------------------------------------------
+
+
+def by_exudyn(p: Problem) -> Simulation:
+    """Exudyn's generalized alpha on rigid bodies in redundant coordinates."""
+    import sys
+
+    sys.exudynFast = True  # type: ignore[attr-defined]
+    with contextlib.redirect_stdout(None):
+        import exudyn as exu
+        from exudyn import itemInterface as item
+        from exudyn.rigidBodyUtilities import RigidBodyInertia
+    exu.config.printToConsole = False
+    kinds = exu.OutputVariableType
+
+    def simulate(run: Run, value: float) -> Found:
+        mbs = exu.SystemContainer().AddSystem()
+        ground = mbs.CreateGround()
+        at = poses(p, np.array([run.q]))
+        speeds = {GROUND: (np.zeros(3), np.zeros(3))}
+        items = {GROUND: ground}
+        center = {GROUND: np.zeros(3)}
+        for body, rate in zip(p.bodies, run.v, strict=True):
+            (R, o), (u, w) = (x[0] for x in at[body.name]), speeds[body.parent]
+            axis = at[body.parent][0][0] @ np.array(body.axis, float)
+            u = u + np.cross(w, o - at[body.parent][1][0])
+            u, w = (u + axis * rate, w) if body.joint == "prismatic" else (u, w + axis * rate)
+            speeds[body.name] = u, w
+            c = R @ np.array(body.center, float)
+            center[body.name] = np.array(body.center, float)
+            inertia = RigidBodyInertia(body.mass, np.array(body.inertia, float))
+            items[body.name] = mbs.CreateRigidBody(
+                referencePosition=o + c,
+                referenceRotationMatrix=R,
+                initialVelocity=u + np.cross(w, c),
+                initialAngularVelocity=w,
+                inertia=inertia,
+                gravity=list(p.gravity),
+                create2D=p.planar,
+            )
+
+        def local(body: str, x: Sequence[float]) -> list[float]:
+            return (np.array(x, float) - center[body]).tolist()
+
+        def markers(first: str, x: Sequence[float], second: str, y: Sequence[float], rigid: bool = False) -> list:
+            kind = item.MarkerBodyRigid if rigid else item.MarkerBodyPosition
+            pairs = ((first, x), (second, y))
+            return [mbs.AddMarker(kind(bodyNumber=items[body], localPosition=local(body, at))) for body, at in pairs]
+
+        def hinge(first: str, second: str, at: NDArray, axis: NDArray) -> Any:
+            return mbs.CreateRevoluteJoint(bodyNumbers=[items[first], items[second]], position=at, axis=axis)
+
+        for body in p.bodies:
+            R, o = at[body.parent][0][0], at[body.name][1][0]
+            if not p.planar:
+                hinge(body.parent, body.name, o, R @ np.array(body.axis, float))
+            elif body.joint == "revolute":
+                ends = markers(body.parent, body.at, body.name, (0, 0, 0))
+                mbs.AddObject(item.ObjectJointRevolute2D(markerNumbers=ends))
+            else:
+                ends = markers(body.parent, body.at, body.name, (0, 0, 0), True)
+                normal = [-body.axis[1], body.axis[0], 0]
+                mbs.AddObject(
+                    item.ObjectJointPrismatic2D(markerNumbers=ends, axisMarker0=list(body.axis), normalMarker1=normal)
+                )
+        joints = []
+        for c in p.closures:
+            R, o = (x[0] for x in at[c.first])
+            place = o + R @ np.array(c.first_at, float)
+            if c.kind == "distance":
+                ends = markers(c.first, c.first_at, c.second, c.second_at)
+                joints.append(mbs.AddObject(item.ObjectConnectorDistance(markerNumbers=ends, distance=c.length)))
+            elif c.kind == "hinge":
+                joints.append(hinge(c.first, c.second, place, R @ np.array(c.axis, float)))
+            elif p.planar:
+                ends = markers(c.first, c.first_at, c.second, c.second_at)
+                joints.append(mbs.AddObject(item.ObjectJointRevolute2D(markerNumbers=ends)))
+            else:
+                bodies = [items[c.first], items[c.second]]
+                joints.append(mbs.CreateSphericalJoint(bodyNumbers=bodies, position=place))
+        if run.torque:
+            marker = mbs.AddMarker(item.MarkerBodyRigid(bodyNumber=items[p.bodies[0].name]))
+            mbs.AddLoad(item.LoadTorqueVector(markerNumber=marker, loadVector=[0, 0, run.torque]))
+        kept = {"storeInternal": True, "writeToFile": False}
+        sensors = [
+            mbs.AddSensor(
+                item.SensorBody(
+                    bodyNumber=items[body], localPosition=local(body, x), outputVariableType=kinds.Position, **kept
+                )
+            )
+            for body, x in judged(p)
+        ]
+        reacts = p.planar and p.closures[0].kind == "point"
+        if reacts:
+            felt = mbs.AddSensor(item.SensorObject(objectNumber=joints[0], outputVariableType=kinds.Force, **kept))
+        mbs.Assemble()
+        settings = exu.SimulationSettings()
+        settings.solution.sensors.writePeriod = p.every
+        settings.solution.file.write = False
+        settings.show.computationTime = False
+        settings.linearSolver.solverType = exu.LinearSolverType.EigenDense
+        settings.linearSolver.ignoreSingularJacobian = True
+        march = settings.timeIntegration
+        march.endTime, march.numberOfSteps, march.verboseMode = p.stop, round(p.stop / value), 0
+        march.newton.useModifiedNewton = True
+        stopped, begin = "", time.process_time()
+        try:
+            mbs.SolveDynamic(settings, solverType=exu.DynamicSolverType.GeneralizedAlpha)
+        except Exception as error:
+            stopped = " ".join(str(error).split("[Python")[0].split()) or type(error).__name__
+        seconds = time.process_time() - begin
+        columns = [mbs.GetSensorStoredData(each) for each in sensors]
+        k = min(map(len, columns))
+        if not k:
+            return Found(np.zeros((0, len(sensors), 3)), None, seconds, stopped or "no result")
+        force = -mbs.GetSensorStoredData(felt)[:k, 1:3] if reacts else None
+        return Found(np.stack([each[:k, 1:] for each in columns], 1), force, seconds, stopped)
+
+    return simulate
+
+
+# Drake ------------------------------------------------------------------------------------------------------------
+
+
+def by_drake(p: Problem) -> Simulation:
+    """Drake's discrete MultibodyPlant with SAP, of order 1; its continuous plant has no loops."""
+    from pydrake import all as drake
+
+    def built(value: float) -> tuple[Any, list[Any]]:
+        plant = drake.MultibodyPlant(value)
+        plant.set_discrete_contact_approximation(drake.DiscreteContactApproximation.kSap)
+        plant.mutable_gravity_field().set_gravity_vector(np.array(p.gravity, float))
+        frames, joints = {GROUND: plant.world_body()}, []
+        for body in p.bodies:
+            J, c = np.array(body.inertia), np.array(body.center, float)
+            moments = drake.RotationalInertia(J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2])
+            about = drake.SpatialInertia.MakeFromCentralInertia(body.mass, c, moments)
+            frames[body.name] = plant.AddRigidBody(body.name, about)
+            kind = drake.RevoluteJoint if body.joint == "revolute" else drake.PrismaticJoint
+            place, parent = drake.RigidTransform(np.array(body.at, float)), frames[body.parent].body_frame()
+            at = plant.AddFrame(drake.FixedOffsetFrame(f"at {body.name}", parent, place))
+            own, axis = frames[body.name].body_frame(), np.array(body.axis, float)
+            joints.append(plant.AddJoint(kind(body.name, at, own, axis)))
+        for c in p.closures:
+            ends = frames[c.first], np.array(c.first_at, float), frames[c.second], np.array(c.second_at, float)
+            if c.kind == "distance":
+                plant.AddDistanceConstraint(*ends, c.length)
+            else:
+                for first, second in axes_points(c):
+                    plant.AddBallConstraint(frames[c.first], np.array(first), frames[c.second], np.array(second))
+        if any(run.torque for run in p.runs):
+            plant.AddJointActuator("torque", joints[0])
+        plant.Finalize()
+        return plant, joints
+
+    def simulate(run: Run, value: float) -> Found:
+        plant, joints = built(value)
+        simulator = drake.Simulator(plant)
+        context = simulator.get_mutable_context()
+        for joint, q, v in zip(joints, run.q, run.v, strict=True):
+            turns = isinstance(joint, drake.RevoluteJoint)
+            (joint.set_angle if turns else joint.set_translation)(context, q)
+            (joint.set_angular_rate if turns else joint.set_translation_rate)(context, v)
+        if plant.num_actuators():
+            plant.get_actuation_input_port().FixValue(context, [run.torque])
+        simulator.Initialize()
+        states, order, begin = [], [joint.position_start() for joint in joints], time.process_time()
+        for t in p.times:
+            simulator.AdvanceTo(float(t))
+            states.append(plant.GetPositions(context)[order])
+        return Found(places(p, np.array(states)), None, time.process_time() - begin)
+
+    return simulate
+
+
+# SciPy ------------------------------------------------------------------------------------------------------------
+
+
+def by_scipy(p: Problem, frequency: float) -> Simulation:
+    """`solve_ivp`, DOP853, on the index-1 form by least squares with Baumgarte's stabilisation."""
+    n = len(p.bodies)
+    q, v, tau = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("tau")
+    at = {GROUND: (ca.SX.eye(3), ca.SX.zeros(3), ca.SX.zeros(3))}
+    M, r = ca.SX(n, n), ca.SX(n, 1)
+    for i, body in enumerate(p.bodies):
+        (R, o, w), axis = at[body.parent], ca.DM(list(body.axis))
+        o = o + R @ ca.DM(list(body.at))
+        if body.joint == "prismatic":
+            at[body.name] = R, o + R @ axis * q[i], w
+        else:
+            K = ca.DM(skew(body.axis))
+            at[body.name] = R @ (ca.DM.eye(3) + ca.sin(q[i]) * K + (1 - ca.cos(q[i])) * K @ K), o, w + R @ axis * v[i]
+        R, o, w = at[body.name]
+        c, I = o + R @ ca.DM(list(body.center)), R @ ca.DM(np.array(body.inertia)) @ R.T
+        J, W = ca.jacobian(c, q), ca.jacobian(w, v)
+        bias, turn = ca.jtimes(ca.jtimes(c, q, v), q, v), ca.jtimes(w, q, v)
+        M += body.mass * J.T @ J + W.T @ I @ W
+        r += body.mass * J.T @ (ca.DM(list(p.gravity)) - bias) - W.T @ (I @ turn + ca.cross(w, I @ w))
+    r[0] += tau
+    rows = []
+    for c in p.closures:
+        (R, o, _), (S, x, _) = at[c.first], at[c.second]
+        gap = x + S @ ca.DM(list(c.second_at)) - o - R @ ca.DM(list(c.first_at))
+        if c.kind == "distance":
+            rows.append(ca.norm_2(gap) - c.length)
+            continue
+        rows += ca.vertsplit(gap[:2] if p.planar else gap)
+        if c.kind == "hinge":
+            first, second = R @ ca.DM(list(c.axis)), S @ ca.DM(list(c.second_axis))
+            rows += ca.vertsplit(ca.cross(first, second))
+    Phi = ca.vertcat(*rows)
+    C = ca.jacobian(Phi, q)
+    xi = -ca.jtimes(C @ v, q, v) - 2 * frequency * C @ v - frequency**2 * Phi
+    terms = ca.Function("terms", [q, v, tau], [ca.densify(x) for x in (M, r, C, xi)], {"cse": True})
+    l = len(rows)
+
+    def simulate(run: Run, value: float) -> Found:
+        def solve(y: NDArray) -> tuple[NDArray, NDArray]:
+            M, r, C, xi = (np.array(x) for x in terms(y[:n], y[n:], run.torque))
+            solution = np.linalg.solve(M, np.hstack([r, C.T]))
+            S = C @ solution[:, 1:]
+            lam = dgelsy(S, C @ solution[:, :1] - xi, np.zeros(l, np.int32), 1e-8, 16 * l + 64)[1][:l, 0]
+            return solution[:, 0] - solution[:, 1:] @ lam, lam
+
+        def rate(y: NDArray) -> NDArray:
+            return np.concatenate([y[n:], solve(y)[0]])
+
+        begin = time.process_time()
+        states = solved(rate, np.array([*run.q, *run.v]), "DOP853", value, p.times)
+        seconds = time.process_time() - begin
+        reacts = p.planar and p.closures[0].kind == "point"
+        force = np.array([-solve(y)[1][:2] for y in states]) if reacts else None
+        stopped = "" if len(states) == len(p.times) else "no step succeeds"
+        return Found(places(p, states[:, :n]), force, seconds, stopped)
+
+    return simulate
+
+
+FIXED, ORDER_1 = (1e-2, 5e-3, 2.5e-3, 1e-3, 5e-4), (1e-2, 1e-3, 2e-4)
+STABLE = [{"frequency": w} for w in (40.0, 5.0, 100.0)]
+HARD = [{"hardness": c} for c in (0.2, 1.0, 2.0, 4.0)]
+PROXIMAL = [{"frequency": w, "mu": mu} for w in (20.0, 0.0, 60.0, 150.0) for mu in (1e-6, 1e-4, 1e-8, 1e-10)]
+
+CODES = {
+    "alfmu": Code(by_alfmu, "alfmu", TOLERANCES, "tolerance", "alfmu"),
+    "alfmu, compiled": Code(partial(by_alfmu, kernel="compiled"), "alfmu", TOLERANCES, "tolerance", "alfmu"),
+    "alfmu, FMU": Code(by_fmu, "fmpy", TOLERANCES, "tolerance", "fmpy"),
+    "Pinocchio, constraintDynamics": Code(by_pinocchio, "pin", FIXED, module="pinocchio", variants=PROXIMAL),
+    "Pinocchio, lcaba": Code(partial(by_pinocchio, lcaba=True), "pin", FIXED, module="pinocchio", variants=PROXIMAL),
+    "MuJoCo": Code(by_mujoco, "mujoco", FIXED, module="mujoco", variants=HARD),
+    "Exudyn": Code(by_exudyn, "exudyn", (1e-2, 1e-3, 2e-4), module="exudyn"),
+    "Drake": Code(by_drake, "drake", ORDER_1, module="pydrake"),
+    "SciPy": Code(by_scipy, "scipy", TOLERANCES[1:-1], "tolerance", "scipy", STABLE),
+}
+"""Every code, by the name that tables have for it."""
