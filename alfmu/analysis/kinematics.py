@@ -1,14 +1,14 @@
 """Kinematics and inverse dynamics of mechanisms by their actuated joints, with loops of any kind.
 
-Displacements x(q) of the actuated joints, or places w(q) of what is watched, determine a position together with the
+Displacements x(q) of the actuated joints, or watched values w(q), determine a position together with the
 loops. With motions N of the closed loops, C N = 0, rates and efforts follow from
 
     [C; x_q] v = [-Phi_t; x'],  [C; x_q] a = [xi; x'' - (x_q)' v],  (x_q N)' tau = N' (M a + d - f),
 
-where tau are the efforts of the actuators, of least norm if there are more than freedoms. The kinds of singular
-positions are those of C. Gosselin and J. Angeles (IEEE Transactions on Robotics and Automation 6, 1990, 281-290) and of
-D. Zlatanov, I. Bonev and C. Gosselin (ICRA 2002, 496-502); the manipulability is that of T. Yoshikawa (International
-Journal of Robotics Research 4, 1985, 3-9).
+where tau are the efforts of the actuators, of least norm if there are more actuators than degrees of freedom. The kinds
+of singular positions are those of C. Gosselin and J. Angeles (IEEE Transactions on Robotics and Automation 6, 1990,
+281-290) and of D. Zlatanov, I. Bonev and C. Gosselin (ICRA 2002, 496-502); the manipulability is that of T. Yoshikawa
+(International Journal of Robotics Research 4, 1985, 3-9).
 """
 
 from __future__ import annotations
@@ -94,23 +94,24 @@ class Position:
 
 @dataclass(frozen=True)
 class Transmission:
-    """The Jacobian from actuated rates to rates of what is watched, and the verdict on a position.
+    """The Jacobian from actuated rates to rates of the watched values, and the singularity of a position.
 
     Three numbers [1] vanish at singular positions: `constraint`, the least singular value of the constraint matrix over
-    its largest; `parallel`, the least rate of the actuators, and `serial`, the least rate of what is watched, for
-    motions with bodies at unit speed (rad/s, lengths over `size`), whichever coordinates and axes are chosen.
+    its largest; `parallel`, the least rate of the actuators, and `serial`, the least rate of the watched values. Both
+    are for motions with bodies at unit speed (rad/s, lengths over `size`) and do not depend on the choice of
+    coordinates and axes.
     """
 
     rows: tuple[str, ...]
-    """What is watched: velocities in ground axes."""
+    """Rates of the watched values: velocities in ground axes."""
     columns: tuple[str, ...]
     """Actuated joints."""
     matrix: Matrix
     """(rows, columns) in SI units; NaN at a parallel or a constraint singularity."""
     singular_values: Vector
-    """Of the matrix in SI units; if units of rows or columns differ, lengths are over `size` there."""
+    """Singular values of the matrix in SI units; if units of its rows or columns differ, lengths are over `size`."""
     manipulability: float
-    """Product of those that do not vanish at all positions."""
+    """Product of the singular values that do not vanish at all positions."""
     constraint: float
     parallel: float
     serial: float
@@ -120,8 +121,9 @@ class Transmission:
 
     @property
     def singular(self) -> tuple[str, ...]:
-        """Kinds of singularity: "constraint" (loops let more motions begin, and the others are not defined), "parallel"
-        (type 2: actuators cannot hold), "serial" (type 1: what is watched cannot follow)."""
+        """Kinds of singularity: "constraint" (loops allow more motions, and the other kinds are not defined),
+        "parallel" (type 2: locked actuators cannot hold the mechanism), "serial" (type 1: watched values cannot move in
+        a direction)."""
         found = [kind for kind in ("constraint", "parallel", "serial") if getattr(self, kind) <= SINGULAR]
         return ("constraint",) if "constraint" in found else tuple(found)
 
@@ -140,7 +142,7 @@ class Transmission:
 
 
 class _Quantities:
-    """Coordinates and outputs that follow from the position alone, as functions of it."""
+    """Coordinates and outputs that depend on the position alone, as functions of it."""
 
     def __init__(self, e: Equations):
         x = symbols(e)
@@ -168,13 +170,13 @@ class _Quantities:
         return [self.place[f"{name}.{end}"] for end in ends if f"{name}.{end}" in self.place]
 
     def parts(self, name: str) -> list[int]:
-        """Return the rows that a name stands for: a coordinate, an output, a joint, a body or a watched point."""
+        """Return the rows of a coordinate, an output, a joint, a body or a watched point."""
         own = [self.place[name]] if name in self.place else self.ends(name, *"xyz", "angle", "e0", "e1", "e2", "e3")
         return own or self.ends(name, "displacement")
 
 
 class _Steered(Loops):
-    """Loops closed together with given values of quantities; without these until `steered`."""
+    """Loops closed at given values of quantities; `steered` sets these values, of which there are none at first."""
 
     def __init__(self, situation: Situation, of: _Quantities):
         self.of, self.rows, self.goal = of, np.zeros(0, int), np.zeros(0)
@@ -203,7 +205,7 @@ class _Steered(Loops):
         return self._seen[1]
 
     def missed(self, y: Vector) -> Vector:
-        """Return how far quantities are from their given values, angles known up to turns by the nearest turn."""
+        """Return the distances of quantities from their given values, of wrapped angles modulo whole turns."""
         apart = self.look(y)[0][self.rows] - self.goal
         turned = np.remainder(apart + np.pi, 2 * np.pi) - np.pi
         return np.where(self.of.wrapped[self.rows], turned, apart) * self.weights[self.rows]
@@ -221,16 +223,16 @@ class _Steered(Loops):
         return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
-        return np.zeros(len(y))  # positions are the same whatever their loads
+        return np.zeros(len(y))  # loads do not change the solved positions
 
     def ahead(self, y: Vector, right: Vector) -> Vector:
-        """Return the change of y without time by which all rows change so, of least norm."""
+        """Return the change of y, without time, of least norm that changes the rows by `right`."""
         U, s, V = np.linalg.svd(self.matrix(y)[:, : self.moving], full_matrices=False)
         r = self.rank
         return np.asarray(V[:r].T @ ((U[:, :r].T @ right) / np.maximum(s[:r], 1e-300)), float)
 
     def lasting(self, y: Vector) -> Matrix:
-        """Return motions (n, freedom) by which the rates of all bodies are orthonormal, if bodies tell them apart."""
+        """Return motions (n, freedom) with orthonormal body rates; any basis if bodies do not tell motions apart."""
         of, N = self.of.of_bodies, self.motions(y)[: self.moving]
         rates = np.vstack([self.look(y)[1][of] * self.weights[of, None], self.look(y)[2]]) @ N
         _, s, V = np.linalg.svd(rates, full_matrices=False)
@@ -238,7 +240,7 @@ class _Steered(Loops):
         return np.asarray(N @ (V.T / s), float) if apart else N
 
     def rates(self, y: Vector, rows: Sequence[int]) -> Matrix:
-        """Return the rates of quantities (rows, freedom) for these motions, lengths over the size."""
+        """Return the rates of quantities (rows, freedom) for the motions `lasting`, lengths over the size."""
         return (self.look(y)[1][list(rows)] * self.weights[list(rows), None]) @ self.lasting(y)
 
 
@@ -273,7 +275,7 @@ class Kinematics:
         self.redundant: int = len(actuated) - self.freedom
         """Actuated joints beyond the degrees of freedom."""
         self.watched: dict[str, list[str]] = {name: [self._of.names[i] for i in self._named(name)] for name in watch}
-        """What is watched, each with the names of its values."""
+        """Watched points, bodies, joints and outputs, each with the names of its values."""
         self.start: Position = self._position(self._home)
         """The position at the start."""
 
@@ -282,7 +284,7 @@ class Kinematics:
 
     @property
     def notes(self) -> list[str]:
-        """What efforts leave open, as sentences."""
+        """Notes on the efforts: how redundant actuators share the load, and which friction is left out."""
         notes, rubs = [], ", ".join(x.name for x in self._where.equations.frictions)
         if self.redundant:
             more = counted(self.redundant, "actuator") + " more than degrees of freedom"
@@ -292,19 +294,20 @@ class Kinematics:
     # Positions --------------------------------------------------------------------------------------------------
 
     def forward(self, values: Values = None, near: Position | None = None) -> Position:
-        """Return the position with these displacements of the actuated joints; those not given stay where they are.
+        """Return the position with these displacements of the actuated joints; the others keep theirs.
 
-        It is reached from `near`, or the start, on a straight line in the displacements. Raises InputError where that
-        ends, with the least singular value measured there.
+        It is reached from `near`, or the start, on a straight line in the displacements. Raises InputError where
+        that line ends, with the least singular value measured there.
         """
         rows, goal = self._given(values, self._loops.look(self._begin(near))[0][self._rows])
         return self._position(self._moved(rows, goal, near))
 
     def inverse(self, values: Values, near: Position | None = None) -> Position:
-        """Return the position with these values of what is watched, or of any joints, coordinates and outputs.
+        """Return the position with these values of watched points, or of any joints, coordinates and outputs.
 
-        It is the one reached from `near`, or the start, on a straight line in the values, else the nearest found from
-        several places, within the limits of stops. Raises InputError if there is none.
+        It is reached from `near`, or the start, on a straight line in the values. If that fails or ends beyond a limit
+        stop, it is the nearest one found from several starting positions within the limits. Raises InputError if there
+        is none.
         """
         rows, goal = self._targets(values, near)
         try:
@@ -325,8 +328,8 @@ class Kinematics:
     def solutions(self, values: Values, near: Position | None = None, starts: int = STARTS) -> list[Position]:
         """Return all positions with these values that are found from several starts, the nearest to `near` first.
 
-        Values of all actuated joints give the assemblies of the loops, those of what is watched the inverse solutions;
-        positions beyond limit stops are among them. Raises InputError if the values leave a freedom.
+        Values of all actuated joints give the assemblies of the loops, watched values the inverse solutions; positions
+        beyond limit stops are included. Raises InputError if the values leave a degree of freedom.
         """
         self._whole("starts", starts, 0)
         rows, goal = self._targets(values, near)
@@ -342,13 +345,13 @@ class Kinematics:
         for place in (begin, *loops.scattered(starts)):
             y = loops.closed(place)
             if y is not None and not any(self._loops.same(y.copy(), other, SAME) for other in found):
-                kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles are as given
+                kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles keep their turns
                 kept = np.pad(kept, (0, len(y) - len(kept))) & (loops.units == "rad")
                 found.append(np.where(kept, y, self._loops.nearer(y.copy(), begin)))
         return [self._position(y) for y in sorted(found, key=lambda y: float(np.abs(y - begin).max(initial=0.0)))]
 
     def _moved(self, rows: Sequence[int], goal: Vector, near: Position | None) -> Vector:
-        """Return the closed position with values, on the straight line in them from another position."""
+        """Return the closed position with these values, on a straight line in the values from another position."""
         y = self._begin(near)
         loops = self._loops.steered(rows, goal, self._spans(rows))
         weights, apart = loops.weights[loops.rows], loops.missed(y)
@@ -375,7 +378,7 @@ class Kinematics:
         return ", ".join(f"{named.get(i, self._of.names[i])} = {text}" for i, text in pairs)
 
     def _between(self, rows: Sequence[int], here: Vector, goal: Vector, part: float) -> Vector:
-        """Return values on the way, with Euler parameters at unit length."""
+        """Return values between two positions, with normalised Euler parameters."""
         found, names = here + part * (goal - here), [self._of.names[i] for i in rows]
         for body in {name[:-1] for name in names if name.endswith(".e0")}:
             which = [k for k, name in enumerate(names) if name[:-1] == body]
@@ -441,7 +444,7 @@ class Kinematics:
         return found
 
     def _targets(self, values: Values, near: Position | None) -> tuple[list[int], Vector]:
-        """Return rows and values of what is given by names, Euler parameters at unit length."""
+        """Return rows and values given by names, with normalised Euler parameters."""
         here = self._loops.look(self._begin(near))[0]
         if not isinstance(values, Mapping):
             return self._given(values, here[self._rows])
@@ -464,7 +467,7 @@ class Kinematics:
         return rows, np.array(goal)
 
     def _given(self, values: Values, others: Vector) -> tuple[list[int], Vector]:
-        """Return rows and values of actuated joints: those given if these determine the motion, else all."""
+        """Return rows and values of the given actuated joints if they determine the motion, else of all."""
         values = {} if values is None else values
         if not isinstance(values, Mapping):
             numbers = self._numbers("the list of values", values)
@@ -479,7 +482,7 @@ class Kinematics:
         return [self._rows[k] for k in named], np.array(goal, float)
 
     def _regular(self) -> list[Vector]:
-        """Return the start and positions beside it on several ways, most of which are regular."""
+        """Return the start and positions near it along several motions, most of which are regular."""
         loops, found = self._loops, [self._home]
         N = loops.motions(self._home, self._where.start.freedom_here)
         for k, part in enumerate((STEP, -STEP, 2 * STEP, STEP)):
@@ -489,7 +492,7 @@ class Kinematics:
         return found
 
     def _spans(self, rows: Sequence[int]) -> int:
-        """Return how many motions quantities tell apart, at regular positions."""
+        """Return the rank of the rates of quantities at regular positions."""
         key = tuple(rows)
         if key not in self._ranks:
             sizes = [np.linalg.svd(self._loops.rates(y, rows), compute_uv=False) for y in self._beside if len(rows)]
@@ -521,7 +524,7 @@ class Kinematics:
     # Jacobian and efforts ---------------------------------------------------------------------------------------
 
     def transmission(self, position: Position | None = None) -> Transmission:
-        """Return the Jacobian from actuated rates to rates of what is watched, and the verdict on a position.
+        """Return the Jacobian from actuated rates to rates of the watched values, and the singularity of a position.
 
         The rates of a point are its velocity [m/s], those of a body in space the velocity of its centre of mass and its
         angular velocity [rad/s], all in ground axes.
@@ -558,9 +561,10 @@ class Kinematics:
     ) -> dict[str, float]:
         """Return the efforts of the actuators [N.m or N] at a position for rates and accelerations of their joints.
 
-        Without these it is at rest: gravity and springs are compensated. Loads, springs, dampers and inputs act as
-        declared; dry friction, and drives and motions of the actuated joints do not. Redundant actuators share the load
-        by least norm, forces times `size` beside moments. Raises InputError at a singular position.
+        Rates and accelerations are zero by default, so that efforts compensate gravity and springs. Loads, springs,
+        dampers and inputs act as declared. Dry friction, and drives and motions of the actuated joints, are left out.
+        Redundant actuators share the load with the least norm of moments and forces times `size`. Raises InputError at
+        a singular position.
         """
         where, loops = self._where, self._loops
         y, found = self._begin(position), self.transmission(position)
@@ -601,8 +605,8 @@ class Kinematics:
     def along(self, motion: Mapping[str, Signal], times: Sequence[float] | Vector | None = None) -> Result:
         """Return efforts along a motion of the actuated joints, as a result with columns by name.
 
-        `motion` gives joints as tables (times, values) [s; rad or m] of six points or more, through which a spline of
-        fifth degree runs; those not given rest. Rows are at `times` [s], by default those of the first table. Columns
+        `motion` gives joints as tables (times, values) [s; rad or m] of six points or more, interpolated by a spline of
+        fifth degree; the other joints rest. Rows are at `times` [s], by default those of the first table. Columns
         are displacements, `der(NAME)`, `der(NAME,2)`, efforts `NAME.torque` or `NAME.force`, and all values.
         """
         from scipy.interpolate import make_interp_spline
@@ -691,14 +695,14 @@ class Kinematics:
         rows: int = 181,
         transmission: str | None = None,
     ) -> Result:
-        """Return a motion of one actuated joint at unit rate [rad/s or m/s], the first by default; others stay.
+        """Return a motion of one actuated joint, by default the first, at unit rate [rad/s or m/s]; the others rest.
 
         The joint makes a whole turn, moves between its dead positions, or over `span` [rad or m]. Columns: the joint,
-        all values, rates of what is watched (`tool.x/A`, per unit of the joint), `tool.advantage` (mechanical
-        advantage: force along the path of what is watched over the effort of the joint), `transmission_angle` [rad]
-        at the hinge `transmission` (by default the one between a coupler and a driven link on the ground),
-        `manipulability`, and the numbers of `Transmission`. `facts` has `dead`, displacements at which the joint turns
-        back, and `toggles`, those at which what is watched does, by name; plots mark them.
+        all values, rates of watched values (`tool.x/A`, per unit of the joint), `tool.advantage` (mechanical advantage:
+        the force along the path of the watched point over the effort of the joint), `transmission_angle` [rad] at the
+        hinge `transmission` (by default the one between a coupler and a driven link on the ground), `manipulability`,
+        and the numbers of `Transmission`. `facts` has `dead`, displacements at which the joint turns back, and
+        `toggles`, by name the displacements at which a watched point or value turns back; plots mark them.
         """
         at = 0 if joint is None else self._index(joint)
         joint, begin = self.actuated[at], self.start if near is None else near
@@ -743,7 +747,7 @@ class Kinematics:
         return self._result(grid - low, columns, positions, facts)
 
     def _speeds(self, names: Sequence[str], at: int, position: Position) -> Vector:
-        """Return the rates of values by one actuated joint; NaN where the actuated joints do not determine them."""
+        """Return rates of values per rate of one actuated joint; NaN if the actuated joints do not determine them."""
         loops, y, rows = self._loops, self._begin(position), [self._of.place[name] for name in names]
         x = loops.rates(y, self._rows)
         if np.linalg.svd(x, compute_uv=False)[self.freedom - 1] <= SINGULAR:
@@ -762,7 +766,7 @@ class Kinematics:
     def _toggles(
         self, at: int, grid: Vector, positions: Sequence[Position], names: Sequence[str], speeds: Matrix
     ) -> list[float]:
-        """Return displacements of a joint at which a point or a value turns back, between rows whose rates oppose."""
+        """Return displacements of a joint at which a point or a value turns back, between rows with opposite rates."""
         from scipy.optimize import brentq
 
         found, fixed = [], {self.actuated[k]: positions[0].actuated[self.actuated[k]] for k in self._others(at)}
@@ -778,7 +782,7 @@ class Kinematics:
         return found
 
     def _range(self, at: int, begin: Position) -> tuple[float, float, dict[float, Position]]:
-        """Return the range of a joint, a whole turn or between dead positions, and the dead positions."""
+        """Return the range of a joint (a whole turn, or the one between dead positions) and its dead positions."""
         from scipy.optimize import brentq
 
         if "constraint" in self.transmission(begin).singular:
@@ -833,7 +837,7 @@ class Kinematics:
             return [x[0] for x in found] if [len(x) for x in found] == [1, 1] else []
 
         def leads(joint: Any) -> bool:
-            """Return whether a coupler leads a link on the ground here that is not actuated itself."""
+            """Return whether this joint connects a coupler with a link on the ground that is not actuated."""
             fixed = [x for x in beside(joint) if x.first.body in ground or x.second.body in ground]
             driven = any(_belongs(x, name) for x in fixed for name in self.actuated)
             return len(fixed) == 1 and not driven and joint.first.body not in ground
@@ -866,14 +870,14 @@ class Kinematics:
 
 
 def _plain(x: Any) -> Any:
-    """Return an object or numbers as data for JSON, which has None for those that are not finite."""
+    """Return an object or numbers as data for JSON, with None for NaN and infinity."""
     if isinstance(x, Position | Transmission):
         return {name: _plain(each) for name, each in vars(x).items()}
     return np.where(np.isfinite(x), x, np.array(None)).tolist() if isinstance(x, float | np.ndarray) else x
 
 
 def _belongs(joint: Any, name: str) -> bool:
-    """Return whether an actuated name is that of a joint or of its coordinate."""
+    """Return whether a name of an actuated joint is that of this joint or of its coordinate."""
     whole = getattr(joint, "joint", joint)
     own = [getattr(joint, "coordinate", None), *(getattr(whole, "coordinates", None) or ())]
     if whole is not joint and len(own) > 1:
@@ -894,10 +898,10 @@ def kinematics(
     """Return the kinematics and inverse dynamics of a mechanism by its actuated joints, with loops of any kind.
 
     `mechanism` is a mechanism or recipe as for `simulate`, but no FMU and no equations. `actuated` names joints with
-    one free motion (of others `joint.angle1` and the like), or coordinates; by default joints with a drive, such as a
-    motor, or a motion. Their drives, motions and generalised forces are left out. `watch` names points, bodies, joints
-    or outputs whose Jacobian is wanted, by default the watched points. `parameters` sets parameters, start values and
-    inputs by name; `inputs` and laws of time are taken at `time` [s].
+    one free motion, single motions of other joints (`joint.angle1`), or coordinates; by default joints with a drive,
+    such as a motor, or a motion. Their drives, motions and generalised forces are left out. `watch` names points,
+    bodies, joints or outputs whose Jacobian is wanted, by default the watched points. `parameters` sets parameters,
+    start values and inputs by name; `inputs` and laws of time are taken at `time` [s].
 
     Raises InputError if the actuated joints do not determine the motion, with the degrees of freedom measured, and
     AlfmuError if a name or a value is invalid, or the loops cannot be closed.
@@ -918,7 +922,8 @@ def kinematics(
 
 
 def _undriven(declared: Mechanism, names: Sequence[str]) -> tuple[Mechanism, bool]:
-    """Return a mechanism without what drives the actuated joints, all joints measured; and whether motions are gone."""
+    """Return a mechanism with all joints measured, without drives and motions of the actuated ones, and whether motions
+    were removed."""
     m = copy(declared)
 
     def drives(of: Any, name: str = "") -> bool:

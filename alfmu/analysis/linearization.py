@@ -75,9 +75,9 @@ class Linearization:
     """Small motions about a state: x' = A x + B u + x'0, y = y0 + C x + D u, with x, u, y changes from the state.
 
     `states` are independent coordinates NAME, their rates der(NAME), and states of the mechanism if it has any;
-    `inputs` and `outputs` have the names of FMI. An input that prescribes motion acts by its value, its rate and its
-    acceleration: those that are no inputs of the mechanism are named der(NAME) and der(NAME,2). Laws of time are frozen
-    at the state.
+    `inputs` and `outputs` have their FMI names. An input that prescribes motion acts by its value, its rate and its
+    acceleration; if the mechanism does not have these as inputs, they are named der(NAME) and der(NAME,2). Laws of time
+    keep their values at the state.
     """
 
     mechanism: str

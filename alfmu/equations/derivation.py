@@ -561,7 +561,7 @@ def _laws(m: Mechanism, q: ca.SX, v: ca.SX) -> ca.SX:
 
 
 def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
-    """Return these laws for messages of a run; a switchable one applies while its constraint is in force."""
+    """Return the laws whose jumps a run reports; a switchable one applies while its constraint is in force."""
     rows = {c.name: i for i, (c, direction) in enumerate(closures) if direction == "motion"}
     return [Leap(law.what, law.unit, rows[law.motion] if law.motion else -1) for law in m.laws]
 

@@ -208,7 +208,7 @@ def packed_scene(
 
 
 def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str, picture: bytes) -> dict[str, bytes]:
-    """Return the files of a native FMU, or of one of sources."""
+    """Return the files of a native FMU or of a source-code FMU."""
     e, fmi, bare = equations, recipe.fmi, recipe.kind == "source"
     chosen = [] if bare else native.platforms(e.name, recipe.platforms)
     interfaces, derivatives = _interfaces(recipe, e), recipe.derivatives is not False

@@ -1,4 +1,4 @@
-"""The C library of the runtime inside FMUs: those that alfmu came with, others by zig."""
+"""The C library of the runtime inside FMUs: libraries shipped with alfmu, and others that zig builds."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Feature:
 
 
 _KEPT = {"gradient.h", "interface_jacobian.h"}
-"""Headers of `derivatives` that say what there is without them."""
+"""Headers of `derivatives` that also serve a runtime without derivatives."""
 
 FEATURES = {
     "FRICTION": Feature(
@@ -87,11 +87,11 @@ FEATURES = {
         lambda e: e.jacobian,
     ),
 }
-"""Parts of the runtime that a native FMU leaves out where its scene does not need them, by their names in C."""
+"""Parts of the runtime, by their names in C, that a native FMU omits if its scene does not need them."""
 
 
 def left_out(equations: Traced, derivatives: bool = True, exchange: bool = True) -> list[str]:
-    """Names of the features that traced equations do not need, or that nobody asks for."""
+    """Return the features that traced equations do not need, or that the arguments exclude."""
     asked, unasked = {"DERIVATIVES"} if derivatives else (), () if exchange else {"MODEL_EXCHANGE"}
     return [
         name
@@ -101,7 +101,7 @@ def left_out(equations: Traced, derivatives: bool = True, exchange: bool = True)
 
 
 def checked(equations: Equations) -> None:
-    """ExportError where a scene asks for what no FMU has."""
+    """Raise ExportError if default settings of the equations are not available in FMUs."""
     e, chosen = equations, default_settings(equations)
     known = formulations(e)
     if chosen.formulation not in known:
@@ -116,10 +116,10 @@ def checked(equations: Equations) -> None:
 def sources(
     fmi: int, without: Container[str] = (), instead: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, str]:
-    """The C files by name: one header, and one file per folder of the runtime, without these features.
+    """Return the C files by name: one header, and one file per folder of the runtime, without these features.
 
-    They have no comments, and neither `binding` nor the functions of the other version of FMI. Texts `instead` stand in
-    place of those of files; the last one is `plain.c` among them where there is no version of FMI (0).
+    They have no comments, and leave out `binding` and the functions of the other version of FMI. The texts `instead`
+    replace those of files; for plain C (`fmi` 0) they have `plain.c`, which comes last.
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
@@ -161,13 +161,13 @@ _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
 
 
 def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
-    """A text with each header in place of its first inclusion."""
+    """Return a text with each header in place of its first inclusion."""
 
     def header(found: re.Match[str]) -> str:
         name = found[1]
         if name in there:
             return ""
-        if not name.startswith("internal_"):  # which stand where declarations begin and end, each time
+        if not name.startswith("internal_"):  # these are included more than once
             there.add(name)
         return _with_headers(headers[name], headers, there)
 
@@ -175,20 +175,20 @@ def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str
 
 
 _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)
-"""A comment with the space before it, or (as a group) what is none."""
+"""A comment with the space before it, or (as a group) a string or character literal."""
 
 
 _MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
 
 
 def _without_comments(text: str) -> str:
-    """A text without comments and empty lines, indented by tabs, which makes an archive smaller."""
+    """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
     text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
     return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:
-    """Names of platforms: those that alfmu came with where none is asked for; `all` stands for every one."""
+    """Return names of platforms; by default those whose libraries are shipped, and every one for `all`."""
     names = list(names) or [name for name in PLATFORMS if there(name).is_file()]
     names = list(PLATFORMS) if names == ["all"] else names
     if unknown := [name for name in names if name not in PLATFORMS and name != WASM]:
@@ -199,12 +199,12 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
 
 
 def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
-    """The library of each platform, with which alfmu came or which zig builds now."""
+    """Return the library of each platform, shipped with alfmu or built by zig."""
     return {name: library(name, scene) for name in names}
 
 
 def component(name: str, scene: bytes) -> dict[str, bytes]:
-    """The files by which an FMU runs as WebAssembly, with its scene inside."""
+    """Return the files by which an FMU runs as WebAssembly; the component contains the scene."""
     binary = with_scene(library(build.COMPONENT, name), scene)
     return {
         f"binaries/{build.COMPONENT}/{name}.wasm": binary,
@@ -213,12 +213,12 @@ def component(name: str, scene: bytes) -> dict[str, bytes]:
 
 
 def libraries_in(path: Path, kind: str) -> dict[str, str]:
-    """The platforms for which an FMU of a kind carries the runtime, with the version of glibc that it needs there."""
+    """Return the platforms for which an FMU of a kind has the runtime, each with the version of glibc that it needs."""
     with zipfile.ZipFile(path) as archive:
         files = archive.namelist()
 
         def of(name: str, fmi3: str) -> str | None:
-            if kind == "python":  # its binaries are pythonfmu's
+            if kind == "python":  # the folder `binaries` has those of pythonfmu
                 return next((each for each in files if each == f"resources/{file_name(name)}"), None)
             places = tuple(f"binaries/{each}/" for each in (name, fmi3))
             return next((each for each in files if each.startswith(places)), None)

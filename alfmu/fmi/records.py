@@ -382,7 +382,7 @@ def _record(folder: Path, path: Path, element: ET.Element) -> Record:
 
     start = number("startTime", -math.inf, 0.0)
     stop, step = number("stopTime", math.nextafter(start, math.inf)), number("stepSize", math.ulp(0.0))
-    communication_points(name, stop - start, step)  # or raises for too many of them
+    communication_points(name, stop - start, step)  # raises InputError if there are too many
     given: dict[str, Any] = {}
     for tag, field_name, kind, read in (
         ("Parameters", "parameters", SSV, lambda p: read_parameter_set(p.read_bytes(), p.name)),

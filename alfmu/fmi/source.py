@@ -1,7 +1,7 @@
 """Self-contained C of a mechanism: one file with the runtime, the scene as constant tables, and its memory.
 
-The runtime is that of every FMU, without the functions that this scene never calls, files, stdio, malloc, and
-extensions of compilers. The files of `runtime/c/source` stand in place of those of the same name.
+The runtime is that of every FMU, without functions that this scene never calls, and without files, stdio, malloc and
+compiler extensions. The files of `runtime/c/source` replace those of the same name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MOST_ITERATIONS = 1000
 """Iterations of a loop without a fixed number: the largest solver.max_iterations."""
 
 STATES = 2
-"""States of an instance that an FMU has memory for."""
+"""Number of saved states for which an FMU has memory."""
 
 _RESERVED = frozenset(
     """auto break case char const continue default do double else enum extern float for goto if inline int long register
@@ -53,13 +53,13 @@ _STEPS = 1000
 
 
 def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
-    """Return C files of traced equations: those of an FMU of a version of FMI with this GUID, or plain C for 0."""
+    """Return the C files of traced equations, for an FMU of version `fmi` with this GUID, or as plain C for 0."""
     if equations.name in _RESERVED:
         raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
     own, name = smallest(equations), equations.name
     kept = Scene(identified(packed(own), guid), installed())
     scene = loaded(kept)
-    scene.exchange = -1  # its states are nobody else's
+    scene.exchange = -1  # no Model Exchange
     state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
@@ -108,7 +108,7 @@ _OPERATION = re.compile(r"(\(X\) \\\n\t)?\bX\((\d+), .*\)(?=[ \\]*\n)")
 
 
 def facts(path: Path) -> list[str]:
-    """Return what the C of a file or of an FMU says of its size and its work."""
+    """Return the lines on size and work in the first comment of a C file, or of the C file in an FMU."""
     if path.suffix == ".c":
         text = path.read_text(encoding="ascii")
     else:
@@ -121,7 +121,7 @@ def facts(path: Path) -> list[str]:
 
 
 def _state(scene: Scene, e: Traced) -> bytes:
-    """Return the state after the start; ExportError where the default experiment cannot be made from there."""
+    """Return the state after the start; raise ExportError if the default experiment fails."""
     unit = Unit(scene)
     made = unit.initialize()
     state = unit.save()
@@ -136,7 +136,7 @@ def _state(scene: Scene, e: Traced) -> bytes:
 
 
 def _start(state: bytes) -> tuple[str, int]:
-    """Return constants of the state after the start, and their bytes."""
+    """Return C constants with the state after the start, and their size in bytes."""
     flags = struct.unpack_from(f"<{_FLAGS}i", state, _HEAD)
     numbers = struct.unpack(f"<{(len(state) - _NUMBERS) // 8}d", state[_NUMBERS:])
     text = f"static const double start_numbers[] = {{{', '.join(map(literal, numbers))}}};\n"
@@ -146,12 +146,12 @@ def _start(state: bytes) -> tuple[str, int]:
 
 
 _HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
-"""In a saved state (step/state.c): where flags begin and how many there are, and where numbers begin."""
+"""Layout of a saved state (step/state.c): offset and number of flags, offset of numbers [bytes], number of choices."""
 
 
 def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
-    """Leave functions and programs that the C does not use out of a scene; return what it says of its work, the kinds
-    of operations, and whether functions have wide places."""
+    """Remove functions and programs that the C does not use from a scene. Return the line on its work, the kinds of
+    operations, and whether functions have wide places."""
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
@@ -183,7 +183,8 @@ def _operations(f: Structure) -> Counter[int]:
 
 
 def _work(e: Traced, every: Mapping[str, int], steps: int, breaks: bool) -> str:
-    """Say how many operations a communication step of the default experiment takes: as a rule, and at most."""
+    """Return a line with the usual and the largest number of operations in a communication step of the default
+    experiment."""
     tiers, ends = ("quick", "careful", "branch"), ("instant_quick", "instant", "limit")
     usual = steps * every["quick"] + every.get("instant_quick", every["instant"])
     step, reading = (sum(every.get(each, 0) for each in programs) for programs in (tiers, ends))
@@ -194,7 +195,7 @@ def _work(e: Traced, every: Mapping[str, int], steps: int, breaks: bool) -> str:
 
 
 def _most(steps: Steps, costs: Mapping[str, int]) -> int:
-    """Return the most operations of steps: of a choice those of both ways."""
+    """Return an upper bound of the operations of steps; a choice counts both of its branches."""
     found = 0
     for step in steps:
         if isinstance(step, Call):
@@ -216,7 +217,7 @@ def _most(steps: Steps, costs: Mapping[str, int]) -> int:
 
 
 def _texts(fmi: int, without: list[str]) -> list[str]:
-    """Return the runtime as C without these features: its headers, its files, the functions of FMI or of plain C."""
+    """Return the C of the runtime without these features: headers, files, and the functions of FMI or of plain C."""
     own = {path.name: path.read_text(encoding="ascii") for path in (build.SOURCES / "source").glob("*.[ch]")}
     if fmi:
         del own["message.h"]
@@ -245,7 +246,7 @@ _INSTEAD = {
 
 
 def _named(text: str, name: str) -> str:
-    """Return plain C with the name of the model, which nothing of the runtime has."""
+    """Return plain C with the name of the model; names of the runtime that collide with it get a prefix."""
     own = "|".join([name, *(each.replace("NAME", name) for each in set(re.findall(r"\bNAME_\w+", text)))])
     words = re.compile(rf'"(?:\\.|[^"\\])*"|\b(?:{own})\b')
     text = words.sub(lambda found: found[0] if found[0].startswith('"') else f"runtime_{found[0]}", text)
@@ -253,7 +254,7 @@ def _named(text: str, name: str) -> str:
 
 
 def _prefixed(text: str, fmi: int) -> str:
-    """Return C with the prefix that FMI gives functions of models that are linked together."""
+    """Return C whose FMI functions take the prefix by which several models can be linked together."""
     macro = f"FMI{fmi}_FUNCTION_PREFIX"
     names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
     for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):
@@ -287,7 +288,7 @@ _WORD = re.compile(r"\b[A-Za-z_]\w*\b")
 
 
 def _reached(text: str) -> str:
-    """Return C without the functions, constants and macros that nothing outside can reach; what is left is static."""
+    """Return C without unused functions, constants and macros; all others but the public ones become static."""
     chunks = list(_chunks(text))
     owners: dict[str, list[int]] = defaultdict(list)
     named: list[str] = []
@@ -312,7 +313,7 @@ def _reached(text: str) -> str:
 
 
 def _identifiers(scene: Scene, name: str) -> list[str]:
-    """Return a name in C for each variable, none of them twice."""
+    """Return a unique C name for each variable."""
     found: list[str] = []
     for variable in scene.names:
         base = made = re.sub(r"\W", "_", f"{name}_{variable}").upper()

@@ -1,8 +1,8 @@
-"""A mechanism as a linkage: a tree of its joints, whatever its coordinates are, and closures for the joints beside it.
+"""A mechanism as a linkage: a tree of its joints, for any coordinates, and closures for the joints outside the tree.
 
-Links have the frames of their bodies. The poses, and the references of joints, are those of the start; a plane is that
-of x and y. A joint that closes a loop, where its format cannot close one with it or with its forces, places a body of
-its own with half of the mass of one of its bodies, welded to the other half: the same rigid body.
+Links have the frames of their bodies. Poses, and references of joints, are those of the start. Planar mechanisms lie in
+the plane of x and y. If the format cannot close a loop by a joint, or by a joint with forces, one of the two bodies is
+split: the joint places one half of its mass and inertia as a body of its own, which is welded to the other half.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Form:
 
 @dataclass(eq=False)
 class _Edge:
-    """A joint between two bodies; its motions, from the first to the second, are about ground axes at the start."""
+    """A joint between two bodies; its motions, of the second body from the first, have ground axes at the start."""
 
     name: str
     ends: tuple[Any, Any]
@@ -62,8 +62,9 @@ class _Limited:
 
 
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
-    """Return a mechanism as a linkage, from coordinates, rates and parameters by name and the Jacobian of constraints
-    at its start; its causes are all that the format cannot hold."""
+    """Return a mechanism as a linkage; its causes name everything that the format cannot represent.
+
+    `numbers` are coordinates, rates and parameters by name, `constraints` the Jacobian of constraints, at the start."""
     return _Describing(mechanism, numbers, constraints, form).linkage
 
 
@@ -120,7 +121,7 @@ class _Describing:
         return ca.substitute(symbolic(expression), self.symbols[2], ca.SX(ca.DM(self.values[2])))
 
     def constant(self, part: str, what: str, *values: Any) -> list[float]:
-        """Return numbers, which must be the same in any motion."""
+        """Return numbers, which must not depend on the motion."""
         found = [self.fixed(x) for x in values]
         if not all(x.is_constant() for x in found):
             self.refuse(part, f"its {what} is no constant")
@@ -149,7 +150,7 @@ class _Describing:
         for body in m.bodies:
             frame = self.kinematics.frame(body)
             turn = ca.blockcat([[frame.ex, -frame.ey, 0], [frame.ey, frame.ex, 0], [0, 0, 1]])
-            # Moments about x and y, which do nothing in a plane, are that about z, so that such a body exists.
+            # Moments about x and y do not matter in a plane; equal ones make the inertia physically possible.
             self._body(body, ca.vertcat(*frame.place(0, 0), 0), turn, (*body.center, 0), ca.SX.eye(3) * body.inertia)
         for solid in m.spatial_bodies:
             origin = solid.anchor[1] + solid.turned((0.0, 0.0, 0.0))
@@ -210,14 +211,14 @@ class _Describing:
             name = joint.name if len(joint.freedoms) == 1 else f"{joint.name}.{which}"
             kind = "prismatic" if which.startswith("position") else "screw" if screw else "revolute"
             self._move(edge, name, kind, axes.get(which, axis), joint.displacement(which), lead * (kind == "screw"))
-        if edge.kind == "screw" and not screw:  # a hinge, and a slide that follows it
+        if edge.kind == "screw" and not screw:  # a hinge with a coupled slide
             way, pitch = self.fresh(f"{joint.name}_way"), lead / (2 * math.pi)
             self._move(edge, way, "prismatic", axis, pitch * joint.displacement("angle"))
             if not edge.placing:
                 self._couple(f"{way}_follows", [(self.motions[way], 1.0), (self.motions[joint.name], -pitch)])
 
     def _move(self, edge: _Edge, name: str, kind: str, axis: Any, along: Any, lead: float = 0.0) -> None:
-        """Add a motion with its displacement to a joint; none if the displacement is constant."""
+        """Add a motion with its displacement to a joint, unless the displacement is constant."""
         x = self.fixed(along)
         if edge.placing and x.is_constant():
             return
@@ -311,8 +312,10 @@ class _Describing:
         joint.stiffness, joint.damping, joint.rest = (k,), (d,), (pull / k if k else 0.0,)
 
     def _linear(self, expression: Any) -> dict[tuple[str, Any], float] | None:
-        """Return factors of inputs, displacements and rates of joints, and the constant of a linear expression; None of
-        any other."""
+        """Return the factors of inputs, and of displacements and rates of joints, and the constant of a linear
+        expression.
+
+        Return None if the expression is not linear."""
         x = self.fixed(expression)
         symbols = ca.symvar(x)
         factors = [ca.gradient(x, each) for each in symbols]
@@ -412,7 +415,7 @@ class _Describing:
                 self.refuse(each.name, f"it is a {type(each).__name__.lower()}, which no file holds")
 
     def _couple(self, name: str, terms: Sequence[tuple[Joint | None, float]]) -> None:
-        """Let a sum of displacements stay as it is at the start."""
+        """Add a coupling that keeps a weighted sum of displacements at its value at the start."""
         joints = dict.fromkeys(joint for joint, _ in terms)
         whole = [(joint, sum(factor for each, factor in terms if each is joint)) for joint in joints]
         found = [(joint, factor) for joint, factor in whole if joint and factor]
@@ -450,7 +453,8 @@ class _Describing:
         return edge.kind in self.form.closures and not any(forced)
 
     def _tree(self) -> None:
-        """Place bodies by joints from the ground outwards, first by those that cannot close loops; free ones float."""
+        """Place bodies by joints from the ground outwards, first by those that cannot close loops; other bodies
+        float."""
         ground, spatial = self.m.ground, self.m.spatial_ground
         bodies = [*self.m.bodies, *self.m.spatial_bodies]
         trees: dict[Any, set[Any]] = {body: {body} for body in bodies}
@@ -481,7 +485,7 @@ class _Describing:
             self._close(edge)
 
     def _flying(self, body: Any) -> _Edge:
-        """Return the joint of a body that no other joins to the ground."""
+        """Return the free joint of a body that no joint connects to the ground."""
         pose, (velocity, spin) = self.poses[body], self.spins[body]
         edge = _Edge(body.name, (self.m.ground, body), "free", pose.place)
         if body in self.m.spatial_bodies:
@@ -497,7 +501,7 @@ class _Describing:
         return edge
 
     def _link(self, body: Any, edge: _Edge, parent: Link | None, name: str = "") -> Link:
-        """Add the link of a body, placed by a joint from either of its ends."""
+        """Add the link of a body, placed by a joint that begins or ends at it."""
         pose, before = self.poses[body], self.poses[edge.ends[edge.ends[0] is body]]
         forward = body is edge.ends[1]
         link = Link(name or body.name, self.node, parent, before.inverse @ pose, self.inertia[body])
@@ -509,7 +513,7 @@ class _Describing:
         return link
 
     def _close(self, edge: _Edge) -> None:
-        """Close a loop by a joint, or by one that places half of a body, which is welded to the other half."""
+        """Close a loop by a joint, or by a weld between two halves of a body, one of which the joint places."""
         links = [self.links[body] for body in edge.ends]
         if self._closes(edge):
             frames = [self.poses[body].inverse @ Pose(edge.point, np.eye(3)) for body in edge.ends]
@@ -527,8 +531,8 @@ class _Describing:
         self.refuse(edge.name, f"its bodies have no mass, and {self.form.name} closes no loop by such a joint")
 
     def _merge(self) -> None:
-        """Leave out links that are mere frames, let links have the joints of frames without mass before them, and put
-        links in the order in which they stand in each other."""
+        """Remove links without mass that are not needed, pass their joints on to their child, and put parents before
+        children."""
         links = self.linkage.links
         for link in list(links):
             children = [each for each in links if each.parent is link]

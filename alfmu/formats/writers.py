@@ -1,6 +1,7 @@
 """Write a mechanism as MJCF, URDF or SDF.
 
-In MJCF displacements of joints keep their numbers (`ref`); in URDF and SDF they are counted from the start.
+In MJCF joints keep their displacements (`ref`); in URDF and SDF displacements are
+counted from the start.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _KINDS = {"spherical": "ball", "free": "floating", "weld": "fixed"}
 def written(
     mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, suffix: str
 ) -> tuple[bytes, Linkage]:
-    """Return a file, and what it describes; see `described` for the arguments and for what is refused."""
+    """Return a file and the linkage that it describes; see `described` for the arguments and the refusals."""
     form, write = FORMS[suffix]
     linkage = described(mechanism, numbers, constraints, form)
     root = write(linkage)
@@ -46,21 +47,21 @@ def written(
 
 
 def _text(*values: Any) -> str:
-    """Return text, or numbers with all their digits."""
+    """Return a text unchanged, or numbers with all their digits."""
     if isinstance(values[0], str):
         return values[0]
     return " ".join(repr(float(x) + 0.0) for value in values for x in np.clip(np.ravel(value), -1e16, 1e16))
 
 
 def _add(parent: Element, tag: str, *text: Any, **given: Any) -> Element:
-    """Add an element with numbers or text in it, and in its attributes except those that are None."""
+    """Add an element with its text and attributes, each numbers or text; attributes that are None are omitted."""
     child = SubElement(parent, tag, {key: _text(x) for key, x in given.items() if x is not None})
     child.text = _text(*text) if text else None
     return child
 
 
 def _filled(parent: Element, tag: str, **given: float | None) -> Element:
-    """Add an element with an element for each number except those that are None; nothing if all are."""
+    """Add an element with a child for each number that is not None; add nothing if all are None."""
     found = {key: x for key, x in given.items() if x is not None}
     child = SubElement(parent, tag) if found else parent
     for key, x in found.items():
@@ -69,13 +70,13 @@ def _filled(parent: Element, tag: str, **given: float | None) -> Element:
 
 
 def _limits(joint: Joint, zero: float = 0.0) -> tuple[float, float] | None:
-    """Return the limits of a joint, if any."""
+    """Return the limits of a joint counted from `zero`, None if it has none."""
     low, high = joint.limits[0] if joint.limits else (-ANYWHERE, ANYWHERE)
     return (low - zero, high - zero) if low > -ANYWHERE or high < ANYWHERE else None
 
 
 def _started(linkage: Linkage, hint: str) -> None:
-    """Tell of what the start has and files do not hold."""
+    """Warn of rates and inputs at the start that the file cannot represent."""
     if any(any(joint.rates) for joint in linkage.joints):
         linkage.warn("rates at the start", linkage.node)
     for motor in linkage.motors:
@@ -95,14 +96,14 @@ def _mjcf(linkage: Linkage) -> Element:
     _add(root, "option", gravity=linkage.gravity)
     bodies: dict[Link | None, Element] = {None: _add(root, "worldbody")}
     massive = {link for link in linkage.links if link.inertial.mass}
-    for link in linkage.links[::-1]:  # links without joints are part of the body that carries them
+    for link in linkage.links[::-1]:  # a link without joints adds its mass to its parent
         massive |= {link.parent} if link in massive and not link.joints and link.parent else set()
     for link in linkage.links:
         x, inertia, at = link.inertial, link.inertial.inertia, link.pose
         body = _add(bodies[link.parent], "body", name=link.name, pos=at.place, quat=quaternion(at.turn))
         bodies[link] = body
         if not inertia.any() and not twists[paths[link], :3].any():
-            inertia = x.mass * np.eye(3)  # it does not turn, and MuJoCo wants an inertia
+            inertia = x.mass * np.eye(3)  # MuJoCo requires an inertia even of a body that cannot turn
         if link.joints and (link not in massive or (x.mass and np.linalg.eigvalsh(inertia).min() < _LEAST)):
             what = "a moment of inertia that is zero" if link in massive else "no mass"
             linkage.refuse(link.name, f"it has {what}, and moving bodies of MuJoCo have both; give it small ones")
@@ -128,7 +129,7 @@ def _mjcf(linkage: Linkage) -> Element:
         if closure.joint.kind == "weld":
             _add(equality, "weld", name=closure.joint.name, **ends)
             continue
-        # Two points of its axis keep a hinge; in a plane one does.
+        # A hinge takes two points on its axis, or one point in a plane.
         for k in (0, 1) if closure.joint.axes and not flat else (0,):
             anchor = frame.at(k * closure.joint.axes[0] if k else np.zeros(3))
             _add(equality, "connect", name=closure.joint.name + "_axis" * k, anchor=anchor, **ends)
@@ -231,7 +232,7 @@ def _urdf_joint(root: Element, joint: Joint, parent: str, child: str, at: Pose) 
 
 
 def _upright(linkage: Linkage) -> Array:
-    """Return the rotation of the ground that lets gravity act along -z, as it does in a URDF."""
+    """Return the rotation of the ground that turns gravity to -z, its direction in a URDF."""
     g, down = np.array(linkage.gravity), np.array((0.0, 0.0, -1.0))
     size = float(np.linalg.norm(g))
     if not size:
@@ -245,7 +246,7 @@ def _upright(linkage: Linkage) -> Array:
 
 
 def _angles(turn: Array) -> Array:
-    """Return roll, pitch and yaw about fixed axes, which are exact where the pitch is a right angle, too."""
+    """Return roll, pitch and yaw about fixed axes, exact also for a pitch of 90 degrees."""
     yaw = np.arctan2(turn[1, 0], turn[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     pitch = np.arctan2(-turn[2, 0], c * turn[0, 0] + s * turn[1, 0])

@@ -87,7 +87,7 @@ class Places:
         return heap.size
 
     def _tables(self) -> Iterator[_Table]:
-        """Yield groups of stored values: those of a loop with equal lifetimes, those of straight code alone."""
+        """Yield groups of stored values: in a loop, values with equal lifetimes; in straight code, each value alone."""
         last = np.full(len(self._operations), -1)
         for made, users in zip(self._made, map(np.flatnonzero, self.fetched), strict=True):
             np.maximum.at(last, made[users], self._piece[users])

@@ -195,7 +195,7 @@ class _Lines:
         return result
 
     def _best(self, ways: list[Repeat], given: Repeat, ends: bool) -> Repeat:
-        """Return the variant with the shortest C: table entries, operations in the loop and in straight code."""
+        """Return the variant with the shortest C: fewest table entries, and operations inside and outside the loop."""
 
         def cost(way: Repeat) -> int:
             left = given.period * given.times - way.period * way.times

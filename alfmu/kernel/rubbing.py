@@ -148,9 +148,9 @@ def supply(scene: Scene, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> SX:
 
 
 def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_power") -> None:
-    """Compute power including friction from accelerations, without multipliers: v' (M a - F), as constraints have none.
+    """Compute the power including friction from accelerations alone, v' (M a - F), as constraints do no work.
 
-    `known` are time, q, v and inputs; rates of states may follow `a`.
+    `known` are time, q, v and inputs; `a` may end with rates of states.
     """
     scene = calls.scene
 

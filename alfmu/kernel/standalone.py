@@ -246,8 +246,9 @@ class _Patient(Alternatives):
         calls("pivots", "q p k", "pivots diagonal columns margin", found)
 
     def extrapolated(self, program: Program) -> Program:
-        """Return the program with inputs extrapolated from the communication point to the time of each call, by their
-        derivatives; past inputs only if they have no derivative."""
+        """Return the program with inputs extrapolated from the communication point to the time of each call.
+
+        Inputs are extrapolated by their derivatives; those without derivatives by their past values."""
         if not self.e.inputs:
             return program
 
@@ -255,7 +256,7 @@ class _Patient(Alternatives):
             moved = u + (t - slopes[0]) * slopes[1:]
             return moved if past is None else ca.if_else(slopes[1:] < ca.inf, moved, past)
 
-        # This names and traces the function; programs call it where they use inputs.
+        # The call traces the function under its name; programs call it before they use inputs.
         Calls(self)("inputs_at", spaced("u slopes t", "inputs" * bool(self.order)), "inputs", there)
         return replace(program, steps=rewritten(program.steps, _inputs_moved))
 

@@ -720,8 +720,9 @@ class Scene:
         return self.settings.absolute * nominal + self.settings.relative * sizes
 
     def closed(self, plan: Plan, names: Iterable[str]) -> SX:
-        """Return the state after a step from these values; its `trouble` counts failed checks, comparisons that NaN
-        fails."""
+        """Return the state after a step from these values; its `trouble` counts failed checks.
+
+        A NaN fails each check."""
         e, layout, known = self.e, Layout(self.e), {name: self.symbol(name) for name in names}
         z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
         evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]

@@ -210,7 +210,7 @@ class Declaration:
     def __dir__(self) -> list[str]:
         return [name for name in super().__dir__() if name not in BOOKKEEPING]
 
-    if not TYPE_CHECKING:  # a checker knows what there is
+    if not TYPE_CHECKING:  # type checkers report unknown attributes themselves
 
         def __getattr__(self, name: str) -> Any:
             raise AttributeError(no_attribute(self, name, MEANT.get(name)))

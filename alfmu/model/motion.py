@@ -47,7 +47,7 @@ class Input(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Signal(Brief):
-    """An input that moves something, as a polynomial of time starting at `since` [s]."""
+    """An input that prescribes a motion, as a polynomial of time starting at `since` [s]."""
 
     input: Input
     since: ca.SX

@@ -1,4 +1,4 @@
-"""Many instances of one mechanism, which the C library moves side by side in the lanes of the processor."""
+"""Many instances of one mechanism, which the C library steps side by side in the vector lanes of the processor."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _Mask = NDArray[np.bool_]
 
 
 class _Part:
-    """Consecutive members of a batch, which one thread moves at a time."""
+    """Consecutive members of a batch, which one thread at a time works on."""
 
     def __init__(self, scene: Scene, own: slice):
         self.scene, self.own, self.lock = scene, own, Lock()
@@ -58,8 +58,8 @@ class _Part:
 class Batch:
     """A number of instances of one mechanism with parameters, inputs and states of their own.
 
-    Eight of them at a time are evaluated side by side, by every method of integration, with the numbers that an
-    `alfmu.Instance` has, to the bit::
+    Eight of them at a time are evaluated side by side, with every integrator. Their results are those of an
+    `alfmu.Instance`, to the last bit::
 
         batch = Batch("five_bar", 1000, parameters={"solver.method": "rk4"})
         batch.set("start.link1.angle", np.linspace(1.0, 1.4, 1000))
@@ -68,8 +68,8 @@ class Batch:
         batch.get("link1.angle")
 
     `mechanism` is a `Mechanism`, a name, a file, or equations; `parameters` are common to all members, choices such as
-    `solver.method` among them. `outputs` are those of `alfmu.simulate`; the fewer, the faster. `threads` share the
-    members, one for each processor by default.
+    `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster. `threads` share
+    the members, one for each processor by default.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Batch:
                 raise InputError(
                     f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
                 )
-        order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # which the scene has
+        order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # an option of the scene
         traced, self._common = ready(with_defaults(e, order), own, outputs, None, DEFAULT)
         self.name: str = e.name
         self.count: int = count
@@ -145,7 +145,7 @@ class Batch:
     # Members -----------------------------------------------------------------------------------------------------
 
     def _chosen(self, members: Members) -> NDArray[np.intp]:
-        """Return the numbers of members, in the order in which they are given."""
+        """Return the indices of members, in the given order."""
         try:
             where = slice(None) if members is None else members if isinstance(members, slice) else np.asarray(members)
             empty = isinstance(where, np.ndarray) and not where.size
@@ -163,7 +163,7 @@ class Batch:
         return mask
 
     def _call(self, task: Callable[[int | None, slice], None]) -> None:
-        """Do a task for each part, in threads if there are some; an interrupt waits for all of them."""
+        """Run a task for each part, in threads if there are several; an interrupt waits until all have ended."""
 
         def alone(part: _Part) -> None:
             with part.lock:
@@ -180,7 +180,7 @@ class Batch:
             wait(made)
 
     def _moved(self, what: str, mask: _Mask) -> _Mask:
-        """Return which of these members failed in the last call, and warn of them and of what the runtime warns."""
+        """Return the mask of members that failed in the last call; log them and the warnings of the runtime."""
         if told := [k for k, flag in enumerate(self._warns) if flag.value]:
             why = self._scene.library.alfmu_warning(self._members[told[0]]).decode(errors="replace")
             _LOGGER.warning(
@@ -198,7 +198,7 @@ class Batch:
         return failed
 
     def message(self, member: int) -> str:
-        """Return why the last call for a member failed, or what its start was like."""
+        """Return the reason why the last call failed for a member, or else the message of its start."""
         return self._text(self._members[int(self._chosen([member])[0])])
 
     # Values ------------------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ class Batch:
             raise InputError(self._text(self._members[int(np.argmax(refused))]))
 
     def _reference(self, name: str) -> int | None:
-        """Return the reference of a variable that is a number; None if there is none of this name."""
+        """Return the value reference of a numeric variable; None if there is no variable of this name."""
         reference = self._scene.references.get(name) if isinstance(name, str) else None
         return None if reference is None or self._scene.types[reference] == "String" else reference
 
@@ -302,7 +302,7 @@ class Batch:
         self._call(task)
         if reads.any():
             values[np.ix_(~self._ready | (outcomes != DONE), reads)] = np.nan
-            if not reads.all():  # parameters and inputs of members that are not initialised, too
+            if not reads.all():  # parameters and inputs have values before initialisation
                 others = [name for name, read in zip(names, reads, strict=True) if not read]
                 values[:, ~reads] = self.get(*others).reshape(self.count, -1)
         return values[:, 0] if len(names) == 1 else values
@@ -310,7 +310,7 @@ class Batch:
     # Motion ------------------------------------------------------------------------------------------------------
 
     def initialize(self, members: Members = None) -> _Mask:
-        """Assemble members from their start values; return which failed (count,), and say why in a warning."""
+        """Assemble members from their start values; return the mask of failed members (count,), with a warning."""
         mask = self._mask(members)
 
         def task(part: int | None, own: slice) -> None:
@@ -327,7 +327,7 @@ class Batch:
         return failed
 
     def _brake(self, mask: _Mask) -> None:
-        """Make the members again for a scene in which redundant constraints brake the motion."""
+        """Create the members again for a scene in which redundant constraints brake the motion."""
         if (self._ready & ~mask).any():
             raise AssemblyError(
                 f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others "
@@ -343,7 +343,7 @@ class Batch:
         return reference < self._scene.first_output and self._scene.types[reference] != "String"
 
     def step(self, communication_step: float, members: Members = None) -> _Mask:
-        """Cover one communication step [s]; return which members failed (count,), and say why in a warning.
+        """Make one communication step [s]; return the mask of failed members (count,), with a warning.
 
         A member that fails keeps the state before the step. Raises InputError if the step is not above zero, or a
         member is not initialised.
@@ -378,9 +378,9 @@ class Batch:
         return states
 
     def restore(self, states: NDArray[np.uint8], members: Members = None) -> None:
-        """Let members continue from states (members, bytes) that `save` returned, of whichever members.
+        """Restore states (members, bytes) that `save` returned for any members.
 
-        Raises InputError for any others; all members then keep their states.
+        Raises InputError for other bytes; all members then keep their states.
         """
         library, chosen = self._scene.library, self._chosen(members)
         given = np.asarray(states)

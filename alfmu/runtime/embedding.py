@@ -8,14 +8,14 @@ from collections.abc import Iterator
 __all__ = ["with_scene"]
 
 _PAGE, _HEAD = 65536, 8
-"""Bytes of a page of memory, and of what modules and components begin with."""
+"""Bytes of a page of memory, and of the header of modules and components."""
 
 _MODULE, _MEMORY, _DATA, _COUNT = 1, 5, 11, 12
 """Sections: a module in a component; of a module, its memory, its data, and how many pieces of data there are."""
 
 
 def with_scene(component: bytes, scene: bytes) -> bytes:
-    """Return a component whose memory begins larger by a scene, which stands behind its own with its size before it."""
+    """Return a component whose initial memory is extended by the size of the scene and the scene."""
     made = component[:_HEAD]
     for kind, content in _sections(component):
         held = dict(_sections(content)) if kind == _MODULE else {}
@@ -24,7 +24,7 @@ def with_scene(component: bytes, scene: bytes) -> bytes:
 
 
 def _module(module: bytes, scene: bytes) -> bytes:
-    """Return the module that has the memory, with the scene."""
+    """Return a module with its memory extended by the scene, and a data segment that holds it."""
     piece, made, end = struct.pack("<I", len(scene)) + scene, module[:_HEAD], 0
     for kind, content in _sections(module):
         if kind == _MEMORY:
@@ -54,7 +54,7 @@ def _section(kind: int, content: bytes) -> bytes:
 
 
 def _number(binary: bytes, at: int) -> tuple[int, int]:
-    """Return a number in LEB128, and where it ends."""
+    """Return a number read in LEB128, and the index after it."""
     value = shift = 0
     while True:
         value |= (binary[at] & 0x7F) << shift
@@ -64,7 +64,7 @@ def _number(binary: bytes, at: int) -> tuple[int, int]:
 
 
 def _written(value: int, signed: bool = False) -> bytes:
-    """Return a number, which is not negative, in LEB128."""
+    """Return the LEB128 bytes of a number that is not negative."""
     made = bytearray()
     while value >= (0x40 if signed else 0x80):
         made.append(value & 0x7F | 0x80)

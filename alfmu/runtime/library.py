@@ -182,7 +182,7 @@ _OF_PYTHON = (
 
 
 def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
-    """Return `alfmu_step` of an instance, as a built-in function in CPython, by ctypes elsewhere."""
+    """Return `alfmu_step` bound to an instance: a built-in function in CPython, else a ctypes call."""
     if sys.implementation.name != "cpython":
         return partial(c.alfmu_step, c_void_p(address))
     functions = (ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in _OF_PYTHON)

@@ -123,7 +123,7 @@ class Probe:
 
     @classmethod
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
-        """Return the probe, or None if the defaults have no start at this time [s]."""
+        """Return the probe; None if the mechanism cannot be assembled from its default values at this time [s]."""
         e = equations
         # The scene reserves space for constraints that would brake, which are searched for among few coordinates only.
         room = Configuration.of(e)

@@ -199,7 +199,7 @@ def constants() -> str:
 
 @dataclass
 class _Constants:
-    """Where the constants are found, with their values and the digest of these when they were last read."""
+    """The places of constants in modules, and the values and digest of the last reading."""
 
     places: list[tuple[dict[str, Any], str]]
     values: list[Any]

@@ -99,7 +99,7 @@ class Instance(Stepped):
 
     @staticmethod
     def _light(M: NDArray, alpha: NDArray) -> NDArray:
-        """M made small beside penalties, where there are any."""
+        """Return M scaled down to be small compared with the penalties; unchanged if there are none."""
         ratio = method.LIGHT * alpha.max(initial=0.0) / max(M.diagonal().max(initial=0.0), TINY)
         return M * min(1.0, ratio or 1.0)
 

@@ -152,7 +152,7 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
 
 
 def _with_all_passes(equations: Equations, mobility: Mobility, like: Traced) -> Cost:
-    """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
+    """Return the cost with one redundant constraint, and the multiplier iterations of a prepared scene."""
     found = Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)
     return cost(traced(Configuration.of(equations, survey=found)))
 

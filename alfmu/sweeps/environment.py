@@ -1,4 +1,4 @@
-"""Batches of a mechanism as environments of Gymnasium, for trainers of controllers; needs `alfmu[gym]`."""
+"""Batches of a mechanism as Gymnasium environments, to train controllers; they need `alfmu[gym]`."""
 
 from __future__ import annotations
 
@@ -42,12 +42,14 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
     """Many instances of a mechanism as one environment of Gymnasium.
 
     `actions` are inputs and `observations` variables with their bounds; inputs are held over each step of `step` [s].
-    `reward(values, actions)` and `done(values)` work on arrays (count,) of all observations by name; without `done` no
-    episode ends before `horizon` [s], where it is truncated. `start(random, count)` draws start values and parameters
-    of members that begin; without it all begin as declared. Members that are done begin again at the next step
-    (`AutoresetMode.NEXT_STEP`). One whose step fails is truncated, with a reward of 0 and `infos["failed"]`.
+    `reward(values, actions)` and `done(values)` work on arrays (count,) of all observations by name; without `done`
+    every episode runs until it is truncated at `horizon` [s]. `start(random, count)` draws start values and parameters
+    of members at the start of an episode; without it all have the declared ones. Members whose episode has ended are
+    reset at the next step (`AutoresetMode.NEXT_STEP`). A member whose step fails is truncated, with a reward of 0 and
+    `infos["failed"]`.
 
-    Further arguments are those of `alfmu.Batch`. Raises InputError where a name is no input, or no variable.
+    Further arguments are those of `alfmu.Batch`. Raises InputError if an action is not an input, or an observation not
+    a variable.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         self.action_space: spaces.Space[Any] = batch_space(self.single_action_space, count)
         self.observation_space: spaces.Space[Any] = batch_space(self.single_observation_space, count)
         self._over = np.zeros(count, bool)
-        self._extent: Numbers | None = None  # of all pictures so far
+        self._extent: Numbers | None = None  # covers all pictures so far
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -124,7 +126,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         return self._observed(), {}
 
     def _begin(self, members: NDArray[np.bool_]) -> None:
-        """Draw start values of members until all of them have an assembly, and assemble them."""
+        """Draw start values until all of these members can be assembled, and assemble them."""
         left = members
         for _ in range(TRIES):
             self.batch.reset(left)
@@ -145,7 +147,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         return self.batch.get(*self._observations).reshape(self.num_envs, -1)
 
     def step(self, actions: Numbers) -> tuple[Numbers, Numbers, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Hold actions (count, inputs) over one step; actions out of their bounds are taken at these."""
+        """Hold actions (count, inputs) over one step; actions out of bounds are clipped."""
         low, high = self.single_action_space.low, self.single_action_space.high
         given = np.asarray(actions)
         if given.shape != self.action_space.shape:

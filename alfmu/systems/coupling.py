@@ -305,7 +305,7 @@ def _run(
         times = np.arange(len(reference[name])) * finest
         places = np.round(result.time / finest).astype(int)
         on_grid = np.all(np.abs(result.time - places * finest) < 1e-9 * span)
-        # Points between those of the reference occur in the search of stable steps only.
+        # Only the search for stable steps has points between those of the reference.
         found = reference[name][np.minimum(places, len(times) - 1)]
         wanted = found if on_grid else np.interp(result.time, times, reference[name])
         errors[name] = _difference(result[name], wanted)

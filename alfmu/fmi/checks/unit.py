@@ -125,7 +125,7 @@ class Variable:
 
 
 def _initial(v: ModelVariable, version: str) -> str | None:
-    """Return `initial`, explicit or by the defaults of both versions."""
+    """Return the attribute `initial`, or its default, which both versions of FMI share."""
     if v.initial or v.causality in ("input", "independent"):
         return v.initial
     if v.variability == "constant" or v.causality in ("parameter", "structuralParameter"):

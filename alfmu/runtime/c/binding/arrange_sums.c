@@ -86,7 +86,7 @@ static int negative(Sums *f, int value)
     return f->negatives[value];
 }
 
-/* Negate one factor of each subtracted product: few factors, which many products share. */
+/* Negate one factor of each subtracted product. Many products share a few factors, which are negated once. */
 void without_differences(Sums *f)
 {
     Room *room = &f->room;

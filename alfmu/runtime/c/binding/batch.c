@@ -1,5 +1,5 @@
-/* Many instances of one scene, of which some move side by side: each in a fiber of its own, which waits wherever it
-   runs a program or calls a function, until those that wait for the same one run it together. */
+/* Many instances of one scene, some of which are evaluated side by side. Each has a fiber, which waits before it runs a
+   program or calls a function, until the members that wait for the same one run it together. */
 
 #include <stddef.h>
 #include <stdlib.h>
@@ -20,19 +20,19 @@
 #include "variables.h"
 #include "whole_run.h"
 
-#define PLACES 32 /* members under way, if there are so many: LANES of them soon wait for the same */
+#define PLACES 32 /* most members that run at a time: enough for LANES of them to wait for the same program */
 #define NOTHING (-1)
 
 typedef struct Batch Batch;
 
-/* Does something with a member; returns its outcome. */
+/* Work on one member; returns its outcome. */
 typedef Outcome Task(Batch *b, size_t member);
 
-/* A member under way, and what it waits for: a program, or behind all of them a function. */
+/* A running member, and the number of the program or function that it waits for; functions follow the programs. */
 typedef struct {
     Batch *batch;
-    Fiber *fiber; /* NULL on platforms without: members then move one after the other */
-    double *lent; /* numbers that the member borrows */
+    Fiber *fiber; /* NULL on platforms without fibers, where members run one after the other */
+    double *lent; /* work space that the member borrows */
     Instance *instance;
     int wanted;
     const double *const *x;
@@ -41,16 +41,16 @@ typedef struct {
 
 struct Batch {
     const Scene *scene;
-    size_t count, next; /* members, and the next one whose turn it is */
-    int shares;         /* whether members borrow numbers and wait; a tape of derivatives takes neither */
+    size_t count, next; /* number of members, and the next one to run */
+    int shares;         /* whether members borrow work space and wait; with a tape of derivatives they must not */
     Instance *members;
     double *numbers, *lent, *registers;
-    Place places[PLACES], *end; /* behind those that are in use */
+    Place places[PLACES], *end; /* end of the places in use */
     Group group;
-    int *waiting; /* [programs and functions] how many wait for each, while they are counted */
-    /* The task under way, and what it works on. */
+    int *waiting; /* [programs and functions] scratch: number of members that wait for each */
+    /* The current task, and its arguments. */
     Task *task;
-    const unsigned char *chosen; /* [count] whether it is for this member; NULL: for all */
+    const unsigned char *chosen; /* [count] whether the task is for this member; NULL for all members */
     int *outcomes;               /* [count] */
     double h;
     const double *values; /* [count, count of references] */
@@ -70,7 +70,7 @@ static void wait_at_place(Instance *i, int which, const double *const *x, double
     fiber_leave(p->fiber);
 }
 
-/* Do the task for one member after the other, until none is left. */
+/* Run the task for one member after the other. */
 static void work_at_place(void *what)
 {
     Place *p = what;
@@ -94,7 +94,7 @@ static void work_at_place(void *what)
     p->wanted = NOTHING;
 }
 
-/* What most members wait for. */
+/* Return the program or function for which most members wait. */
 static int wanted_most(const Batch *b)
 {
     int most = 0, wanted = NOTHING;
@@ -175,7 +175,7 @@ static int has_memory(Batch *b, size_t kept, size_t lent)
     return b->members && b->numbers && b->lent && b->registers && b->waiting;
 }
 
-/* Begin the fibers of all places; none where there are too few. */
+/* Begin the fibers of all places; if one of them cannot be made, use none. */
 static void begin_fibers(Batch *b)
 {
     int all = 1;
@@ -187,7 +187,7 @@ static void begin_fibers(Batch *b)
     }
 }
 
-/* Return a batch of so many members; NULL where there is no memory for them. */
+/* Return a batch of `count` members; NULL without memory for them. */
 API Batch *alfmu_batch_new(const Scene *s, size_t count)
 {
     const size_t lent = instance_lent_length(s, 1), kept = instance_kept_length(s) + (s->entries ? lent : 0);
@@ -207,7 +207,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
         b->group.registers[k / LANES].lane[k % LANES] = s->constants[k / LANES];
     for (int k = 0; k < b->end - b->places; k++) {
         b->places[k] = (Place){b, NULL, b->lent + (size_t)k * lent, NULL, NOTHING, NULL, NULL};
-        instance_lay(b->members, s, b->numbers, b->places[k].lent, 1); /* which loads the constants */
+        instance_lay(b->members, s, b->numbers, b->places[k].lent, 1); /* loads the constants */
     }
     for (size_t k = 0; k < count; k++)
         instance_lay(b->members + k, s, b->numbers + k * kept, b->shares ? b->places->lent : NULL, 1);
@@ -215,7 +215,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
     return b;
 }
 
-/* A member, for all calls of single instances but alfmu_free. */
+/* Return a member, which serves for all calls of single instances except alfmu_free. */
 API Instance *alfmu_batch_member(Batch *b, size_t member)
 {
     return b->members + member;
@@ -246,7 +246,7 @@ static Outcome get(Batch *b, size_t member)
     return outputs_get_many(b->members + member, b->references, b->reference_count, found);
 }
 
-/* Get values (members, count) of variables; where outputs cannot be computed, those that can. */
+/* Get values (members, count) of variables; if outputs of a member cannot be computed, get the others. */
 API void alfmu_batch_get(
     Batch *b, const int *references, int count, double *values, const unsigned char *chosen, int *outcomes)
 {
@@ -297,8 +297,8 @@ static Outcome run(Batch *b, size_t member)
     return outcome;
 }
 
-/* Set variables of members that are not initialised, and make a run of each: `values` of the run are (members, rows,
-   wanted). `rows` tells how many each has made. */
+/* Set variables of members that are not initialised, and make a run of each. `values` of the run are (members, rows,
+   wanted); `rows` receives the number of rows of each member. */
 API void alfmu_batch_run(Batch *b, const Run *asked, const int *references, int count, const double *values, long *rows,
     const unsigned char *chosen, int *outcomes)
 {

@@ -1,7 +1,7 @@
-/* A fiber begins by makecontext; it is left and entered by setjmp and longjmp, which make no system call. */
+/* makecontext creates a fiber; setjmp and longjmp switch fibers without a system call. */
 
 #define _XOPEN_SOURCE 700
-#undef _FORTIFY_SOURCE /* Its longjmp refuses another stack. */
+#undef _FORTIFY_SOURCE /* The checked longjmp refuses another stack. */
 
 #include "fibers.h"
 
@@ -24,7 +24,7 @@ struct Fiber {
     char *stack;
 };
 
-/* makecontext hands over numbers of type int only. */
+/* makecontext passes arguments of type int only. */
 static void begin(unsigned high, unsigned low)
 {
     Fiber *f = (Fiber *)(uintptr_t)((uint64_t)high << 32 | low);
@@ -36,7 +36,7 @@ static void begin(unsigned high, unsigned low)
     }
 }
 
-/* Begin a fiber that has a stack; return whether this can be done. */
+/* Begin a fiber on its stack; return whether this succeeded. */
 static int is_begun(Fiber *const f)
 {
     const uint64_t address = (uintptr_t)f;
@@ -69,7 +69,7 @@ void fiber_free(Fiber *f)
     free(f);
 }
 
-#if defined(__SANITIZE_ADDRESS__) /* which knows this way of changing stacks alone */
+#if defined(__SANITIZE_ADDRESS__) /* the sanitizer follows swapcontext only */
 
 void fiber_enter(Fiber *f)
 {

@@ -1,4 +1,4 @@
-/* Fibers: functions that stop in the middle and go on later, each on a stack of its own, all in one thread. */
+/* Fibers: functions with stacks of their own in one thread, which can be suspended and resumed. */
 
 #ifndef ALFMU_FIBERS_H
 #define ALFMU_FIBERS_H
@@ -7,11 +7,11 @@
 
 typedef struct Fiber Fiber;
 
-/* Return a fiber that will do some work; NULL where the platform has none, or no memory. */
+/* Return a fiber for some work; NULL if the platform has no fibers, or without memory. */
 Fiber *fiber_new(void (*work)(void *what), void *what);
 void fiber_free(Fiber *f);
 
-/* Run a fiber until it leaves; leave it from inside, until it is entered again. */
+/* fiber_enter runs a fiber until it calls fiber_leave, which returns when the fiber is entered again. */
 void fiber_enter(Fiber *f);
 void fiber_leave(Fiber *f);
 

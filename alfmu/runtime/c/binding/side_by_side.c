@@ -7,10 +7,10 @@
 #include "operations.h"
 #include "scene.h"
 
-/* Calls in fewer lanes than these take less time one after the other. */
+/* Fewer calls than these are faster one after the other. */
 #define FEW 3
 
-/* Whether lanes serve these calls of a function. */
+/* Return whether these calls of a function can and should run in lanes. */
 static int serves(const Group *g, const Function *f)
 {
 #if defined(__GNUC__)
@@ -25,7 +25,7 @@ typedef struct {
     double *y;
 } Argument;
 
-/* Evaluate a function in all lanes. Arguments and results are found by `place`, by lane and argument or result. */
+/* Evaluate a function in all lanes; `place` finds arguments and results by lane and index. */
 static inline void evaluate(const Group *g, const Function *f, const void *places,
     Argument place(const Group *g, const Function *f, const void *places, int lane, int each))
 {
@@ -86,7 +86,7 @@ void group_call_function(const Group *g, int function)
             function_call_alone(g->instances[lane], function, g->x[lane], g->y[lane]);
 }
 
-/* The instances whose number is zero, or not. */
+/* Return the instances whose value of `number` is zero, or those for which it is not. */
 static Group those(const Group *g, Word number, int zero)
 {
     Group some;

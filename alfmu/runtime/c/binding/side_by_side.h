@@ -1,5 +1,5 @@
-/* Runs programs and functions for several instances of a scene at the same time, each in a lane of its own. The numbers
-   are those of one after the other. */
+/* Programs and functions run for several instances of a scene at the same time, each in a lane of its own. Results
+   are those of one instance after the other, to the last bit. */
 
 #ifndef ALFMU_SIDE_BY_SIDE_H
 #define ALFMU_SIDE_BY_SIDE_H
@@ -11,10 +11,10 @@
 
 typedef struct {
     Instance *instances[LANES];
-    const double *const *x[LANES]; /* of a function: where its arguments are, and where its results go */
+    const double *const *x[LANES]; /* arguments and results of a function, by lane */
     double *const *y[LANES];
     int count;
-    Lanes *registers; /* [registers of the scene], the constants of the scene loaded */
+    Lanes *registers; /* [registers of the scene] with its constants loaded */
 } Group;
 
 void group_run_program(const Group *g, int program);

@@ -21,7 +21,7 @@ long whole_run_make(Instance *i, const Run *r, long *done, Outcome *outcome)
     while (row < r->count && *outcome == DONE) {
         if (row > 0) {
             *done = row - 1;
-            i->looks = -1; /* The first internal step asks. */
+            i->looks = -1; /* The first internal step then calls `go_on`. */
             *outcome = instance_step(i, r->times[row - 1], r->times[row] - r->times[row - 1]);
         }
         if (*outcome == DONE)

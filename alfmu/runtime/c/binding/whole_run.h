@@ -1,4 +1,4 @@
-/* A run in one call, as a binding asks for it. */
+/* A run in one call, for bindings. */
 
 #ifndef ALFMU_WHOLE_RUN_H
 #define ALFMU_WHOLE_RUN_H
@@ -7,21 +7,20 @@
 
 #include "internal_begin.h"
 
-/* A run in one call: a grid of communication points, inputs at each, the variables that are wanted at each. */
+/* A run in one call: communication points, inputs and requested variables at each of them. */
 typedef struct {
     const double *times; /* communication points, the start first */
     long count;
-    const int *inputs; /* references of inputs, by columns of `table`, a row for each communication point */
+    const int *inputs; /* references of inputs, the columns of `table`, which has a row for each communication point */
     int input_count;
     const double *table;
-    const int *wanted; /* references, by columns of `values` */
+    const int *wanted; /* references of variables, the columns of `values` */
     int wanted_count;
     double *values;
-    int (*progress)(long done); /* callback a few times a second, or NULL; zero interrupts the run */
+    int (*progress)(long done); /* called a few times a second unless NULL; the run stops if it returns zero */
 } Run;
 
-/* Make a run and return the number of its rows; `done` is set to the communication steps that are made while it goes
-   on. */
+/* Make a run and return the number of its rows; `done` counts completed communication steps during the run. */
 long whole_run_make(Instance *i, const Run *r, long *done, Outcome *outcome);
 
 #include "internal_end.h"

@@ -1,6 +1,6 @@
-/* Evaluates a function for several sets of arguments side by side, each number in a lane of its own: an operation is
-   done in all lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the
-   other, which compilers without vectors make. */
+/* A function is evaluated for several sets of arguments side by side, each set in a lane of its own. Each operation is
+   done in all lanes, so that its operands are looked up once. Results are those of one call after the other, to the
+   last bit; compilers without vectors make such calls. */
 
 #include "lanes.h"
 
@@ -29,7 +29,7 @@
         } \
         break;
 
-/* An operation that is no sum. */
+/* Do an operation other than a sum in all lanes. */
 static BY_PROCESSOR void operate(
     uint32_t kind, const Lanes *restrict x, const Lanes *restrict y, Lanes *restrict values)
 {
@@ -79,7 +79,7 @@ void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values)
 
 #endif
 
-/* The first place, of some, at which lanes fill whole lines of a cache. */
+
 double *lanes_align(double *place)
 {
     const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;

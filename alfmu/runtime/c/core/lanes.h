@@ -1,4 +1,4 @@
-/* Numbers in lanes: several sets of a number side by side, which vectors of the processor work on at once. */
+/* Numbers in lanes: several values of a number side by side, for vector instructions of the processor. */
 
 #ifndef ALFMU_LANES_H
 #define ALFMU_LANES_H
@@ -7,7 +7,7 @@
 
 #include "internal_begin.h"
 
-#define LANES 8 /* sets of arguments that a function is called for at once; directions of derivatives in a block */
+#define LANES 8 /* argument sets of a function evaluated at once; directions of derivatives in a block */
 
 #if defined(__GNUC__)
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
@@ -36,12 +36,11 @@ typedef union {
 } Lanes;
 
 #if defined(__GNUC__)
-/* Evaluate a function with narrow places in all lanes, its arguments being in the registers before the place of its
-   values. */
+/* Evaluate a function with narrow places in all lanes; its arguments are in the registers before its values. */
 void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values);
 #endif
 
-/* Return the first place at which lanes fill whole cache lines. */
+/* Return the first address from `place` on at which lanes are aligned with cache lines. */
 double *lanes_align(double *place);
 
 #include "internal_end.h"

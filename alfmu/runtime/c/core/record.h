@@ -48,11 +48,11 @@ struct Tape {
     int32_t *words;
     double *numbers;
     Mark used, room;
-    Mark reading;        /* where outputs were begun to be read last */
-    int factors;         /* place of the factors that were made last, -1 for none */
-    size_t factors_kept; /* where they are among the numbers */
+    Mark reading;        /* position where the last reading of outputs begins */
+    int factors;         /* place in the instance of the latest factors, -1 for none */
+    size_t factors_kept; /* index of these factors in `numbers` */
     int paused;
-    int lost; /* whether there was no memory for all of it */
+    int lost; /* whether memory ran out, so that the record is incomplete */
 };
 typedef struct Tape Tape;
 
@@ -65,7 +65,7 @@ void tape_free(Tape *t);
 size_t tape_bytes(const Tape *t);
 void tape_clear(Tape *t);
 
-/* Room for an entry with so many words and numbers; NULL where there is none, or no tape. */
+/* Append an entry with space for words and numbers; return NULL if memory is short or there is no tape. */
 Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers);
 
 /* Mark a position on the tape, and cut the tape there. */

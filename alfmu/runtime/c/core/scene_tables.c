@@ -166,7 +166,7 @@ void tables_read_names(Reader *r)
     s->rows = rows;
 }
 
-/* Inputs that move something, where time is a coordinate. */
+/* Read the inputs that prescribe motions of a mechanism with time as a coordinate. */
 void tables_read_followed(Reader *r)
 {
     Scene *s = r->scene;

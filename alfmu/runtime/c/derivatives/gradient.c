@@ -16,7 +16,7 @@ static const unsigned char operand_counts[] = {OPERAND_COUNTS, 1};
 
 #define COPY_KIND KIND_COUNT /* of a flat function: a value as it is */
 
-/* A flat function that is being counted, and then written. */
+/* State of a traversal that first counts the entries of a flat function, and then writes them. */
 typedef struct {
     Flat *flat;
     size_t runs, operands;

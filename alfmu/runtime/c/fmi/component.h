@@ -49,8 +49,8 @@ typedef struct {
     void *host;
     State *before, *after; /* a step that the host looks into */
     unsigned logged; /* categories, as bits */
-    int has_time;    /* whether time is a variable, behind those of the scene */
-    int exchanges;   /* whether it is for Model Exchange */
+    int has_time;    /* whether time is a variable, numbered after those of the scene */
+    int exchanges;   /* whether the instance is for Model Exchange */
 } Component;
 
 extern const char *const category_names[CATEGORIES];

@@ -1,9 +1,9 @@
 /* Model Exchange: an importer integrates coordinates, their rates and the states of first-order equations.
 
-   Errors of the importer's steps leave the constraints. Rates and outputs are those of the position on the constraints
-   next to the importer's states, found by projection (10), and each rate leads back to it. So constraints hold in every
-   output, and errors across them fade. No event corrects states after a step, which would restart the importer's
-   method, but where they are far away (docs/howto/exchange.md has the measurement). */
+   Errors of the importer's steps violate the constraints. Rates and outputs are evaluated at the importer's states
+   projected onto the constraints (10), and rates have a term that leads the states back to these. So constraints hold
+   in every output, and errors across them decay. An event corrects states after a step only if they are far from the
+   constraints, as events restart the importer's method (docs/howto/exchange.md has the measurement). */
 
 #include "exchange.h"
 
@@ -29,11 +29,11 @@
 #include "topology.h"
 
 /* Distance of states from the constraints after a step, in units of their nominal values, above which an event corrects
-   them: methods of first order get there, those that control their error do not. */
+   them: methods of first order exceed it, methods with error control do not. */
 #define FAR_AWAY 1e-3
 
-/* Length of an interval that is searched for the next event, in internal steps, and how many are before the importer
-   has to ask again. */
+/* Length of an interval that is searched for the next event, in internal steps, and the number of intervals after which
+   a time event makes the importer ask again. */
 #define WINDOW 50
 #define MOST_WINDOWS 1000
 
@@ -58,7 +58,7 @@ static Outcome close_constraints(Instance *i)
     double *q = instance_field(i, s->z), *v = q + s->n;
     if (!s->l || !settings_project(i))
         return DONE;
-    if (i->tape) { /* Derivatives are those of at least one correction, which lead along the constraints. */
+    if (i->tape) { /* At least one correction is recorded, so that derivatives are along the constraints. */
         const size_t arena = arena_mark(i), n = (size_t)s->n;
         double *next = arena_alloc(i, n), pivot, left[2];
         const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)},
@@ -142,7 +142,7 @@ Outcome exchange_begin(Instance *i)
     return outcome;
 }
 
-/* An importer may look behind an event before it is there; laws stay those before it until then. */
+/* An importer may evaluate beyond the next event before it handles it; the laws before the event apply until then. */
 void exchange_set_time(Instance *i, double time)
 {
     const double *times = times_of(i), within = fmin(fmax(time, times[FROM]), times[UNTIL]);
@@ -157,7 +157,7 @@ void exchange_set_states(Instance *i, const double *states)
     i->flags.known = 0;
 }
 
-/* Lengths have that of the mechanism, angles a radian, and rates as much in a second. */
+/* The nominal length is that of the mechanism, the nominal angle 1 rad; nominal rates are as much per second. */
 void exchange_nominals(const Instance *i, double *found)
 {
     const Scene *s = i->scene;
@@ -166,7 +166,7 @@ void exchange_nominals(const Instance *i, double *found)
         found[k] = k >= 2 * n ? s->nominals[k - 2 * n] : coordinate_is_length(s, k % n) ? *i->length : 1.0;
 }
 
-/* Update the angles whose whole turns are counted, by a step of no length. */
+/* Update the angles whose whole turns are counted, by a step of length zero. */
 static void count_turns(Instance *i)
 {
     const Scene *s = i->scene;
@@ -203,7 +203,7 @@ Outcome exchange_accept(Instance *i, int *far)
     return DONE;
 }
 
-/* Find the next time at which forces or laws of time jump or bend, or up to which there is none. */
+/* Find the next time at which forces or laws of time jump or bend, or the end of the search if there is none. */
 static Outcome find_next_time(Instance *i)
 {
     const Scene *s = i->scene;
@@ -234,7 +234,7 @@ static Outcome find_next_time(Instance *i)
     return DONE;
 }
 
-/* Let joints stick or slide where they have reached their events. */
+/* Let joints whose event indicators have reached zero stick or slide. */
 static Outcome change_friction(Instance *i)
 {
     const int count = i->scene->frictions;
@@ -290,7 +290,8 @@ Outcome exchange_event(Instance *i, int *changed, double *next)
     return exchange_read(i);
 }
 
-/* A joint that begins to slide has no rate yet, so that its indicator is above zero by the rate that counts as rest. */
+/* A joint that begins to slide has no rate yet; an offset by the rate that counts as rest keeps its indicator
+   positive. */
 Outcome exchange_indicate(Instance *i)
 {
     const Scene *s = i->scene;

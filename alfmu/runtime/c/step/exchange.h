@@ -12,15 +12,15 @@
 
 #include "internal_begin.h"
 
-/* Numbers behind the variables of Model Exchange: the time from which on, and that up to which, the laws in force hold,
-   and where they begin behind the next event. */
+/* Times [s] stored after the variables of Model Exchange: the present laws hold between FROM and UNTIL, the laws after
+   the next event from BEHIND on. */
 enum { FROM, UNTIL, BEHIND, EXCHANGE_TIMES };
 
 #if HAS_MODEL_EXCHANGE
-/* Evaluate outputs and rates: at the states of the importer, or after a communication step. */
+/* Evaluate outputs and rates at the states of the importer, or after a communication step. */
 Outcome exchange_read(Instance *i);
 
-/* Begin with the states of the start. */
+/* Set the importer's states to those of the start. */
 Outcome exchange_begin(Instance *i);
 
 void exchange_set_time(Instance *i, double time);
@@ -30,11 +30,11 @@ void exchange_nominals(const Instance *i, double *found);
 /* Accept the states of a step; `far` is whether an event has to correct them. */
 Outcome exchange_accept(Instance *i, int *far);
 
-/* Let events at this instant happen; `changed` is whether states differ after them, `next` the time [s] of the next
-   event that is known, infinity for none. */
+/* Handle the events at this instant. `changed` is whether they changed states, `next` the time [s] of the next known
+   event, infinity if there is none. */
 Outcome exchange_event(Instance *i, int *changed, double *next);
 
-/* Compute event indicators, which are above zero up to their events. */
+/* Compute event indicators, which are positive before their events. */
 Outcome exchange_indicate(Instance *i);
 #else
 static inline Outcome exchange_read(Instance *i) { return (void)i, REFUSED; }
@@ -50,7 +50,7 @@ static inline Outcome exchange_event(Instance *i, int *changed, double *next)
 static inline Outcome exchange_indicate(Instance *i) { return (void)i, REFUSED; }
 #endif
 
-/* Evaluate outputs, and the rates of states where they are wanted; those of an importer always come with them. */
+/* Evaluate outputs, and rates of states if wanted; in Model Exchange rates are always evaluated. */
 static inline Outcome exchange_or_read(Instance *i, int wanted)
 {
     return wanted || i->flags.mode ? exchange_read(i) : instance_read(i);

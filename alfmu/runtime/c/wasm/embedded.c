@@ -1,5 +1,5 @@
-/* The scene of an FMU in WebAssembly: `with_scene` of shipped.py puts it behind the memory that the module begins with,
-   after its size. */
+/* The scene of an FMU in WebAssembly: `with_scene` of embedding.py appends its size and its bytes to the initial memory
+   of the module. */
 
 #include "files.h"
 
@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-extern unsigned char __heap_end; /* defined by the linker: where memory ends at first */
+extern unsigned char __heap_end; /* defined by the linker: end of the initial memory */
 
 #define PAGE 65536u
 

@@ -1,7 +1,7 @@
 /* The functions of FMI 3 as exports of a WebAssembly component, by the draft of FMI-LS-WASM (fmi3.wit).
 
-   A result of more than one value is written into `area`: whether it failed, then the status or the values. Lists and
-   texts of arguments are in memory that the host takes by `cabi_realloc`; functions give it back when they return. */
+   A result of more than one value is written into `area`: a failure flag, then the status or the values. The host
+   allocates list and string arguments by `cabi_realloc`; each function frees them when it returns. */
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -35,7 +35,7 @@ void intermediate_update(double time, int set, int get, int finished, int can_re
 IMPORT("[export]" CS, "[resource-new]co-simulation-instance") int new_cs(Owner *o);
 IMPORT("[export]" ME, "[resource-new]model-exchange-instance") int new_me(Owner *o);
 
-/* Memory of arguments. Each block ends with a zero, so that texts do. */
+/* Memory of arguments. A zero after each block terminates strings. */
 typedef struct Block {
     struct Block *next;
     uint64_t bytes[];
@@ -66,7 +66,7 @@ static void give_back(void)
     }
 }
 
-/* Results, which the host copies at once. */
+/* The result of a call, which the host copies before the next call. */
 static union {
     unsigned char bytes[32];
     uint32_t words[8];
@@ -128,7 +128,7 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
     *from = said.from;
 }
 
-/* Arguments of every instance, and what is not used of them. A text without letters has no place. */
+/* Arguments of every instantiation. The host passes no address for an empty string; the resource path is unused. */
 #define OWNED \
     const char *name, size_t name_length, const char *token, size_t token_length, const char *path, \
         size_t path_length, int visible, int logging
@@ -152,7 +152,7 @@ static void *owned(Owner *o, int (*give)(Owner *))
     return &area;
 }
 
-/* A host is asked in between only if it has said that it answers. */
+/* Intermediate updates are sent only to hosts that allow early return or name intermediate variables. */
 EXPORT(CS "#[static]co-simulation-instance.instantiate-co-simulation")
 void *instantiate_cs(OWNED, int events, int may_return, const fmi3ValueReference *between, size_t between_count)
 {
@@ -188,7 +188,7 @@ EXPORT("fmi:fmi3/common@3.0.0#get-version") void *get_version(void)
 
 /* Methods of both kinds of instances ------------------------------------------------------------------------------- */
 
-/* A method of a name with its arguments: in declarations, and as they are passed. */
+/* A method of both interfaces, with its arguments as declared and as passed on. */
 #define CS_METHOD(NAME) EXPORT(CS "#[method]co-simulation-instance." NAME)
 #define ME_METHOD(NAME) EXPORT(ME "#[method]model-exchange-instance." NAME)
 #define METHOD(RESULT, FUNCTION, NAME, DECLARED, PASSED) \
@@ -233,7 +233,7 @@ METHOD(void *, update, "update-discrete-states", (Owner * o), (o))
 #define REFERENCES const fmi3ValueReference *references, size_t count
 #define ARGUMENTS(...) __VA_ARGS__
 
-/* The functions of a type for values that are found and given, and the last arguments of each. */
+/* The getter and setter of a type: the C types of their values, and their last arguments. */
 #define BOTH(TYPE, NAME, FOUND, GIVEN, LAST_OF_GET, LAST_OF_SET) \
     METHOD(void *, get_##TYPE, "get-" NAME, (Owner * o, REFERENCES), (o, references, count)) \
     { \
@@ -262,7 +262,7 @@ NUMBERS(UInt32, "uint32")
 NUMBERS(UInt64, "uint64")
 NUMBERS(Boolean, "boolean")
 
-/* Types that no variable has: the functions refuse every reference. */
+/* No variable has these types: the functions refuse every reference. */
 BOTH(String, "string", fmi3String, Text, (NULL, count), (NULL, given_count))
 BOTH(Binary, "binary", fmi3Binary, Text, (NULL, NULL, count), (NULL, NULL, given_count))
 BOTH(Clock, "clock", fmi3Clock, fmi3Clock, (NULL), (NULL))
@@ -335,7 +335,7 @@ METHOD(void *, get_output_derivatives, "get-output-derivatives", (Owner * o, con
 
 /* Co-simulation ---------------------------------------------------------------------------------------------------- */
 
-/* FMI 3 has no such function. */
+/* FMI 3 has no function for input derivatives. */
 CS_METHOD("set-input-derivatives")
 int set_input_derivatives(Owner *o, const Request *requests, size_t count, const double *given, size_t given_count)
 {
