@@ -30,8 +30,9 @@ __all__ = ["Form", "described"]
 
 @dataclass(frozen=True)
 class Form:
-    """What a format holds: kinds of joints that can close a loop, springs, and if it is `full` scaled and constant
-    efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than two joints."""
+    """The abilities of a format: joint kinds that can close a loop, and whether it has springs; if `full`, it also has
+    scaled and constant efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than
+    two joints."""
 
     name: str
     closures: Collection[str]
@@ -305,7 +306,7 @@ class _Describing:
         pull, k, d = pull + joint.stiffness[0] * joint.rest[0], k + joint.stiffness[0], d + joint.damping[0]
         if k < 0 or d < 0:
             self.refuse(joint.name, "its stiffness or damping is negative")
-        if pull and not k and self.form.full:  # an actuator whose control does nothing
+        if pull and not k and self.form.full:  # an actuator with gain zero and the effort as its bias
             self._motor(joint, _Limited(self.fresh(f"{joint.name}_effort"), 0.0), 0.0, (pull, 0.0, 0.0))
         elif pull and not k:
             self.refuse(joint.name, f"a constant effort acts along it; {self.form.name} holds inputs alone")
