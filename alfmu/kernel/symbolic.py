@@ -499,12 +499,15 @@ class Scene:
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
         """S4: return the spacing [s] of positions along v; a step may be too short to distinguish them."""
-        spacing, units = share * dt, [c.unit for c in self.e.coordinates[: self.e.dependent]]
+        return ca.fmax(share * dt, ca.sqrt(_TOLD * self.settings.nothing) / self._fastest(v))
+
+    def _fastest(self, v: SX) -> SX:
+        """Return the largest rate of a coordinate [1/s], with lengths over that of the mechanism."""
+        units = [c.unit for c in self.e.coordinates[: self.e.dependent]]
         sizes = [
             x * self.settings.inverse_length if u == "m" else x for u, x in zip(units, ca.vertsplit(v), strict=False)
         ]
-        fastest = ca.mmax(ca.fabs(ca.vertcat(*sizes)))
-        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(fastest, _TINY))
+        return ca.fmax(ca.mmax(ca.fabs(ca.vertcat(*sizes))), _TINY)
 
     def probed(self, q: SX) -> tuple[SX, ...]:
         """Return the margin at q, whether a limit may have to be taken there, a zero spacing; and q after a correction
@@ -519,11 +522,12 @@ class Scene:
         before, after = (q + k * spacing * v for k in (-1, 1))
         return before, after
 
-    def approached(self, here: SX, before: SX, after: SX, spacing: SX) -> tuple[SX, SX]:
+    def approached(self, here: SX, before: SX, after: SX, spacing: SX, v: SX) -> tuple[SX, SX]:
         """S4: return whether the limit has to be taken at a position of known margin, and the spacing [s] of its
         positions, from the margins on either side."""
-        rate = self._rate(here, before, after)
-        first = self.settings.least_distance
+        rate, settings = self._rate(here, before, after), self.settings
+        moved = spacing * self._fastest(v)
+        first = branch.first_position(settings.least_distance, rate, moved, settings.nothing, ca.if_else)
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
         # Indistinguishable positions give an infinite spacing, which leaves the step to the patient tier.
         return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * first / rate

@@ -480,7 +480,7 @@ class Tracer:
 
         ways(f"aside{plan.own}", f"q{i} v{i} {length} k", "spacing aside1 aside2", aside)
         self._margins(ways, "aside1 aside2", 1)
-        ways("approach", "here margin1 margin2 spacing k", f"zone{i} spacing", scene.approached)
+        ways("approach", f"here margin1 margin2 spacing v{i} k", f"zone{i} spacing", scene.approached)
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:

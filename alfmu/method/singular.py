@@ -22,6 +22,7 @@ __all__ = [
     "curvature",
     "direct_error",
     "fewer",
+    "first_position",
     "limit_error",
     "mean",
     "pole",
@@ -59,6 +60,11 @@ LEAST_DISTANCE = 0.011
 at 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of
 2e-11; at half and twice the value `stiff` at 1e-9 rejects one or two steps in 3 s, as at the value
 (`tests/test_methods.py`)."""
+
+MOST_MOVED = 0.04
+"""displacement of the first position [rad]: it is nearer where the distance falls slowly along the motion, as the limit
+misses what bends within its positions; without the bound a Stewart platform whose distance falls by 0.07 a radian is
+5e-5 m off after two passages, whatever the tolerance, instead of 4e-8 m."""
 
 CONVERGENCE = 7.0
 """distance of the first position over the root of the pivot contributed by masses [1]: each multiplier iteration gains
@@ -154,6 +160,16 @@ MEAN = weights(PLACES)
 
 READ_MEAN = weights(LONG_PLACES)
 """Positions [spacings] from which a limit of reactions is taken, and their weights."""
+
+
+def first_position(
+    least: Array, rate: Array, moved: Array, nothing: Array, choose: Callable[[Any, Any, Any], Any]
+) -> Array:
+    """S4: return the distance of the first position of a limit, where a spacing moves a coordinate by `moved` and
+    changes the distance by `rate`: the least one, or a nearer one that moves less, at which (8) still converges."""
+    floor = CONVERGENCE * (nothing / NOISE_FLOOR) ** 0.5
+    near = choose(MOST_MOVED * rate < least * moved, MOST_MOVED * rate / (moved + TINY), least)
+    return choose(rate > 0, choose(near < floor, floor, near), least)
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:

@@ -249,11 +249,14 @@ class Instance(Stepped):
         iteration converges.
         """
         here, rate, spacing = self.approach(q, v, spacing)
-        if not (rate > 0 and here < branch.LIMIT_ZONE * self.least_distance):
+        units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
+        moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(v, units, strict=False))
+        first = float(branch.first_position(self.least_distance, rate, spacing * moved, self.nothing, np.where))
+        if not (rate > 0 and here < branch.LIMIT_ZONE * first):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
         try:
-            _, found = self._beside(q, v, u, t, spacing * self.least_distance / rate, branch.MEAN)
+            _, found = self._beside(q, v, u, t, spacing * first / rate, branch.MEAN)
             a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
             return a, lam, max(x[2] for x in found.values()), left
         except OpenError:
