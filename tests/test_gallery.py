@@ -182,7 +182,7 @@ def delta(n: Names) -> None:
     assert min(each.parallel for each in n["near"]) > 0.1
 
 
-def five_bar_robot(n: Names) -> None:
+def path_robot(n: Names) -> None:
     assert n["off"].max() < 1e-3 * np.ptp(n["path"][:, 0])
     assert n["lag"] == pytest.approx(n["expected"], rel=0.05)
     assert np.ptp(n["alone"]["tool.y"]) > 1.1 * np.ptp(n["path"][:, 1])
@@ -240,7 +240,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             bricard,
             swing_up,
         ),
-        *(bar_clamp, delta, five_bar_robot, gripper, biped_leg),
+        *(bar_clamp, delta, path_robot, gripper, biped_leg),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

@@ -21,8 +21,8 @@ PERIOD = 2.4  # of a round [s]
 # A servo holds its crank at an angle by a spring and a damper. It takes a torque besides.
 
 
-def five_bar_robot() -> Mechanism:
-    m = Mechanism("five_bar_robot", "Two cranks and two rods that meet in the tool")
+def path_robot() -> Mechanism:
+    m = Mechanism("path_robot", "Two cranks and two rods that meet in the tool")
     ends = []
     for name, x, start, bend in (("A", 0.0, 2.3, -1.6), ("B", BASE, 0.8, 1.6)):
         crank, rod = m.bar(f"crank{name}", mass=0.6, length=CRANK), m.bar(f"rod{name}", mass=0.3, length=ROD)
@@ -43,7 +43,7 @@ def five_bar_robot() -> Mechanism:
 # The tool draws a lying eight, and rests at both ends of the motion. At each point of the path the solution nearest to
 # the last one is taken. The kinematics leaves the servos out: their motors are what it is asked for.
 
-mechanism = five_bar_robot()
+mechanism = path_robot()
 robot = kinematics(mechanism)
 time = np.linspace(0.0, PERIOD, 161)
 part = time / PERIOD
@@ -79,7 +79,7 @@ right.set(xlabel="time [s]", ylabel="computed torque [N.m]")
 right.legend()
 
 # %%
-animate(mechanism, result, "five_bar_robot.gif", fps=15, speed=0.5)
+animate(mechanism, result, "path_robot.gif", fps=15, speed=0.5)
 
 # %%
 # **Check.** The tool is on its path. A servo alone lags behind by the torque that it gives over its stiffness, which is
