@@ -56,7 +56,7 @@ def reactions_of(
     moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
     Xe, _ = inertia_of(m, moved)
     _, closures, signs = closures_of(m, held)
-    displaced = stack([eps[c].get(k, 0.0) if isinstance(c, Joint) else 0.0 for c, k in closures])
+    displaced = stack([eps[c].get(k, 0.0) if isinstance(c, Joint) and c in eps else 0.0 for c, k in closures])
     Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
     # A row of velocities is displaced along the motion it prevents.
     Phie += signs * stack([slid(each, plain, moved) for each in closures])
