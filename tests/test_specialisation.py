@@ -10,7 +10,9 @@ from scenes import by_rk4, derived
 
 import alfmu
 from alfmu.cli import main
+from alfmu.equations.interface import MONITORS, SOLVED
 from alfmu.equations.specialisation import specialised
+from alfmu.equations.types import REACTION_ERROR
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.controlled import whole
@@ -31,6 +33,17 @@ def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
     assert sorted(some.names) == sorted([*names, *(v.name for v in derived("five_bar").inputs)])
     for name in names:
         assert np.abs(some[name] - every[name]).max() <= 1e-12 * np.abs(every[name]).max(), name
+
+
+def test_a_monitor_alone_has_its_values():
+    """Also those that take accelerations, multipliers or pivots, which no other output asks for then."""
+    how = {"inputs": {"A.torque": 4.0}, "parameters": {"solver.method": "rk4"}}
+    names = [v.name for v in MONITORS]
+    every = alfmu.simulate("four_bar", 0.4, 0.02, outputs=["*", REACTION_ERROR], **how)
+    for name in names:
+        alone = alfmu.simulate("four_bar", 0.4, 0.02, outputs=[name], **how)[name]
+        assert np.array_equal(alone, every[name]), name
+        assert name not in SOLVED or np.abs(alone).max() > 0, name
 
 
 @pytest.mark.slow
