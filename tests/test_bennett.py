@@ -131,3 +131,19 @@ def test_through_an_fmu(tmp_path):
     with Fmu(path) as fmu:
         result = run(fmu, 0.5, 0.01)
     assert np.array_equal(result.values, alfmu.simulate("bennett", 0.5, 0.01).values)
+
+
+@pytest.mark.parametrize("beside", ["free", "law"])
+def test_at_rest_beside_something_that_moves_it_is_the_same(beside):
+    """Its redundant rows were not seen to brake where the motion at the start was that of another part alone."""
+    how = {"parameters": {"solver.method": "rk4", "start.angular_velocity": 0.0}, "outputs": ["hinge1.angle"]}
+    m = alfmu.load("bennett")
+    if beside == "free":
+        x = m.coordinate("x", "m", start=0.0, rate=1.0, independent=True)
+        m.kinetic_energy(0.5 * m.rate(x) ** 2)
+    else:
+        bar, x = m.bar("bar", mass=1.0, length=0.3), m.coordinate("x", "rad")
+        m.motion(m.revolute("motor", m.ground.at(0, 0), bar.start, coordinate=x), 0.5 * m.time)
+    found, alone = (alfmu.simulate(each, 1.0, 0.01, **how)["hinge1.angle"] for each in (m, "bennett"))
+    assert np.ptp(alone) > 4
+    np.testing.assert_allclose(found, alone, atol=1e-11)

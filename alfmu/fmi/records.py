@@ -12,7 +12,7 @@ import io
 import logging
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -154,7 +154,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         for value in [_HEAVIER * float(v.start)]
         if v.maximum is None or value <= v.maximum
     }
-    best, poor, small, large = None, None, 0.0, math.inf
+    best, poor, wild, small, large = None, None, None, 0.0, math.inf
     size = 1.0
     for _ in range(_TRIES):
         inputs = _signals(e, instance, still.time, size)
@@ -163,6 +163,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
             with _warned() as warnings:
                 begin = _change(e, still, kept, parameters, table, max(1, len(still.time) // _BEGIN))
                 change = _change(e, still, kept, parameters, table, -1) if begin <= _GENTLE else math.inf
+            wild = inputs if _GENTLE < begin < math.inf else wild
         except AlfmuError:
             change = math.inf
         if math.isfinite(change) and warnings:
@@ -176,13 +177,14 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         else:
             small = max(small, size)
         size = small * 8 if large == math.inf else large / 8 if not small else math.sqrt(small * large)
-    chosen = best or poor
+    chosen = best or poor or wild
     if chosen is None:
         return None
     table = {name: (chosen.time, chosen[name]) for name in chosen.names}
     how: dict[str, Any] = {"inputs": table, "parameters": parameters, "held_rows": True}
-    with _warned():
+    with _warned(), suppress(AlfmuError):  # a wild motion may end early
         return parameters, chosen, run(Instance(e), still.time[-1], still.time[1], **how)
+    return None
 
 
 def _change(e: Equations, still: Result, kept: list[str], parameters: Any, inputs: Any, row: int) -> float:

@@ -235,20 +235,23 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
-    memcpy(way, v, n * sizeof *way);
-    if (linear_largest(v, scene_coordinates(s)) == 0.0) { /* Any motion will do. */
-        rank_weighted_rows(i, q, weights, J.constraints, phi);
-        matrix_times(J.constraints, s->normal, phi);
-        rows_least_correction(i, &J, phi, CORRECTIONS, dq);
+    /* Along the motion at the start, along which a loop may rest, as on a base that moves; and along any other. */
+    for (int a = 0; a < 2 * SIDE_PLACES && !found; a++) {
+        if (a % SIDE_PLACES == 0) {
+            memcpy(way, v, n * sizeof *way);
+            if (a > 0) {
+                rank_weighted_rows(i, q, weights, J.constraints, phi);
+                matrix_times(J.constraints, s->normal, phi);
+                rows_least_correction(i, &J, phi, CORRECTIONS, dq);
+                for (int c = 0; c < s->n; c++)
+                    way[c] = s->normal[c] - dq[c];
+            }
+            size = fmax(instance_largest(i, way), 1e-300);
+            for (int c = 0; c < s->n; c++)
+                way[c] /= size;
+        }
         for (int c = 0; c < s->n; c++)
-            way[c] = s->normal[c] - dq[c];
-    }
-    size = fmax(instance_largest(i, way), 1e-300);
-    for (int c = 0; c < s->n; c++)
-        way[c] /= size;
-    for (int a = 0; a < SIDE_PLACES && !found; a++) {
-        for (int c = 0; c < s->n; c++)
-            near[c] = q[c] + side_places[a] * way[c];
+            near[c] = q[c] + side_places[a % SIDE_PLACES] * way[c];
         for (int pass = 0; pass <= CORRECTIONS; pass++) {
             rank_weighted_rows(i, near, weights, J.constraints, phi);
             if (pass == CORRECTIONS || linear_largest(phi, s->l) <= TOLERANCE)
