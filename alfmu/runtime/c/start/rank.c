@@ -235,7 +235,7 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
-    /* Along the motion at the start, along which a loop may rest, as on a base that moves; and along any other. */
+    /* The motion at the start comes first, then any other: a loop may rest on a base that moves. */
     for (int a = 0; a < 2 * SIDE_PLACES && !found; a++) {
         if (a % SIDE_PLACES == 0) {
             memcpy(way, v, n * sizeof *way);
