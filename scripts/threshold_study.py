@@ -310,6 +310,24 @@ def _prescribed(_: Any) -> Found:
     return Found(float(np.abs(run["A.torque"] - exact).max()), run.counters.evaluations)
 
 
+def _beside(_: Any, name: str) -> Found:
+    """A parallelogram from rest in line, on a base that shakes or with a rotor, as in the tests: the error [rad]."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    import test_moving_base as moving
+
+    import alfmu
+
+    law, acceleration = moving.BASES["5 Hz"]
+    if name == "shaken":
+        m, torque = moving.on_base(law, "absolute"), 40.0
+        exact = moving.crank_on_base(acceleration, torque, [0.0, 0.0], 1.0)
+    else:
+        m, torque = moving.with_rotor("absolute", 30.0), 1.0
+        exact = moving.crank_with_rotor(30.0, torque, [0.0, 0.0], 1.0)
+    r = alfmu.simulate(_equations(m, step_size=1e-3), 1.0, 0.02, inputs={"A.torque": torque})
+    return Found(float(abs(r["bar1.angle"] - exact).max()), r.counters.evaluations)
+
+
 def _rubs(_: Any, name: str) -> Found:
     """Mechanisms with dry friction, as the tests have them: the error of what each is about."""
     sys.path.insert(0, str(ROOT / "tests"))
@@ -372,6 +390,7 @@ CASES: dict[str, Callable[[Any], Found]] = {
     "bennett": partial(_regular, name="bennett", stop=0.4),
     "governor": partial(_regular, name="flyball_governor", stop=0.01),
     "prescribed": _prescribed,
+    **{name: partial(_beside, name=name) for name in ("shaken", "rotor")},
     **{name: partial(_rubs, name=name) for name in RUBBING},
 }
 """Runs, by the name that the page gives them."""
@@ -390,6 +409,7 @@ SLOW = {
     "bennett": ("ASIDE", "FAR_RATIO", "REGULAR", "RANKED"),
     "governor": ("ASIDE", "FAR_RATIO", "SMALL_PIVOT", "REGULAR_PRODUCT", "BRANCH_MARGIN"),
     "prescribed": ("FROZEN", "LATER"),
+    **dict.fromkeys(("shaken", "rotor"), ("FROZEN", "AWAY", "BESIDE", "SERVES", "TOO_NEAR")),
     **dict.fromkeys(("crank rubs", "pentagon"), DECIDING),
 }
 """Cases that are slow to derive, or are about some constants: those that they are run for."""

@@ -32,6 +32,7 @@ def test_every_constant_stands_in_the_page_as_it_is(study):
     rows, measured = PAGE.splitlines(), study.measured(PAGE)
     known = study.thresholds()
     assert len(known) > 30
+    assert len({each.name for each in known}) == len(known)
     for each in known:
         assert sum(row.startswith(each.row) for row in rows) == 1, each.name
     assert {each.name for each in known} == set(measured)

@@ -141,7 +141,7 @@ class Layout:
             "begin": size,
             "u": len(e.inputs),
             "p": len(e.parameters) + len(e.held),
-            "k": len(SETTINGS) + 2 * e.l + e.n + len(e.compliances) + e.survey.brakes * e.l**2,
+            "k": len(SETTINGS) + 2 * e.l + e.n + len(e.compliances) + e.n * bool(e.l) + e.survey.brakes * e.l**2,
             "dt": 1,
             "control": len(CONTROL),
             "tally": len(TALLY),

@@ -21,7 +21,6 @@ from ..equations.evaluation import elimination_order, symbols, with_functions
 from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
 from ..method.formulations import CORRECTIONS
-from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import CHOSEN, Alternatives, alternatives
 from .breaks import breaks
@@ -340,18 +339,17 @@ class _Patient(Alternatives):
         """Return True: no tier follows this one."""
         return True
 
-    def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
+    def _read_places(self, calls: Calls, places: Sequence[str]) -> None:
         """Double spacings until the positions are distinguishable."""
         again = calls.inside()
-        calls("stretch", length, "stretched", lambda dt: dt)
-        super()._read_places(again, places, "stretched")
+        self._read_along(again, places, "stretched")
 
         def longer(stretched: SX, first: SX) -> tuple[SX, SX]:
             more = 1 - (ca.sumsqr(first) < ca.inf)
             return stretched * (1 + more), more
 
         again("longer_places", f"stretched {places[0]}", "stretched slow", longer)
-        self.repeat(calls, "slow", DOUBLINGS, again)
+        self.stretch(calls, "dt", "vz", again)
 
     def _least(self, calls: Calls, lam: str) -> None:
         """Repeat passes until they converge; for other formulations if steps project."""

@@ -88,10 +88,10 @@ def lengths_of(equations: Configuration) -> dict[str, int]:
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
         "singular lost noise error read_power renew before passes size most patient again projects within floor": 1,
         "of_least_norm on_branch onward by_classic by_penalty by_stiffness by_baumgarte by_dae": 1,
-        "supply supplied suppliedn crossed margin": 1,
+        "supply supplied suppliedn crossed margin turn": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn read_watch": len(Watch._fields),
-        "q qz ql qn v vz vl vn a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "q qz ql qn v vz vl vn way a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
         "aside off_q off_v": n,
         "round_off read_a": n,
         "lam laml lamn force Phi Cv stabilised least_norm": l,
@@ -147,8 +147,8 @@ class Scene:
         e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
         self.settings = SceneSettings(*ca.vertsplit(self.k[: len(SETTINGS)]))
         self.scale = 1 / self.settings.alpha
-        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)]).tolist()
-        own, units, self.inverse_scales, self.stiffnesses = (self.k[begin:end] for begin, end in pairwise(ends))
+        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances), e.n * bool(e.l)]).tolist()
+        own, units, self.inverse_scales, self.stiffnesses, self.way = (self.k[a:b] for a, b in pairwise(ends))
         if not weighted:  # a single penalty means a single unit
             own, units = SX.ones(e.l), self.k[ends[1]]
         self.inverse_units = units
@@ -496,6 +496,11 @@ class Scene:
         """S2: return the margin at a position."""
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
+
+    def directed(self, v: SX, turn: SX | float = 0.0) -> tuple[SX, SX]:
+        """S4: return the direction of positions and the next turn: first that of the settings, if there is one, then
+        that of the motion."""
+        return ca.if_else((1 - turn) * (ca.sumsqr(self.way) > 0), self.way, v), SX(1)
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
         """S4: return the spacing [s] of positions along v; a step may be too short to distinguish them."""

@@ -225,6 +225,7 @@ def layout_header() -> str:
         "BRANCH_MARGIN": singular.BRANCH_MARGIN,
         "REGULAR_PRODUCT": singular.REGULAR_PRODUCT,
         "CONVERGENCE": singular.CONVERGENCE,
+        "FROZEN": singular.FROZEN,
         "QUARTER": math.pi / 2,
         "DENSE": DENSE,
         "TIERS": len(TIERS),

@@ -101,9 +101,20 @@ MISSED_LENGTHS = 3.0
 """difference of a length from its guess over the larger of the guess and the mechanism's length [1]: the start reports
 larger ones; a length may be the long travel of a small wheel."""
 
-DIRECTION = 1e-40
-"""velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the positions of a
-limit lie along the velocity; its displacement and energy are negligible."""
+LEAVING = 0.1
+"""displacement [rad or m]: a direction leads away from a singular start whose margin is no longer indistinguishable at
+this distance."""
+
+BESIDE = 0.03
+"""displacement [rad or m]: where a motion starts at rest in a singular position, its direction is that between two
+positions so far away, which closing the constraints puts on one of the motions that cross there."""
+
+SERVES = 0.25
+"""change of the distance from a singular position over the motion of the fastest coordinate [1]: where it is less along
+the motion, positions of a limit lie in the direction in which the distance changes most instead."""
+
+TOO_NEAR = 0.25
+"""margin over BRANCH_MARGIN [1]: nearer to a singular position that direction is that of the step before."""
 
 RANKED = 8
 """number of positions [1]: S1 computes the rank of C at this many positions around the start, as the start itself may

@@ -329,17 +329,26 @@ class Tracer:
         self._brought(calls, place, "placed", "vz")
         self.evaluation(calls, j, {"u": u, f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
 
-    def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
-        """Compute the positions from which a limit of outputs is taken; `length` is the base of their spacing."""
+    def _read_places(self, calls: Calls, places: Sequence[str]) -> None:
+        """Compute the positions from which a limit of outputs is taken."""
+        self._direct(calls, "vz")
+        self._read_along(calls, places, "dt")
+
+    def _direct(self, calls: Calls, v: str) -> None:
+        """Choose the direction of positions."""
+        calls("directed", f"{v} k", "way", lambda v: calls.scene.directed(v)[0])
+
+    def _read_along(self, calls: Calls, places: Sequence[str], length: str) -> None:
+        """Compute these positions in a known direction; `length` is the base of their spacing."""
         scene = calls.scene
 
         def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
             spacing = scene.spacing(branch.SPACING, v, dt)
             return spacing, *scene.aside(q, v, spacing)
 
-        calls("read_aside", f"qz vz {length} k", "spacing aside1 aside2", aside)
+        calls("read_aside", f"qz way {length} k", "spacing aside1 aside2", aside)
         self._margins(calls, "qz aside1 aside2")
-        known = "margin0 margin1 margin2 spacing qz vz k"
+        known = "margin0 margin1 margin2 spacing qz way k"
         calls("read_places", known, spaced(places), scene.read_places)
 
     def _margins(self, calls: Calls, places: str, first: int = 0) -> None:
@@ -405,7 +414,7 @@ class Tracer:
             [f"{name}{j}" for j in count] for name in ("place", "acceleration", "watched")
         )
         limit = calls.inside()
-        limit(f"places{own}", f"q{i} v{i} spacing", spaced(places), lambda *x: scene.places(*x, side=side))
+        limit(f"places{own}", f"q{i} way spacing", spaced(places), lambda *x: scene.places(*x, side=side))
         for place, a, watch in zip(places, accelerations, watches, strict=True):
             self.place(limit, place, "placed")
             self._brought(limit, place, "placed", f"v{i}")
@@ -462,7 +471,11 @@ class Tracer:
         """Compute whether a limit has to be taken, and the spacing of its positions; `length` is the base of the
         spacing."""
         calls("probe", f"q{i} p k", f"here zone{i} spacing placed", calls.scene.probed)
-        (self._approach_until_told if self.doubles(calls.plan) else self._approach)(calls, i, length)
+        if self.doubles(calls.plan):
+            self._approach_until_told(calls, i, length)
+        else:
+            self._direct(calls, f"v{i}")
+            self._approach(calls, i, length)
 
     def doubles(self, plan: Plan) -> bool:
         """Return whether a spacing is doubled until positions are distinguishable; RK4 leaves this to the
@@ -470,7 +483,7 @@ class Tracer:
         return plan.gaining
 
     def _approach(self, calls: Calls, i: str, length: str) -> None:
-        """Compute these at a position of known margin."""
+        """Compute these at a position of known margin, whose direction of positions is known."""
         scene, plan = calls.scene, calls.plan
         ways = calls.inside()
 
@@ -478,16 +491,15 @@ class Tracer:
             spacing = scene.spacing(plan.spacing, v, dt)
             return spacing, *scene.aside(q, v, spacing)
 
-        ways(f"aside{plan.own}", f"q{i} v{i} {length} k", "spacing aside1 aside2", aside)
+        ways(f"aside{plan.own}", f"q{i} way {length} k", "spacing aside1 aside2", aside)
         self._margins(ways, "aside1 aside2", 1)
-        ways("approach", f"here margin1 margin2 spacing v{i} k", f"zone{i} spacing", scene.approached)
+        ways("approach", "here margin1 margin2 spacing way k", f"zone{i} spacing", scene.approached)
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
         """Compute these with a spacing doubled until positions are distinguishable; the least one counts metres as
         radians."""
         zone, again = f"zone{i}", calls.inside()
-        calls("stretch", length, "stretched", lambda dt: dt)
         self._approach(again, i, "stretched")
 
         def longer(stretched: SX, near: SX, spacing: SX) -> tuple[SX, SX]:
@@ -495,8 +507,17 @@ class Tracer:
             return stretched * (1 + more), more
 
         again("longer", f"stretched {zone} spacing", "stretched slow", longer)
-        self.repeat(calls, "slow", branch.DOUBLINGS, again)
+        self.stretch(calls, length, f"v{i}", again)
         calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
+
+    def stretch(self, calls: Calls, length: str, v: str, again: Calls) -> None:
+        """Repeat `again` with longer spacings, and if it stays `slow` in the other direction."""
+        turn = calls.inside()
+        turn("direct", f"{v} turn k", "way turn", calls.scene.directed)
+        turn("stretch", length, "stretched", lambda dt: dt)
+        self.repeat(turn, "slow", branch.DOUBLINGS, again)
+        calls("turns", "k", "turn slow", lambda: (SX(0), SX(1)))
+        calls.made.append(Loop("slow", 2, turn.steps))
 
     def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
         """Make calls, and repeat `again` until the named number is zero."""

@@ -85,6 +85,7 @@ _SIGNATURES = {
     "restore": (c_int, c_void_p, c_char_p, c_size_t),
     "state": (c_void_p, c_void_p),
     "stabilise": (c_int, c_void_p, c_double, c_double, c_int),
+    "update_way": (None, c_void_p),
     "mobility": (c_int, c_void_p, c_int, POINTER(c_int), POINTER(c_int), POINTER(c_int), c_void_p),
     "brakes": (c_int, c_void_p),
     "penalize": (c_int, c_void_p, c_void_p),

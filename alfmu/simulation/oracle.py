@@ -203,14 +203,18 @@ class Instance(Stepped):
         more = len(small) - self.freedom
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
-    def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
-        """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
-        for _ in range(branch.DOUBLINGS):
-            before, here, after = (self.margin(q + k * spacing * v)[1] for k in (-1, 0, 1))
-            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-            if here > self.nothing or rate**2 > self.nothing:
-                break
-            spacing *= 2  # The places are too near to be told from the singular position.
+    def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
+        """Distance to a singular position, how much of it one spacing makes, and a spacing (n,) that can tell: in the
+        direction that the runtime has found, or along v."""
+        self._unit.scene.library.alfmu_update_way(self._unit.address)
+        for way in (self.way, v) if self.way.any() else (v,):
+            spacing = shortest * way
+            for _ in range(branch.DOUBLINGS):
+                before, here, after = (self.margin(q + k * spacing)[1] for k in (-1, 0, 1))
+                rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
+                if here > self.nothing or rate**2 > self.nothing:
+                    return here**0.5, rate, spacing
+                spacing *= 2  # The places are too near to be told from the singular position.
         return here**0.5, rate, spacing
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
@@ -241,17 +245,17 @@ class Instance(Stepped):
             raise self._error(OpenError, t, f"the branch of the motion leaves {row} open by {gap:.1e} ahead")
         return near, v
 
-    def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float) -> Found:
+    def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, shortest: float) -> Found:
         """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
 
-        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow, and shorter
-        where it is fast. Where the motion does not reach them, accelerations are taken as they are, as long as the
-        iteration converges.
+        `shortest` is the spacing [s] of the places from which a limit is taken, longer where the motion is slow, and
+        shorter where it is fast. Where the motion does not reach them, accelerations are taken as they are, as long
+        as the iteration converges.
         """
-        here, rate, spacing = self.approach(q, v, spacing)
+        here, rate, spacing = self.approach(q, v, shortest)
         units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
-        moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(v, units, strict=False))
-        first = float(branch.first_position(self.least_distance, rate, spacing * moved, self.nothing, np.where))
+        moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(spacing, units, strict=False))
+        first = float(branch.first_position(self.least_distance, rate, moved, self.nothing, np.where))
         if not (rate > 0 and here < branch.LIMIT_ZONE * first):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
@@ -266,10 +270,10 @@ class Instance(Stepped):
             return alone
 
     def _beside(
-        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, at: Iterable[int]
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: NDArray, at: Iterable[int]
     ) -> tuple[dict[int, tuple[NDArray, NDArray]], dict[int, Found]]:
         """q and v, and what `accelerations` returns, at places on the branch before and after q."""
-        places = {k: self.reached(q + k * spacing * v, v, t) for k in at}
+        places = {k: self.reached(q + k * spacing, v, t) for k in at}
         return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
 
     # Steps --------------------------------------------------------------------------------------------------------

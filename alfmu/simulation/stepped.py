@@ -112,8 +112,8 @@ class Stepped(runtime.Instance, ABC):
         self.freedom, self.masses, self.regular = (found[name] for name in ("freedom", "masses", "regular"))
         self.nothing, self.least_distance = found["nothing"], found["least_distance"]
         self.inverse_length = found["inverse_length"]
-        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)])
-        _, _, inverse_units, inverse_scales, stiffnesses, _ = np.split(k, ends)
+        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances), e.n * bool(e.l)])
+        _, _, inverse_units, inverse_scales, stiffnesses, self.way, _ = np.split(k, ends)
         with np.errstate(divide="ignore", invalid="ignore"):  # the run reports a scale that is not finite
             self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0

@@ -25,6 +25,7 @@
 #include "state.h"
 #include "topology.h"
 #include "variables.h"
+#include "way.h"
 #include "whole_run.h"
 
 #if !defined(__wasm__)
@@ -298,6 +299,12 @@ API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
 API int alfmu_mobility(Instance *i, int which, int *freedom, int *redundant, int *here, double *place)
 {
     return (int)instance_mobility(i, (Counted_rows)which, freedom, redundant, here, place);
+}
+
+API void alfmu_update_way(Instance *i)
+{
+    arena_reset(i);
+    way_update(i);
 }
 
 /* Return whether redundant constraints would brake the motion from the start. */

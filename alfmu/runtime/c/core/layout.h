@@ -12,6 +12,7 @@
 #define BRANCH_MARGIN 0.00025
 #define REGULAR_PRODUCT 0.1
 #define CONVERGENCE 7.0
+#define FROZEN 1e-06
 #define QUARTER 1.5707963267948966
 #define DENSE 50
 #define TIERS 3
@@ -130,7 +131,10 @@
 #define DISTINCT 0.1
 #define MISSED 1.0471975511965976
 #define MISSED_LENGTHS 3.0
-#define DIRECTION 1e-40
+#define LEAVING 0.1
+#define BESIDE 0.03
+#define SERVES 0.25
+#define TOO_NEAR 0.25
 #define RANKED 8
 #define FEW_RANKED 2
 #define LATER 0.1

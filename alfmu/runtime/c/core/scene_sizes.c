@@ -16,9 +16,21 @@ int scene_first_output(const Scene *s)
     return s->parameters + s->choices + s->inputs + s->switches;
 }
 
+/* Place among the settings of the direction of a start in a singular position. */
+int scene_way(const Scene *s)
+{
+    return SETTINGS + 2 * s->l + s->n + s->compliances;
+}
+
+/* Place among the settings of the weights of constraints where redundant ones brake. */
+int scene_matrix(const Scene *s)
+{
+    return scene_way(s) + (s->l ? s->n : 0);
+}
+
 int scene_settings_length(const Scene *s)
 {
-    return SETTINGS + 2 * s->l + s->n + s->compliances + (s->brakes ? s->l * s->l : 0);
+    return scene_matrix(s) + (s->brakes ? s->l * s->l : 0);
 }
 
 size_t scene_state_length(const Scene *s)

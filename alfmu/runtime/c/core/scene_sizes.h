@@ -14,6 +14,8 @@ enum { KNOWN_BEFORE, TIME_BEFORE, STATE_BEFORE };
 
 int scene_variable_count(const Scene *s);
 int scene_first_output(const Scene *s);
+int scene_way(const Scene *s);
+int scene_matrix(const Scene *s);
 int scene_settings_length(const Scene *s);
 size_t scene_state_length(const Scene *s);
 

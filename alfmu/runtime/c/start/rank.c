@@ -15,6 +15,7 @@
 #include "record.h"
 #include "row_units.h"
 #include "scene.h"
+#include "scene_sizes.h"
 
 /* Phi and C at q, each row times its weight. */
 void rank_weighted_rows(Instance *i, const double *q, const double *weights, Matrix C, double *phi)
@@ -272,7 +273,7 @@ void rank_freeze(Instance *i)
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), l = (size_t)s->l;
     const int rank = (int)*i->rank;
-    double *combinations, *sizes, *matrix = instance_field(i, s->k) + SETTINGS + 2 * s->l + s->n + s->compliances;
+    double *combinations, *sizes, *matrix = instance_field(i, s->k) + scene_matrix(s);
     if (!s->brakes || rank < 1 || rank > s->l || s->n > DENSE)
         return;
     combinations = arena_alloc(i, l * l);

@@ -110,27 +110,26 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start
-   values; it stays at rest where there is no such motion. */
-void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v)
+/* Find a direction of motion at fixed time, that of the start rates or of equal rates of the start values; it is zero
+   where there is none. */
+void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     const int paused = tape_pause(i, 1);
-    double *guess = arena_alloc(i, n), *way = arena_alloc(i, n), *equal = arena_alloc(i, (size_t)s->starts), size;
-    const double *x[] = {instance_field(i, s->p), loops_starts(i), equal};
+    double *guess = arena_alloc(i, n), *rates = arena_alloc(i, (size_t)s->starts), size;
+    const double *x[] = {instance_field(i, s->p), loops_starts(i), rates};
     double *y[] = {guess, way};
     Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
-        equal[k] = 1.0;
+        rates[k] = equal ? 1.0 : loops_starts(i)[s->starts + k];
     function_call(i, s->guesses, x, y);
     if (s->timed)
         way[s->n - 1] = 0.0;
-    solve_rates(i, &loops, q, equal, way, loops.residue);
+    solve_rates(i, &loops, q, rates, way, loops.residue);
     size = linear_largest(way, s->n);
-    if (size > 0.0 && linear_largest(loops.residue, loops.count) <= ROUGH * size)
-        for (int c = 0; c < scene_coordinates(s); c++)
-            v[c] = DIRECTION / size * way[c];
+    if (!(size > 0.0 && linear_largest(loops.residue, loops.count) <= ROUGH * size))
+        memset(way, 0, n * sizeof *way);
     tape_pause(i, paused);
     arena_release(i, arena);
 }

@@ -9,7 +9,7 @@
 #include "internal_begin.h"
 
 Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v);
-void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v);
+void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way);
 
 #include "internal_end.h"
 

@@ -10,6 +10,7 @@
 #include "layout.h"
 #include "message.h"
 #include "scene.h"
+#include "way.h"
 
 /* Shortest step, in units of the last digit of the time. */
 #define LEAST_DIGITS 16
@@ -89,6 +90,7 @@ static int try_short_step(Instance *i)
     if (!near || s->short_beside < 0)
         return 0;
     memcpy(kept, pace, sizeof kept);
+    way_update(i);
     program_run(i, s->short_beside);
     tally[TALLY_SHORT_BESIDE] += 1.0;
     tally[TALLY_SHORT_LIMITS] += after[s->near];
@@ -112,6 +114,8 @@ static int try_explicit_step(Instance *i, const double *kept, int regular)
     const double *after = i->m + s->after;
     double *pace = i->m + s->pace, *tally = i->m + s->tally;
     memcpy(pace, kept, PACE * sizeof *pace);
+    if (!regular)
+        way_update(i);
     program_run(i, regular ? s->regular_step : s->beside);
     pace[PACE_LAST] = 0.0; /* The data that the integrator keeps between steps are invalid here. */
     tally[regular ? TALLY_REGULAR_TRIES : TALLY_BESIDE] += 1.0;

@@ -27,7 +27,7 @@
 #include "scene_sizes.h"
 #include "settings.h"
 #include "topology.h"
-#include "velocities.h"
+#include "way.h"
 
 static Outcome read_compliances(Instance *i)
 {
@@ -164,10 +164,7 @@ static Outcome begin_run(Instance *i)
             "scales it with the masses",
             s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
     settings_upload(i);
-    /* At rest near a singular position there is no velocity that gives the direction of the limit. */
-    if (s->l && settings_continue(i) && linear_largest(v, scene_coordinates(s)) == 0.0
-        && settings_margin(i) < BRANCH_MARGIN)
-        start_set_off(i, held, q, instance_field(i, s->z) + s->n);
+    way_begin(i, held, q, v);
     for (int k = 0; k < s->switches; k++)
         if (i->requested[k] != i->active[k])
             return topology_take_effect(i);

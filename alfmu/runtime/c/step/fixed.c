@@ -13,6 +13,7 @@
 #include "scene.h"
 #include "scene_sizes.h"
 #include "settings.h"
+#include "way.h"
 
 /* Number of internal steps between two calls of `go_on`. */
 #define LOOK 64
@@ -75,6 +76,8 @@ long step_fixed(Instance *i, long steps, double dt)
             tier = 2;
         for (;;) {
             const Mark begin = tape_mark(i);
+            if (tier == 2)
+                way_update(i);
             i->workspace[s->onward] = onward;
             program_run(i, tiers[tier]);
             if (after[s->trouble] == 0.0)

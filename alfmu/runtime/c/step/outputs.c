@@ -17,6 +17,7 @@
 #include "scene_sizes.h"
 #include "settings.h"
 #include "variables.h"
+#include "way.h"
 
 /* Inputs above this are tested before they are accepted, because some outputs may overflow. */
 #define TRIED 1e30
@@ -127,6 +128,7 @@ static Outcome evaluate_patiently(Instance *i)
     i->iterations = 0;
     program_run(i, instant);
     if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
+        way_update(i);
         program_run(i, s->limit_patient);
         limited = !find_not_finite(i, &value);
         if (!limited)
@@ -220,8 +222,10 @@ int outputs_read_quickly(Instance *i)
         return 1;
     }
     program_run(i, s->instant);
-    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit >= 0)
+    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit >= 0) {
+        way_update(i);
         program_run(i, s->limit);
+    }
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0;
 }
 

@@ -24,6 +24,7 @@
 #include "scene_sizes.h"
 #include "settings.h"
 #include "text.h"
+#include "way.h"
 
 /* S2 to S5: take one internal step by loops that stop on convergence; set `near` if it came near a singular
    position. */
@@ -56,6 +57,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
         *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && instance_field(i, s->k)[SETTINGS_CONTINUES] != 0.0;
     if (*near) {
+        way_update(i);
         w[s->on_branch] = 1.0;
         program_run(i, s->move);
         w[s->on_branch] = 0.0;
@@ -114,7 +116,7 @@ static Outcome step_bisected(Instance *i, double start, double dt)
     return instance_say(i, FAILED,
         "%s, t = %.6g s: locked up at %s; no motion goes on from this singular position (distance %.1e); turn round "
         "before it, or change lengths or start",
-        s->name, start + t, where, sqrt(settings_margin(i)));
+        s->name, start + t, where, sqrt(settings_margin(i, q)));
 }
 
 Outcome step_robust(Instance *i, double start, double dt)

@@ -14,6 +14,7 @@
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
+#include "scene_sizes.h"
 #include "text.h"
 
 /* Return the program that evaluates the outputs by loops that stop on convergence. */
@@ -125,7 +126,7 @@ void settings_set_penalties(Instance *i)
     const Scene *s = i->scene;
     double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l),
            least = INFINITY;
-    double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
+    double *shares = rows + 2 * s->l + s->n, *matrix = k + scene_matrix(s);
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
     k[SETTINGS_ALPHA] = most;
     k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
@@ -257,12 +258,12 @@ const char *settings_method_name(const Instance *i)
     return s->choice[s->method_choice].values[i->flags.choice[s->method_choice]];
 }
 
-double settings_margin(Instance *i)
+double settings_margin(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     double found;
-    const double *x[] = {instance_field(i, s->z), instance_field(i, s->p), instance_field(i, s->k)};
+    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
     double *y[] = {arena_alloc(i, n), arena_alloc(i, n), arena_alloc(i, n), &found};
     function_call(i, s->pivots, x, y);
     arena_release(i, arena);

@@ -32,7 +32,7 @@ void settings_in_force(const Instance *i, const double *on, unsigned char *held)
 int settings_usual(Instance *i);
 const char *settings_method_name(const Instance *i);
 Outcome settings_update_rank(Instance *i, const double *q, const double *v);
-double settings_margin(Instance *i);
+double settings_margin(Instance *i, const double *q);
 
 #include "internal_end.h"
 

@@ -1,0 +1,189 @@
+"""Loops that pass singular positions, or rest in one, while something else moves: a base, a slide, a rotor.
+
+A parallelogram of three bars (1 kg, 1 m) in line has a single coordinate, its crank angle. Its equation is derived by
+hand, and solved by an unrelated integrator. On a base that accelerates by a(t) it moves as under a weight of -a(t)
+per mass.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import alfmu
+from alfmu import Mechanism
+
+CRANK = 5 / 3  # moment of inertia of two cranks and the coupler about a crank's pivot [kg m2]
+GRAVITY = 9.81
+UNBALANCE, RADIUS, INERTIA = 0.2, 0.05, 0.01  # kg, m, kg m2: the rotor on the coupler
+
+BASES: dict[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
+    "steady": (lambda t: 70.0 * t, lambda t: 0.0),
+    "from rest": (lambda t: t * t, lambda t: 2.0),
+    "5 Hz": (lambda t: 0.01 * ca.sin(30 * t), lambda t: -9.0 * np.sin(30 * t)),
+    "50 Hz": (lambda t: 1e-4 * ca.sin(300 * t), lambda t: -9.0 * np.sin(300 * t)),
+}
+
+
+def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str) -> list[Any]:
+    """The parallelogram on a base; its coupler is bar 2."""
+    c, s = np.cos(angle), np.sin(angle)
+    if coordinates == "relative":
+        made = [m.bar(f"bar{i}", mass=1.0, length=1.0) for i in (1, 2, 3)]
+        crank = m.coordinate("crank", "rad", start=angle, rate=rate, independent=True)
+        turned = [crank, m.coordinate("coupler", "rad", start=-angle), m.coordinate("rocker", "rad", start=angle)]
+    else:
+        made, turned = [], [None] * 3
+        for i, (x, y, th) in enumerate(((c / 2, s / 2, angle), (c + 0.5, s, 0.0), (1 + c / 2, s / 2, angle))):
+            free = {"rate": rate, "independent": True} if i == 0 else {}
+            th = m.coordinate(f"th{i}", "rad", start=th, **free)
+            pose = (m.coordinate(f"x{i}", "m", start=x), m.coordinate(f"y{i}", "m", start=y), th)
+            made.append(m.bar(f"bar{i + 1}", mass=1.0, length=1.0, pose=pose))
+    pivot = m.revolute("A", base.at(0.0, 0.0), made[0].start, coordinate=turned[0])
+    m.revolute("B", made[0].end, made[1].start, coordinate=turned[1])
+    m.revolute("D", base.at(1.0, 0.0), made[2].start, coordinate=turned[2])
+    m.revolute("C", made[1].end, made[2].end)
+    m.drive(pivot, m.input("A.torque", "N.m"))
+    return made
+
+
+def on_base(law: Callable[[Any], Any], coordinates: str, angle: float = 0.0, rate: float = 0.0) -> Mechanism:
+    m = Mechanism("parallelogram_on_a_base")
+    if coordinates == "relative":
+        base, place = m.body("base", mass=5.0, inertia=1.0), m.coordinate("place", "m", start=0.0)
+    else:
+        pose = [m.coordinate(name, unit, start=0.0) for name, unit in (("x", "m"), ("y", "m"), ("turn", "rad"))]
+        base, place = m.body("base", mass=5.0, inertia=1.0, pose=(pose[0], pose[1], pose[2])), None
+    m.motion(m.prismatic("rail", m.ground.at(0.0, 0.0), base.at(0.0, 0.0), axis=0.0, coordinate=place), law(m.time))
+    bars(m, base, angle, rate, coordinates)
+    m.gravity(0.0, -GRAVITY)
+    return m
+
+
+def with_rotor(coordinates: str, speed: float, angle: float = 0.0, rate: float = 0.0) -> Mechanism:
+    """An unbalanced rotor in the middle of the coupler, which turns at `speed` [rad/s]."""
+    m, phi = Mechanism("parallelogram_with_a_rotor"), {"start": 0.0, "rate": speed, "independent": True}
+    coupler = bars(m, m.ground, angle, rate, coordinates)[1]
+    turn = m.coordinate("phi", "rad", **phi)
+    if coordinates == "relative":
+        rotor = m.body("rotor", mass=UNBALANCE, inertia=INERTIA, center=(RADIUS, 0.0))
+    else:
+        place = m.coordinate("x", "m", start=np.cos(angle) + 0.5), m.coordinate("y", "m", start=np.sin(angle))
+        rotor = m.body("rotor", mass=UNBALANCE, inertia=INERTIA, center=(RADIUS, 0.0), pose=(*place, turn))
+    joint = turn if coordinates == "relative" else None
+    m.revolute("E", coupler.at(0.0, 0.0), rotor.at(0.0, 0.0), coordinate=joint)
+    return m
+
+
+def integrated(rates: Callable[[float, Any], Any], start: list[float], stop: float) -> Any:
+    points = np.arange(0.0, stop + 1e-9, 0.02)
+    return solve_ivp(rates, (0.0, stop), start, method="DOP853", rtol=1e-13, atol=1e-13, t_eval=points).y[0]
+
+
+def crank_on_base(acceleration: Callable[[Any], Any], torque: float, start: list[float], stop: float) -> Any:
+    def rates(t: float, y: Any) -> list[float]:
+        weight = 2 * (acceleration(t) * np.sin(y[0]) - GRAVITY * np.cos(y[0]))
+        return [y[1], (torque + weight) / CRANK]
+
+    return integrated(rates, start, stop)
+
+
+def crank_with_rotor(speed: float, torque: float, start: list[float], stop: float) -> Any:
+    arm = UNBALANCE * RADIUS
+
+    def rates(t: float, y: Any) -> list[float]:
+        th, w, phi, turning = y
+        both = arm * np.cos(th - phi)
+        M = [[CRANK + UNBALANCE, both], [both, arm * RADIUS + INERTIA]]
+        F = [torque - arm * np.sin(th - phi) * turning**2, arm * np.sin(th - phi) * w**2]
+        a = np.linalg.solve(M, F)
+        return [w, a[0], turning, a[1]]
+
+    return integrated(rates, [*start, 0.0, speed], stop)
+
+
+def crank(m: Mechanism, torque: float, stop: float, **parameters: Any) -> Any:
+    named = {f"solver.{name}": value for name, value in parameters.items()}
+    return alfmu.simulate(m, stop, 0.02, parameters=named, inputs={"A.torque": torque})["bar1.angle"]
+
+
+@pytest.mark.parametrize("coordinates", ["relative", "absolute"])
+@pytest.mark.parametrize("base", BASES)
+def test_base_that_a_law_moves(base: str, coordinates: str) -> None:
+    """From rest in line, through the line at 180, 360 and more degrees; a limit at other times would be 1e-3 rad off,
+    or lock up."""
+    law, acceleration = BASES[base]
+    right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 1.0)
+    assert right[-1] > 2 * np.pi
+    m = on_base(law, coordinates)
+    assert crank(m, 40.0, 1.0) == pytest.approx(right, abs=2e-7)
+    assert crank(m, 40.0, 1.0, method="rk4", step_size=1e-3) == pytest.approx(right, abs=2e-8)
+
+
+@pytest.mark.parametrize("coordinates", ["relative", "absolute"])
+def test_slow_passage_on_a_base_that_shakes(coordinates: str) -> None:
+    """At some 0.1 rad/s the positions of a limit are 0.4 s away, in which the base moves to and fro twice."""
+    law, acceleration = BASES["5 Hz"]
+    angle, rate, torque = -0.02, 0.1, 2 * GRAVITY
+    right = crank_on_base(acceleration, torque, [angle, rate], 0.6)
+    assert right[0] < 0 < right[-1] < 0.2
+    m = on_base(law, coordinates, angle, rate)
+    assert crank(m, torque, 0.6) == pytest.approx(right, abs=1e-8)
+    assert crank(m, torque, 0.6, method="rk4", step_size=1e-3) == pytest.approx(right, abs=1e-8)
+
+
+@pytest.mark.parametrize("coordinates", ["relative", "absolute"])
+@pytest.mark.parametrize("start", [(0.0, 0.0, 1.0), (-0.05, 0.1, 0.0)])
+@pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])
+def test_rotor_that_turns_faster(speed: float, start: tuple[float, float, float], coordinates: str) -> None:
+    angle, rate, torque = start
+    right = crank_with_rotor(speed, torque, [angle, rate], 1.0)
+    m = with_rotor(coordinates, speed, angle, rate)
+    assert crank(m, torque, 1.0) == pytest.approx(right, abs=1e-7)
+    assert crank(m, torque, 1.0, method="rk4", step_size=5e-4) == pytest.approx(right, abs=5e-6)
+
+
+@pytest.mark.parametrize("method", ["auto", "rk4", "order8"])
+@pytest.mark.parametrize(("name", "torque", "given"), [("five_bar", 3.0, {}), ("four_bar", 4.0, {"start.angle": 0.0})])
+def test_loop_at_rest_beside_a_part_that_moves(name: str, torque: float, given: dict[str, float], method: str) -> None:
+    """It starts in its singular position, as it does alone; the other part has nothing to do with it."""
+    rates = {rate.name: 0.0 for rate in alfmu.derive(alfmu.load(name)).start_rates}
+    parameters = {**given, **rates, "solver.method": method}
+    found = []
+    for beside in ("nothing", "slide", "bar"):
+        m = alfmu.load(name)
+        if beside == "slide":
+            m.kinetic_energy(0.5 * m.rate(m.coordinate("slide", "m", start=0.0, rate=1.0, independent=True)) ** 2)
+        elif beside == "bar":
+            bar = m.bar("bar", mass=1.0, length=0.3)
+            turn = m.coordinate("turn", "rad")
+            m.motion(m.revolute("motor", m.ground.at(0.0, 0.0), bar.start, coordinate=turn), 0.5 * m.time)
+        found.append(alfmu.simulate(m, 2.0, 0.02, parameters=parameters, inputs={"A.torque": torque})["link1.angle"])
+    assert np.ptp(found[0]) > 2
+    assert found[1] == pytest.approx(found[0], abs=1e-9)
+    assert found[2] == pytest.approx(found[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
+def test_in_an_fmu(fmi: int, kind: str, tmp_path: Path) -> None:
+    law, acceleration = BASES["5 Hz"]
+    right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.5)
+    path = alfmu.export(on_base(law, "absolute"), tmp_path / "base.fmu", kind=kind, fmi=fmi, reference=False)
+    found = fmpy.simulate_fmu(
+        path, stop_time=0.5, output_interval=0.02, start_values={"A.torque": 40.0}, output=["bar1.angle"]
+    )
+    assert found["bar1.angle"] == pytest.approx(right, abs=1e-7)
+
+
+def test_oracle_takes_limits_in_the_same_direction() -> None:
+    law, acceleration = BASES["from rest"]
+    right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.2)
+    given = {"solver.method": "rk4", "solver.step_size": 1e-3}
+    e = alfmu.derive(on_base(law, "absolute"))
+    found = alfmu.simulate(e, 0.2, 0.02, parameters=given, inputs={"A.torque": 40.0}, kernel="oracle")
+    assert found["bar1.angle"] == pytest.approx(right, abs=1e-10)
