@@ -512,12 +512,12 @@ class Tracer:
 
     def stretch(self, calls: Calls, length: str, v: str, again: Calls) -> None:
         """Repeat `again` with longer spacings, and if it stays `slow` in the other direction."""
-        turn = calls.inside()
-        turn("direct", f"{v} turn k", "way turn", calls.scene.directed)
-        turn("stretch", length, "stretched", lambda dt: dt)
-        self.repeat(turn, "slow", branch.DOUBLINGS, again)
-        calls("turns", "k", "turn slow", lambda: (SX(0), SX(1)))
-        calls.made.append(Loop("slow", 2, turn.steps))
+        each = calls.inside()
+        each("direct", f"{v} second k", "way second", calls.scene.directed)
+        each("stretch", length, "stretched", lambda dt: dt)
+        self.repeat(each, "slow", branch.DOUBLINGS, again)
+        calls("directions", "k", "second slow", lambda: (SX(0), SX(1)))
+        calls.made.append(Loop("slow", 2, each.steps))
 
     def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
         """Make calls, and repeat `again` until the named number is zero."""
