@@ -59,7 +59,7 @@ def test_functions_are_made_once():
     They were 500,000 while programs had margins and errors of their own, each with the factors of the augmented mass.
     """
     e = prepared(alfmu.derive(absolute()))
-    assert sum(len(Instructions.of(f).once()) for f in complete(e).functions.values()) < 403_000
+    assert sum(len(Instructions.of(f)) for f in complete(e).functions.values()) < 403_000
 
 
 def test_time_of_an_operation_that_is_arranged():
