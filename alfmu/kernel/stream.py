@@ -187,7 +187,8 @@ def _serialised(f: ca.Function) -> NDArray | None:
         return None
     text = f.serialize().encode("latin-1")
     sample = sorted({k * (count - 1) // (_SAMPLE - 1) for k in range(_SAMPLE)})
-    expected = {k: [f.instruction_id(k), *_atom(f, k, f.instruction_id(k))] for k in sample}
+    operations = {k: f.instruction_id(k) for k in sample}
+    expected = {k: [operation, *_atom(f, k, operation)] for k, operation in operations.items()}
     begun, ended = _encoded(expected[0][:2]), _encoded(expected[count - 1])
     at = text.find(begun)
     while 0 <= at <= len(text) - _ATOM * count:
