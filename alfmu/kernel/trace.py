@@ -626,8 +626,8 @@ class Calls:
             values = [values] if isinstance(values, SX) else values
             making(name)
             # Repeated operations are removed when the function is written or joined, much faster than in symbols.
-            symbols, dense = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
-            functions[name] = ca.Function(name, symbols, dense)
+            dense = [x if isinstance(x, SX) and x.is_dense() else ca.densify(x) for x in values]
+            functions[name] = ca.Function(name, [scene.symbol(x) for x in call.arguments], dense)
         if name not in self._tracer.shapes:
             known = functions[name]
             self._tracer.shapes[name] = [known.numel_in(i) for i in range(known.n_in())], known.n_out()
