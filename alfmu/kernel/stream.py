@@ -173,8 +173,8 @@ def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
 _ATOM = 32
 """Length of a serialised instruction in characters."""
 
-_SAMPLE = 8
-"""Number of instructions compared with CasADi's calls, to detect a change of the serialised form."""
+_SAMPLE = 3
+"""Number of instructions that are compared with CasADi's calls, to detect a change of the serialised form."""
 
 
 def _serialised(f: ca.Function) -> NDArray | None:
