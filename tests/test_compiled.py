@@ -37,7 +37,7 @@ from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
 from alfmu.runtime.pipeline import packed
 from alfmu.runtime.shipped import installed
-from alfmu.simulation import prepared, run
+from alfmu.simulation import prepared, run, with_defaults
 
 LIBRARY = f"{COMPILED}{HERE}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
@@ -175,6 +175,23 @@ def values(e: Equations) -> NDArray:
     instance = alfmu.Instance(e)
     assert hasattr(instance._scene, "code") == (e.library is not None)
     return run(instance, 1.0, 0.02, parameters={"start.angle": 0.4}).values
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
+def test_both_kernels_make_the_same_run(method):
+    """The same tries, with results that differ by round-off."""
+    e = with_defaults(derived("slider_crank"), {"solver.method": method})
+    vm, compiled = (alfmu.Instance(prepared(e, kernel)) for kernel in ("vm", "compiled"))
+    for i in (vm, compiled):
+        i.set("start.angle", 0.4)
+        i.set("solver.step_size", 0.01)
+        i.initialize()
+        i.step(1.0)
+    assert vm.counters.steps == compiled.counters.steps > 10
+    assert vm.counters.refused == compiled.counters.refused
+    assert vm.counters.evaluations == compiled.counters.evaluations
+    assert np.abs(vm.read() - compiled.read()).max() <= 1e-9 * np.abs(vm.read()).max()
 
 
 @pytest.mark.slow

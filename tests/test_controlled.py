@@ -28,9 +28,10 @@ from alfmu.runtime import compiled as build
 from alfmu.runtime.pipeline import packed
 from alfmu.simulation import prepared, run, with_defaults
 
-KERNELS = ("vm", "compiled")
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+"""Optimised code is judged in `test_compiled`, also of these methods."""
 
-each_kernel = pytest.mark.parametrize("kernel", KERNELS)
+each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 
 @cache
@@ -198,20 +199,6 @@ def test_a_step_is_that_of_the_oracle(name, given, method, bound):
         assert np.abs(found - expected).max() <= bound * (1 + np.abs(expected).max())
         if not fixed:
             assert kernel.memory["after"][layout.change] == pytest.approx(error, rel=1e-4, abs=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
-def test_both_kernels_make_the_same_run(method):
-    """The same tries, with results that differ by round-off."""
-    runs = [begun("slider_crank", method, kernel, start__angle=0.4, solver__step_size=0.01) for kernel in KERNELS]
-    for i in runs:
-        i.step(1.0)
-    vm, compiled = runs
-    assert vm.counters.steps == compiled.counters.steps > 10
-    assert vm.counters.refused == compiled.counters.refused
-    assert vm.counters.evaluations == compiled.counters.evaluations
-    assert np.abs(vm.read() - compiled.read()).max() <= 1e-9 * np.abs(vm.read()).max()
 
 
 @pytest.mark.slow

@@ -140,7 +140,7 @@ def test_a_value_that_the_first_pass_alone_finds_in_itself(first):
     all others: one of its own, or one from before the loop."""
     count, part = 600, 12
     x, p = ca.SX.sym("x", count), ca.SX.sym("p")
-    before = [ca.tan(ca.exp(p) * (i + 1.5)) for i in range(part)]
+    before = [ca.tan(ca.exp(ca.sin(p * (i + 1.5)))) for i in range(part)]
     made, products = [], []
     for i in range(count):
         made.append(ca.sin(x[i]))

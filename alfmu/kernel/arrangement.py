@@ -12,16 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.hooks import handed_in
-from .stream import BINARY, UNARY, Instructions
+from .stream import BINARY, OPERATIONS, UNARY, Instructions, address, library
 
-__all__ = ["KINDS", "OPERANDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
+__all__ = ["KINDS", "KIND_OF", "OPERANDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
 
 SUMS = {
     **{"sum1": 3, "sum2": 5, "sum4": 9},
@@ -57,7 +55,7 @@ def _kinds() -> NDArray[np.int32]:
     own = {x: i for i, x in enumerate(KINDS) if not isinstance(x, str)}
     own |= {x: KINDS.index(kind) for x, kind in _KIND_OF.items()}
     own |= dict.fromkeys((ca.OP_SIN, ca.OP_COS), KINDS.index(SINE_COSINE))
-    return np.array([own.get(x, -1) for x in range(max(own) + 1)], np.int32)
+    return np.array([own.get(x, -1) for x in range(OPERATIONS)], np.int32)
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def arranged(instructions: Instructions) -> Arrangement:
     origin = np.where(same, instructions.operands[0], np.arange(count))
     operands = np.where(instructions.operands < 0, -1, origin[instructions.operands]).astype(np.int32, "C")
     result = operands[0, code == ca.OP_OUTPUT]
-    kinds = np.where(same | (code >= len(_KINDS)), -1, _KINDS[np.minimum(code, len(_KINDS) - 1)]).astype(np.int32)
+    kinds = np.where(same, -1, KIND_OF[code]).astype(np.int32)
     twice, inverse, cosine = np.isin(code, (ca.OP_TWICE, ca.OP_SQ)), code == ca.OP_INV, code == ca.OP_COS
     operands[1, twice] = operands[0, twice]
     operands[1, inverse], operands[0, inverse] = operands[0, inverse], count
@@ -141,8 +139,8 @@ def arranged(instructions: Instructions) -> Arrangement:
     values, heads, made = (np.empty(size, np.int32) for size in (len(numbers), (3 * count, 2), (3 * count, 2)))
     room = np.empty(_MOST * count + 2, np.int32)
     inputs = kinds, operands, opposite
-    found = _library().alfmu_arrange(
-        count, *map(_address, inputs), len(numbers), *map(_address, (values, heads, room, made))
+    found = library().alfmu_arrange(
+        count, *map(address, inputs), len(numbers), *map(address, (values, heads, room, made))
     )
     own = sorted((value, x) for value, x in zip(values.tolist(), numbers.tolist(), strict=True) if value >= 0)
     return Arrangement(
@@ -164,8 +162,8 @@ def in_runs(operations: Sequence[Operation]) -> list[list[Operation]]:
     made = np.array([(*x.made, -1)[:2] for x in operations], np.int32)
     heads, room, then = np.empty((count, 2), np.int32), np.empty_like(operands), np.empty_like(made)
     values = 1 + int(max(operands.max(), made.max()))
-    found = _library().alfmu_in_runs(
-        count, values, *map(_address, (kinds, operands, made)), None, *map(_address, (heads, room, then))
+    found = library().alfmu_in_runs(
+        count, values, *map(address, (kinds, operands, made)), None, *map(address, (heads, room, then))
     )
     return Runs.of(_done(found), heads, room, then).operations()
 
@@ -175,15 +173,6 @@ def _places(instructions: Instructions, which: NDArray) -> list[list[int]]:
     return np.vstack([np.flatnonzero(which), instructions.place[:, which]]).T.tolist()
 
 
-def _library() -> Any:
-    """Return the C library, which does the arrangement."""
-    return handed_in("installed")()
-
-
-def _address(array: NDArray) -> int:
-    return array.ctypes.data
-
-
 def _done(runs: int) -> int:
     """Return the number of runs; raise MemoryError if there is no memory."""
     if runs < 0:
@@ -191,4 +180,4 @@ def _done(runs: int) -> int:
     return runs
 
 
-_KINDS, _COUNTS = _kinds(), np.array([OPERANDS[kind] for kind in KINDS])
+KIND_OF, _COUNTS = _kinds(), np.array([OPERANDS[kind] for kind in KINDS])

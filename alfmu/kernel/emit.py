@@ -93,7 +93,7 @@ def compiled_code(equations: Traced, kept: Mapping[str, dict[int, int]], identit
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
     """Yield the C of a function in one or several pieces, each with the workspace length of the function."""
-    instructions = Instructions.of(f).once()
+    instructions = Instructions.of(f)
     instructions.check(scene, f.name())
     if len(instructions) > WHOLE:
         yield from blocks(name, Operations.of(instructions), kept, BLOCK)

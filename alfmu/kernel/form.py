@@ -175,7 +175,8 @@ def every(steps: Iterable[Step]) -> Iterator[Step]:
     """Yield each step in order, followed by those inside choices, loops and lanes."""
     for step in steps:
         yield step
-        yield from every(chain(*_inside(step)))
+        for part in _inside(step):
+            yield from every(part)
 
 
 def _inside(step: Step) -> tuple[Steps, ...]:
@@ -196,9 +197,9 @@ def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable
 
     def each(step: Step) -> Iterable[Step]:
         if isinstance(step, Choice):
-            return (replace(step, nonzero=rewritten(step.nonzero, change), zero=rewritten(step.zero, change)),)
+            return (Choice(step.number, rewritten(step.nonzero, change), rewritten(step.zero, change)),)
         if isinstance(step, Loop):
-            return (replace(step, body=rewritten(step.body, change)),)
+            return (Loop(step.number, step.most, rewritten(step.body, change)),)
         if isinstance(step, Lanes):
             return map(Lanes, zip(*map(change, step.calls), strict=True))
         return change(step)

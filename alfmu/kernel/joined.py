@@ -1,4 +1,4 @@
-"""Join calls of a program into long functions, in which what calls repeat is computed once (`Instructions.once`)."""
+"""Join calls of a program into long functions, in which what calls repeat is computed once (`stream.Instructions`)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class _Joining:
             return calls
         # Repeated operations do not count; they are searched for only if the limit is exceeded with them.
         if sum(small[call.function].n_instructions() for call in calls) > LONGEST:
-            counts = {name: len(Instructions.of(small[name]).once()) for name in {call.function for call in calls}}
+            counts = {name: len(Instructions.of(small[name])) for name in {call.function for call in calls}}
             if sum(counts[call.function] for call in calls) > LONGEST:
                 return calls
         given = dict.fromkeys(chain(*(call.results for call in calls)))

@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
+from .arrangement import KIND_OF, KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
 from .repeat import Repeat, pieces, repeats
-from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
+from .stream import CONSTANT, INPUT, NOTHING, ROLE, VALUE, Instructions, Operations, address, library
 
 __all__ = ["BEHIND", "EACH_KIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
 
@@ -42,6 +42,9 @@ WORTH = 1.0
 
 SHORT = 10
 """Number of addresses with a constant step up to which they are listed: this takes about as many words."""
+
+_WORDS = 42
+"""Largest number of words for an instruction: two runs, and the operands of what it and an argument become."""
 
 LINE, TABLE, BEFORE = range(3)
 """Sources of values from outside an iteration: addresses with a constant step, a table, an earlier iteration."""
@@ -109,12 +112,35 @@ class Code:
 
 def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -> Code:
     """Encode a function with arguments and results of these lengths."""
-    operations = Operations.of(instructions)
-    if len(operations) > LONG:
-        made = _Writing(operations, inputs, outputs).done(repeats(operations))
-        if WORTH * len(made.words) < len(operations):
-            return made
-    return _Writing(operations, inputs, outputs).done([])
+    if len(instructions) > LONG:
+        operations = Operations.of(instructions)
+        if len(operations) > LONG:
+            made = _Writing(operations, inputs, outputs).done(repeats(operations))
+            if WORTH * len(made.words) < len(operations):
+                return made
+    return _straight(instructions, inputs, outputs)
+
+
+def _straight(instructions: Instructions, inputs: list[int], outputs: list[int]) -> Code:
+    """Encode a function without loops."""
+    count = len(instructions)
+    arguments, results = (np.cumsum([0, *lengths], dtype=np.int32) for lengths in (inputs, outputs))
+    words, numbers = np.empty(_WORDS * count, np.int64), np.empty(2 * count + 4)
+    rows, sizes = np.empty((count, 2), np.int64), np.empty(4, np.int32)
+    made: list[NDArray] = [words, numbers, rows, sizes]
+    done = library().alfmu_straight(
+        *(count, *map(address, instructions.arrays), address(ROLE), address(KIND_OF)),
+        *(address(arguments), sum(inputs), address(results), BEHIND),
+        *map(address, made),
+    )
+    if done < 0:
+        raise MemoryError
+    length, constants, values, written = sizes.tolist()
+    # Results without an operation are zero.
+    lines = [(sum(outputs), 0, 1, -BEHIND, 0), *(in_line(*rows[:written].T) if written else ())]
+    data = numbers[:constants].tobytes()
+    known = tuple(data[k : k + 8] for k in range(0, len(data), 8))
+    return Code(inputs, outputs, words[:length].copy(), np.array(lines, np.int64), values, known, False)
 
 
 class _Writing:
@@ -160,39 +186,30 @@ class _Writing:
     def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
         """Encode a loop, or straight code as one iteration."""
         part = slice(piece.start, piece.end)
-        found = self._found(part)
+        body = _Body(piece, self._operations, self._local, self._kept, self._found(part), carried)
+        made = arranged(body.instructions())
+        at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
         if piece.times == 1:
-            self._straight(piece, found)
+            at |= {value: body.sources[slot][1:] for value, (_, slot) in made.arguments.items()}
+            self._straight(made, at)
         else:
-            body = _Body(piece, self._operations, self._local, self._kept, found, carried)
-            made = arranged(body.instructions())
-            at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
             self._looped(piece.times, body, made, at)
-            for _, column, value in made.results:
-                first, step = at[value]
-                self._place[piece.passes(column)] = first + step * np.arange(piece.times)
+        for _, column, value in made.results:
+            first, step = at[value]
+            self._place[piece.passes(column)] = first + step * np.arange(piece.times)
         writes = np.flatnonzero(self._operations.result[0, part][: piece.period] >= 0)
         for columns in [writes] if piece.times == 1 else writes[:, None]:
             users = (piece.passes(0)[:, None] + columns).reshape(-1)
             which, entry = self._operations.result[:, users]
             self._lines += in_line(self._results[which] + entry, self._found(users)[0])
 
-    def _straight(self, piece: Repeat, found: NDArray) -> None:
-        part = slice(piece.start, piece.end)
-        instructions, entries = _straight(self._operations, part, self._local[:, part], self._kept[part], found)
-        made = arranged(instructions)
-        own = made.arrays.made[made.arrays.made >= 0]
-        at = np.zeros(1 + max(*made.constants, own.max(initial=0)), np.int64)
-        at[list(made.constants)] = [self._constant(number) for number in made.constants.values()]
-        at[list(made.arguments)] = entries
-        at[own] = self._end + np.arange(len(own))
-        self._end += len(own)
-        for (kind, count), operands in zip(made.arrays.heads.tolist(), made.arrays.each, strict=True):
-            for start in range(0, count, NARROW - 1):
-                places = at[operands[start : start + NARROW - 1]]
-                self._words += [kind, len(places), *places.ravel().tolist()]
-        columns, values = np.array(made.results, int).reshape(-1, 3)[:, 1:].T
-        self._place[piece.start + columns] = at[values]
+    def _straight(self, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
+        """Encode straight code between loops, and add the addresses of its values."""
+        for run in made.runs:
+            for value in chain(*(operation.made for operation in run)):
+                at[value] = self._end, 0
+                self._end += 1
+        self._words += _runs(made.runs, {value: place[:1] for value, place in at.items()})
 
     def _looped(self, count: int, body: _Body, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
         """Encode operations independent of earlier iterations over all iterations at once, and the others as loops."""
@@ -252,43 +269,6 @@ class _Writing:
         cases = [kind == VALUE, kind == INPUT, kind == CONSTANT]
         entries = BEHIND + self._arguments[argument] + operand
         return np.select(cases, [self._place[o.made[:, part]], entries, self._number[operand * cases[2]]], -1)
-
-
-def _straight(
-    operations: Operations, part: slice, local: NDArray, kept: NDArray, found: NDArray
-) -> tuple[Instructions, NDArray]:
-    """Return operations of one iteration as a function of its own, and the addresses of its arguments.
-
-    `local` (2, many) are operands computed among them, `found` the addresses of others, `kept` values used elsewhere. A
-    value from elsewhere becomes an instruction before the first one that uses it.
-    """
-    code, kind = operations.code[part], operations.kind[:, part]
-    makes = code != ca.OP_OUTPUT
-    taken = (makes & ~local & (kind != NOTHING)).T.ravel()
-    users, _ = np.divmod(np.flatnonzero(taken), 2)
-    _, first, leaf = np.unique(found.T.ravel()[taken], return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    first = first[order]  # of each leaf, the operand that uses it first
-    before = np.cumsum(makes) - makes  # operations before each
-    leaves = before[users[first]] + np.arange(len(first))  # numbers of instructions
-    own = before + np.searchsorted(users[first], np.arange(len(code)), "right")
-
-    count = len(first) + int(makes.sum())
-    total = count + int(kept.sum())
-    made, operands = np.empty(total, np.int64), np.full((2, total), -1)
-    places, constants = np.zeros((2, total), np.int64), np.zeros(total)
-    places[1] = -1
-    constant = kind.T.ravel()[taken][first] == CONSTANT
-    made[leaves] = np.where(constant, ca.OP_CONST, ca.OP_INPUT)
-    constants[leaves[constant]] = operations.constant[operations.operand[:, part].T.ravel()[taken][first[constant]]]
-    places[1, leaves[~constant]] = np.arange(np.count_nonzero(~constant))
-    made[own[makes]] = code[makes]
-    both = np.full((len(code), 2), -1)
-    both[local.T & makes[:, None]] = own[operations.made[:, part].T[local.T & makes[:, None]] - part.start]
-    both.reshape(-1)[taken] = leaves[np.argsort(order)[leaf]]
-    operands[:, own[makes]] = both[makes].T
-    made[count:], operands[0, count:], places[1, count:] = ca.OP_OUTPUT, own[kept], np.flatnonzero(kept)
-    return Instructions(made, operands, places, constants), found.T.ravel()[taken][first[~constant]]
 
 
 class _Body:

@@ -25,7 +25,7 @@ from . import passes
 from .arrangement import KINDS, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
-from .stream import BINARY, UNARY, Instructions, number
+from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
@@ -61,6 +61,8 @@ def operations_header() -> str:
         f"#define GATHER_KIND {GATHER_KIND}",
         f"#define OPERAND_COUNTS {counts}",
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
+        f"#define OPERATIONS {OPERATIONS}",
+        f"enum {{ {', '.join(f'{role.upper()}_ROLE' for role in ROLES)} }};",
         f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
         "",
         "#endif",
@@ -130,14 +132,14 @@ def code(f: ca.Function, scene: str) -> Code:
     Scenes of one mechanism share most functions, each of which is encoded once.
     """
     making(f.name())
-    instructions = Instructions.of(f).once()
+    instructions = Instructions.of(f)
     instructions.check(scene, f.name())
     inputs, outputs = (
         [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))
     )
     key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
-    for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
-        key.update(np.ascontiguousarray(each).data)
+    for each in instructions.arrays:
+        key.update(each.data)
     return _WRITTEN.get(key.digest(), lambda: written(instructions, inputs, outputs))
 
 
@@ -186,8 +188,8 @@ class Writer:
             self.integers(results.ravel())
             return
         found = np.zeros(sum(made.outputs), np.int64)
-        for entries, entry, step, place, places in results.tolist():
-            found[entry + step * np.arange(entries)] = place + places * np.arange(entries)
+        counts, entries, steps, places, strides = results.T
+        found[_in_rows(counts, entries, steps)] = _in_rows(counts, places, strides)  # the last one counts
         for part in _differences(words, found, count + sum(made.inputs)):
             self.narrow(part)
 
@@ -201,18 +203,33 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     the one before.
     """
 
-    def stored(places: NDArray) -> NDArray:
-        found = np.where(places < first, places, places - end)
-        found[..., 1:] -= found[..., :-1].copy()
-        return found.ravel()
-
-    heads, operands = [], [np.zeros(0, np.int64)]
-    at, end = 0, first
+    begins, heads, at = [], [], 0
     while at < len(words):
-        kind, count = words[at : at + 2].tolist()
-        each = OPERANDS[KINDS[kind]]
-        heads += [kind, count]
-        end += count * (2 if KINDS[kind] == SINE_COSINE else 1)
-        operands.append(stored(words[at + 2 : at + 2 + each * count].reshape(count, each).T))
-        at += 2 + each * count
-    return np.array(heads, np.int64), np.concatenate(operands), stored(results)
+        begins.append(at + 2)
+        heads.append(words[at : at + 2].tolist())
+        at += 2 + _OPERANDS[heads[-1][0]] * heads[-1][1]
+    kinds, counts = np.array(heads, np.int64).reshape(-1, 2).T
+    each = _OPERANDS[kinds]
+    ends = first + np.cumsum(counts * np.where(kinds == _PAIR, 2, 1))
+    lengths = np.repeat(counts, each)  # of the operands of each run by their places
+    first_of_place = _in_rows(each, np.array(begins, np.int64), np.ones_like(each))
+    places = words[_in_rows(lengths, first_of_place, np.repeat(each, each))]
+
+    def stored(places: NDArray, end: NDArray | int, lengths: NDArray) -> NDArray:
+        found = np.where(places < first, places, places - end)
+        before = np.concatenate([[0], found[:-1]])
+        before[(np.cumsum(lengths) - lengths)[lengths > 0]] = 0
+        return found - before[: len(found)]
+
+    end = int(ends[-1]) if len(ends) else first
+    operands = stored(places, np.repeat(np.repeat(ends, each), lengths), lengths)
+    return np.array(heads, np.int64).ravel(), operands, stored(results, end, np.array([len(results)]))
+
+
+def _in_rows(counts: NDArray, first: NDArray, steps: NDArray) -> NDArray:
+    """Return rows of numbers one after the other, each with its count, its first number and its step."""
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.repeat(first, counts) + np.repeat(steps, counts) * within
+
+
+_OPERANDS, _PAIR = np.array([OPERANDS[kind] for kind in KINDS]), KINDS.index(SINE_COSINE)

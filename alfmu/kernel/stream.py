@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import struct
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import ExportError
+from ..model.hooks import handed_in
 from ..model.kept import latest
 
-__all__ = ["BINARY", "CONSTANT", "INPUT", "NOTHING", "UNARY", "VALUE", "Instructions", "Operations", "number"]
+__all__ = [
+    *("BINARY", "CONSTANT", "INPUT", "NOTHING", "OPERATIONS", "ROLE", "ROLES", "UNARY", "VALUE", "Instructions"),
+    *("Operations", "address", "library", "number"),
+]
 
 NOTHING, VALUE, INPUT, CONSTANT = range(4)
 """Kinds of operands."""
@@ -58,11 +64,34 @@ UNARY = {
     **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
 }
 
+ROLES = ("unary", "binary", "input", "output", "constant", "doubled", "inverse", "cosine", "copysign")
+"""What the C library has to know of an operation of CasADi (`runtime/c/binding/straight.c`)."""
+
+_OF_ROLES = {
+    **dict.fromkeys(BINARY, "binary"),
+    **{ca.OP_INPUT: "input", ca.OP_OUTPUT: "output", ca.OP_CONST: "constant", ca.OP_COPYSIGN: "copysign"},
+    **{ca.OP_TWICE: "doubled", ca.OP_SQ: "doubled", ca.OP_INV: "inverse", ca.OP_COS: "cosine"},
+}
+
+OPERATIONS = 256
+"""Limit of the numbers of CasADi's operations."""
+
+ROLE = np.array([ROLES.index(_OF_ROLES.get(code, "unary")) for code in range(OPERATIONS)], np.int32)
+"""The role of each operation."""
 
 MOST, SMALL = 60, 25_000
 """Functions whose instructions are kept, and their largest number of them, some 100 bytes each."""
 
 _KNOWN: OrderedDict[int, tuple[ca.Function, Instructions]] = OrderedDict()
+
+
+def library() -> Any:
+    """Return the C library, which reads, arranges and encodes functions."""
+    return handed_in("installed")()
+
+
+def address(array: NDArray[Any]) -> int:
+    return array.ctypes.data
 
 
 def number(value: float) -> str:
@@ -76,7 +105,8 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Instructions:
-    """The instructions of a function, each with the instructions of its operands (-1 for none)."""
+    """The instructions of a function, each with the instructions of its operands (-1 for none), without operations that
+    an earlier one already does on the same values."""
 
     code: NDArray
     """Operation codes of CasADi."""
@@ -99,43 +129,16 @@ class Instructions:
         atoms = _serialised(f)
         if atoms is None:
             atoms = _one_by_one(f)
-        code, first, second, third = atoms.T.astype(np.int64)
-        count, numbers = len(code), np.arange(len(code))
-        output, constant, leaf = code == ca.OP_OUTPUT, np.zeros(count), np.isin(code, (ca.OP_INPUT, ca.OP_CONST))
-        constants = code == ca.OP_CONST
-        constant[constants] = np.ascontiguousarray(atoms[constants, 2:]).view("<f8").reshape(-1)
-        places = np.full((2, count), -1)
-        places[:, code == ca.OP_INPUT] = atoms[code == ca.OP_INPUT, 2:].T
-        places[:, output] = atoms[output][:, [1, 3]].T
-        # An operand is the value last written at its address in CasADi's workspace.
-        writes = numbers[~output]
-        written = first[writes] * count + writes
-        order = np.argsort(written)
-        written, writes = written[order], writes[order]
-        binary = np.isin(code, list(BINARY))
-        operands = np.full((2, count), -1)
-        for row, place, reads in ((0, second, ~leaf), (1, third, binary)):
-            operands[row, reads] = writes[np.searchsorted(written, place[reads] * count + numbers[reads]) - 1]
-        return cls(code, operands, places, constant)
+        count = len(atoms)
+        made = *(np.empty(shape, np.int64) for shape in (count, (2, count), (2, count))), np.empty(count)
+        kept = library().alfmu_instructions(count, *map(address, (np.ascontiguousarray(atoms), ROLE, *made)))
+        if kept < 0:
+            raise MemoryError
+        return cls(*(np.ascontiguousarray(each[..., :kept]) for each in made))
 
-    def once(self) -> Instructions:
-        """Return the instructions without operations that an earlier one already does on the same values."""
-        return self._once
-
-    @cached_property
-    def _once(self) -> Instructions:
-        own, known = [*range(len(self)), -1], dict[tuple[int, int, int], int]()
-        for k, (code, first, second) in enumerate(zip(self.code.tolist(), *self.operands.tolist(), strict=True)):
-            if first >= 0 and code != ca.OP_OUTPUT:
-                own[k] = known.setdefault((code, own[first], own[second]), k)
-        first = np.array(own)
-        kept = np.flatnonzero(first[:-1] == np.arange(len(self)))
-        if len(kept) == len(self):
-            return self
-        number = np.full(len(own), -1)
-        number[kept] = np.arange(len(kept))
-        operands = number[first[self.operands[:, kept]]]
-        return Instructions(self.code[kept], operands, self.place[:, kept], self.constant[kept])
+    @property
+    def arrays(self) -> tuple[NDArray, ...]:
+        return self.code, self.operands, self.place, self.constant
 
     def check(self, scene: str, function: str) -> None:
         """Raise ExportError if an operation has no C here."""
@@ -170,8 +173,8 @@ def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
 _ATOM = 32
 """Length of a serialised instruction in characters."""
 
-_SAMPLE = 8
-"""Number of instructions compared with CasADi's calls, to detect a change of the serialised form."""
+_SAMPLE = 3
+"""Number of instructions that are compared with CasADi's calls, to detect a change of the serialised form."""
 
 
 def _serialised(f: ca.Function) -> NDArray | None:
@@ -183,16 +186,23 @@ def _serialised(f: ca.Function) -> NDArray | None:
     if not count:
         return None
     text = f.serialize().encode("latin-1")
-    sample = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int)).tolist()
-    expected = {k: [f.instruction_id(k), *_atom(f, k, f.instruction_id(k))] for k in sample}
-    begun = bytes(97 + half for byte in struct.pack("<ii", *expected[0][:2]) for half in (byte & 15, byte >> 4))
+    sample = sorted({k * (count - 1) // (_SAMPLE - 1) for k in range(_SAMPLE)})
+    operations = {k: f.instruction_id(k) for k in sample}
+    expected = {k: [operation, *_atom(f, k, operation)] for k, operation in operations.items()}
+    begun, ended = _encoded(expected[0][:2]), _encoded(expected[count - 1])
     at = text.find(begun)
     while 0 <= at <= len(text) - _ATOM * count:
-        found = (_decoded(text[at + _ATOM * k : at + _ATOM * (k + 1)])[0].tolist() for k in expected)
-        if all(map(_agree, found, expected.values())):
-            return _decoded(text[at : at + _ATOM * count])
+        if text.startswith(ended, at + _ATOM * (count - 1)):
+            found = _decoded(text[at : at + _ATOM * count])
+            if all(map(_agree, found[sample].tolist(), expected.values())):
+                return found
         at = text.find(begun, at + 1)
     return None
+
+
+def _encoded(numbers: Sequence[int]) -> bytes:
+    data = struct.pack(f"<{len(numbers)}i", *numbers)
+    return bytes(ord("a") + half for byte in data for half in (byte & 15, byte >> 4))
 
 
 def _decoded(text: bytes) -> NDArray:

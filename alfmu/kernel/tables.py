@@ -337,6 +337,8 @@ class _Table:
         self.share: tuple[float, float] = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}
         """Addresses and lengths of values in the workspace that programs pass on."""
+        self.memory: dict[str, tuple[int, int]] = dict(self.layout.fields)
+        """The same in the memory, in which the workspace follows the fields."""
         self.workspace: int = 0
 
     def code(self) -> None:
@@ -352,19 +354,10 @@ class _Table:
         self.program = {name: i for i, name in enumerate(e.kernel)}
         self.programs = [self._program(program.steps) for program in e.kernel.values()]
 
-    def _place(self, name: str, length: int) -> int:
+    def _place(self, name: str, length: int) -> None:
         self.places[name] = self.workspace, length
+        self.memory.setdefault(name, (self.layout.size + self.workspace, length))
         self.workspace += length
-        return self.places[name][0]
-
-    def _length(self, name: str) -> int:
-        fields = self.layout.fields
-        return fields[name][1] if name in fields else self.places[name][1]
-
-    def _at(self, name: str) -> int:
-        """Return the address of a value; the workspace follows the fields."""
-        fields = self.layout.fields
-        return fields[name][0] if name in fields else self.layout.size + self.places[name][0]
 
     def _program(self, steps: Iterable[Step]) -> list[int]:
         words: list[int] = []
@@ -372,11 +365,11 @@ class _Table:
             words.append(CALLS.index(type(step)))
             if isinstance(step, Choice):
                 nonzero, zero = map(self._program, (step.nonzero, step.zero))
-                words += [self._at(step.number), len(nonzero), len(zero), *nonzero, *zero]
+                words += [self.memory[step.number][0], len(nonzero), len(zero), *nonzero, *zero]
             elif isinstance(step, Loop):
                 body = self._program(step.body)
-                most = step.most if isinstance(step.most, int) else -1 - self._at(step.most)
-                words += [self._at(step.number), most, len(body), *body]
+                most = step.most if isinstance(step.most, int) else -1 - self.memory[step.most][0]
+                words += [self.memory[step.number][0], most, len(body), *body]
             elif isinstance(step, Lanes):
                 words += [len(step.calls), self.number[step.calls[0].function]]
                 words += [place for call in step.calls for place in self._called(call)[1:]]
@@ -398,11 +391,11 @@ class _Table:
                 what.append((len(step.arguments) - 1) // step.count)
                 lengths = [length**2, length]
         for each, length in zip(step.results, lengths, strict=True):
-            if each not in self.layout.fields and each not in self.places:
+            if each not in self.memory:
                 self._place(each, length)
-            if self._length(each) != length:
-                raise ValueError(f"{self.e.name}: {each} has {self._length(each)} entries, and {step} gives {length}")
-        return [*what, *(self._at(each) for each in (*step.arguments, *step.results))]
+            if self.memory[each][1] != length:
+                raise ValueError(f"{self.e.name}: {each} has {self.memory[each][1]} entries, and {step} gives {length}")
+        return [*what, *(self.memory[each][0] for each in (*step.arguments, *step.results))]
 
     def cost(self, program: str) -> int:
         """Return the cost of a step in evaluations of accelerations."""

@@ -110,6 +110,8 @@ class Tracer:
         self.functions: dict[str, ca.Function] = {}
         self.shapes: dict[str, tuple[list[int], int]] = {}
         """Lengths of the arguments of each function, and its number of results, as far as requested."""
+        self.calls: dict[tuple[str, str, str, str], Call] = {}
+        """Calls made before, by penalties, function, arguments and results."""
         self.lengths = lengths_of(equations)
         """Lengths of the values of functions, by name."""
         self.order = int(equations.solver.get("input_order", 0)) if equations.inputs else 0
@@ -632,18 +634,24 @@ class Calls:
 
         `function` computes its results from the values of its arguments, except p and k, which are those of the scene.
         """
-        e, functions, scene = self._tracer.e, self._tracer.functions, self.scene
-        call = Call(name, tuple(arguments.split()), tuple(results.split()))
+        known, key = self._tracer.calls, (self.scene.kind, name, arguments, results)
+        if key not in known:
+            known[key] = self._called(Call(name, tuple(arguments.split()), tuple(results.split())), function)
+        self.made.append(known[key])
+
+    def _called(self, call: Call, function: Callable[..., SX | Sequence[SX]]) -> Call:
+        """Return the call, once its function is traced and found to fit it."""
+        e, functions, scene, name = self._tracer.e, self._tracer.functions, self.scene, call.function
         if name not in functions:
             values = function(*(scene.value(x) for x in call.arguments if x not in ("p", "k")))
             values = [values] if isinstance(values, SX) else values
             making(name)
             # Repeated operations are removed when the function is written or joined, much faster than in symbols.
-            symbols, dense = [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values]
-            functions[name] = ca.Function(name, symbols, dense)
+            dense = [x if isinstance(x, SX) and x.is_dense() else ca.densify(x) for x in values]
+            functions[name] = ca.Function(name, [scene.symbol(x) for x in call.arguments], dense)
         if name not in self._tracer.shapes:
             known = functions[name]
             self._tracer.shapes[name] = [known.numel_in(i) for i in range(known.n_in())], known.n_out()
         if ([scene.length(x) for x in call.arguments], len(call.results)) != self._tracer.shapes[name]:
             raise ValueError(f"{e.name}: two functions are called {name}")
-        self.made.append(call)
+        return call

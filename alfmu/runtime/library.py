@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable, Sequence
-from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_p
+from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_long, c_size_t, c_void_p
 from functools import cache, partial
 from pathlib import Path
 
@@ -107,6 +107,8 @@ _SIGNATURES = {
     "adjoint_run": (c_int, c_void_p, POINTER(_Run), c_void_p, c_void_p, c_void_p),
     "arrange": (c_int, c_int, c_void_p, c_void_p, c_void_p, c_int, *[c_void_p] * 4),
     "in_runs": (c_int, c_int, c_int, *[c_void_p] * 7),
+    "instructions": (c_int, c_int, *[c_void_p] * 6),
+    "straight": (c_int, c_int, *[c_void_p] * 7, c_int, c_void_p, c_int64, *[c_void_p] * 4),
 }
 """Result and argument types of each function."""
 

@@ -5,6 +5,7 @@ elimination with complete pivoting, and reactions of least norm in the space tha
 """
 
 import operator
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -59,19 +60,29 @@ _UNARY = {
 }
 
 
+@lru_cache(100)
+def instructions(f: ca.Function) -> list[tuple[int, list[int], list[int], mpf | None]]:
+    """Operation, outputs, inputs and constant of each instruction, which take longer to ask for than to do."""
+    found = []
+    for k in range(f.n_instructions()):
+        op = f.instruction_id(k)
+        constant = mpf(f.instruction_constant(k)) if op == ca.OP_CONST else None
+        found.append((op, f.instruction_output(k), f.instruction_input(k), constant))
+    return found
+
+
 def evaluated(f: ca.Function, *arguments: object) -> list[np.ndarray]:
     """Dense results of a function in the present precision."""
     w = [mpf(0)] * f.sz_w()
     given = [[mpf(x) for x in np.atleast_1d(a).ravel()] for a in arguments]
     nonzeros = [[mpf(0)] * f.nnz_out(i) for i in range(f.n_out())]
-    for k in range(f.n_instructions()):
-        op, out, ins = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+    for op, out, ins, constant in instructions(f):
         if op == ca.OP_INPUT:
             w[out[0]] = given[ins[0]][ins[1]]
         elif op == ca.OP_OUTPUT:
             nonzeros[out[0]][out[1]] = w[ins[0]]
         elif op == ca.OP_CONST:
-            w[out[0]] = mpf(f.instruction_constant(k))
+            w[out[0]] = constant
         elif op in _UNARY:
             w[out[0]] = _UNARY[op](w[ins[0]])
         else:
@@ -108,15 +119,16 @@ def eliminated(A: np.ndarray, count: int) -> tuple[np.ndarray, list[int], list[i
     A, rows, columns = A.copy(), [], []
     while len(rows) < len(A):
         free = [i for i in range(len(A)) if i not in rows]
-        sizes = np.abs(A[free, :count])
-        sizes[:, columns] = mpf(0)
+        sizes = np.abs(A[free, :count].astype(float))
+        sizes[:, columns] = 0.0
         row, column = free[int(np.argmax(sizes)) // count], int(np.argmax(sizes)) % count
         if not abs(A[row, column]) > DEPENDENT:
             break
         A[row] = A[row] / A[row, column]
+        there = np.flatnonzero(A[row])
         for i in range(len(A)):
             if i != row and A[i, column]:
-                A[i] = A[i] - A[i, column] * A[row]
+                A[i, there] -= A[row, there] * A[i, column]  # a number before an array is 20 times slower
         rows.append(row)
         columns.append(column)
     return A, rows, columns

@@ -1,12 +1,13 @@
 /* Orders the operations of a function for the interpreter, for `alfmu.kernel.arrangement`. No scene that runs calls
    any of this. */
 
+#include "arrange.h"
+
 #include <stddef.h>
 #include <string.h>
 
 #include "arrange_operations.h"
 #include "arrange_sums.h"
-#include "fmi.h"
 #include "operations.h"
 
 #define MOST_OPERANDS 9
