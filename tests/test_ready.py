@@ -1,6 +1,5 @@
 """What it takes to get a mechanism ready, and what is shown of it."""
 
-import operator
 import os
 import struct
 import subprocess
@@ -8,7 +7,6 @@ import sys
 import time
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -71,25 +69,6 @@ def test_time_of_an_operation_that_is_arranged():
     began = time.process_time()
     written(instructions, [f.nnz_in(i) for i in range(f.n_in())], [f.nnz_out(i) for i in range(f.n_out())])
     assert (time.process_time() - began) / len(instructions) < 5e-6
-
-
-@pytest.mark.parametrize("name", ["add", "sub", "mul", "truediv", "lt", "le"])
-def test_operators_of_symbols_give_what_those_of_casadi_give(name):
-    x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
-    usual = getattr(ca.GenericExpressionCommon, f"__{name}__")
-    assert getattr(ca.SX, f"__{name}__") is not usual
-    numbers = 2, 0, 0.5, -1.0, True, np.float64(3.0), ca.DM([1.0, 2.0])
-    pairs = [(x, other) for other in (y, x, y[0], ca.SX(2, 1), *numbers)] + [(ca.SX.sym("s"), y), (ca.SX.eye(2), 2.0)]
-    for a, b in pairs:
-        found, wanted = getattr(operator, name)(a, b), usual(a, b)
-        assert (str(found), found.sparsity()) == (str(wanted), wanted.sparsity())
-    for b in (2, 0.5):
-        assert str(getattr(operator, name)(b, x)) == str(getattr(operator, name)(ca.SX(b), x))
-    for b in ("a", ca.MX.sym("b")):
-        with pytest.raises(TypeError):
-            getattr(operator, name)(x, b)
-    with pytest.raises(RuntimeError, match="Dimension mismatch"):
-        getattr(operator, name)(x, ca.SX.sym("z", 3))
 
 
 def test_stages_within_stages_are_shown_once():

@@ -22,7 +22,6 @@ from .errors import DeclarationError
 from .forces import Forces
 from .hooks import Picture, handed_in
 from .kinematics import Kinematics
-from .operators import quicken
 from .parts import (
     CONSTANT,
     EFFORT,
@@ -49,7 +48,6 @@ from .words import in_words, quantity, shown, there_is
 
 __all__ = ["Mechanism"]
 
-quicken()
 
 QUICK = 100
 """Largest number of coordinates for which a notebook draws a mechanism: this takes a second at most."""
