@@ -526,8 +526,8 @@ def test_a_motion_that_begins_at_rest_beside_a_singular_position_goes_on(aside, 
     assert [i.get("link1.angle"), i.get("link1.angular_velocity")] == pytest.approx([th, w], abs=1e-7)
 
 
-@pytest.mark.parametrize("size", [1.0, 0.05, 0.01])
-def test_a_short_lever_that_moves_a_long_boom_is_no_singular_position(size):
+@pytest.mark.parametrize(("size", "kernel", "bound"), [(1.0, "vm", 1e-8), (0.05, "vm", 1e-8), (0.05, "oracle", 1e-6)])
+def test_a_short_lever_that_moves_a_long_boom_is_no_singular_position(size, kernel, bound):
     """The boom is 1.1 m long and moved at 0.02 m from its hinge: one of its pivots is small wherever it stands."""
     m, arm, lever = alfmu.Mechanism("boom"), 0.02, 0.2
     pose = [m.coordinate(*at, start=x) for at, x in ((("x", "m"), 1.1 * size), (("y", "m"), 0.0), (("a", "rad"), 0.0))]
@@ -550,6 +550,6 @@ def test_a_short_lever_that_moves_a_long_boom_is_no_singular_position(size):
         load = -9.81 * 1.1 * np.cos(y[0]) - 20 * (y[0] - 0.3)
         return [*y[2:], *np.linalg.solve(K, [load, 0, -bend])[:2]]
 
-    found = alfmu.simulate(m, 1.0, 0.02)
+    found = alfmu.simulate(m, 1.0, 0.02, kernel=kernel)
     right = solve_ivp(rate, (0, 1), np.zeros(4), "DOP853", found.time, rtol=1e-12, atol=1e-13).y[0]
-    assert np.abs(found["boom.angle"] - right).max() <= 1e-8
+    assert np.abs(found["boom.angle"] - right).max() <= bound

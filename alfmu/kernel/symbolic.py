@@ -529,9 +529,8 @@ class Scene:
         moved = spacing * self._fastest(v)
         first = branch.first_position(settings.least_distance, rate, moved, settings.nothing, ca.if_else)
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
-        # Indistinguishable positions give an infinite spacing, which leaves the step to the patient tier. Where the
-        # distance hardly falls along the motion, as of a lever far shorter than its body, the limit is too far away.
-        within = moved * ca.if_else(rate > 0, first / rate, 1) <= ca.fmax(branch.FARTHEST, 4 * settings.least_distance)
+        # Indistinguishable positions give an infinite spacing, which leaves the step to the patient tier.
+        within = moved * ca.if_else(rate > 0, first / rate, 1) <= branch.farthest(settings.least_distance, ca.fmax)
         return within * ca.if_else(rate > 0, zone, here <= settings.nothing), spacing * first / rate
 
     def _rate(self, here: SX, before: SX, after: SX) -> SX:

@@ -252,7 +252,8 @@ class Instance(Stepped):
         units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
         moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(v, units, strict=False))
         first = float(branch.first_position(self.least_distance, rate, spacing * moved, self.nothing, np.where))
-        if not (rate > 0 and here < branch.LIMIT_ZONE * first):
+        moved *= spacing * first
+        if not (here < branch.LIMIT_ZONE * first and 0 < moved <= rate * branch.farthest(self.least_distance, max)):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
         try:
