@@ -71,6 +71,28 @@ def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
         assert np.abs(angles(i, second * times, values) - right).max() <= 3e-9, (length, mass)
 
 
+def test_a_pendulum_on_a_trolley_of_any_size_and_mass_moves_alike():
+    """An open chain, whose small bodies have masses all the same."""
+    m = Mechanism("trolley")
+    length, mass = m.parameter("length", 1.0, "m"), m.parameter("mass", 1.0, "kg")
+    x, th = m.coordinate("x", "m", independent=True), m.coordinate("th", start=0.3, independent=True)
+    trolley, bar = m.body("trolley", mass=mass), m.bar("bar", mass=mass, length=length)
+    m.prismatic("guide", m.ground.at(0, 0), trolley.at(0, 0), coordinate=x)
+    m.revolute("hinge", trolley.at(0, 0), bar.start, coordinate=th)
+    m.gravity(0, -9.81)
+
+    def rate(t: float, y: NDArray) -> NDArray:
+        s, c = np.sin(y[1]), np.cos(y[1])
+        forces = [c * y[3] ** 2 / 2, -9.81 * c / 2]
+        return np.array([y[2], y[3], *np.linalg.solve([[2.0, -s / 2], [-s / 2, 1 / 3]], forces)])
+
+    i, times = unit(m), np.arange(STEPS + 1) / 10
+    right = solve_ivp(rate, (0, times[-1]), [0, 0.3, 0, 0], "DOP853", times, rtol=1e-13, atol=1e-13).y[1]
+    for size, heavy in SIZES:
+        values = {"length": size, "mass": heavy, "solver.relative_tolerance": 1e-9}
+        assert np.abs(angles(i, size**0.5 * times, values, of="bar.angle") - right).max() <= 1e-7, (size, heavy)
+
+
 @pytest.mark.slow
 def test_a_linkage_in_space_of_any_size_moves_alike():
     i, times, found = unit(alfmu.load("bennett")), np.arange(21) / 10, []

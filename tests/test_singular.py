@@ -13,6 +13,7 @@ from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 from scenes import by_rk4, derived, made, readings, started
+from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu.equations.specialisation import specialised
@@ -523,3 +524,32 @@ def test_a_motion_that_begins_at_rest_beside_a_singular_position_goes_on(aside, 
         i.step(0.02)
     th, w = FOUR_BAR.driven(np.pi + aside, 0.0, np.array([0.0, 0.4]), 1.0)[-1]
     assert [i.get("link1.angle"), i.get("link1.angular_velocity")] == pytest.approx([th, w], abs=1e-7)
+
+
+@pytest.mark.parametrize(("size", "kernel", "bound"), [(1.0, "vm", 1e-8), (0.05, "vm", 1e-8), (0.05, "oracle", 1e-6)])
+def test_a_short_lever_that_moves_a_long_boom_is_no_singular_position(size, kernel, bound):
+    """The boom is 1.1 m long and moved at 0.02 m from its hinge: one of its pivots is small wherever it stands."""
+    m, arm, lever = alfmu.Mechanism("boom"), 0.02, 0.2
+    pose = [m.coordinate(*at, start=x) for at, x in ((("x", "m"), 1.1 * size), (("y", "m"), 0.0), (("a", "rad"), 0.0))]
+    boom = m.body("boom", mass=1.0, inertia=0.1 * size**2, center=(1.1 * size, 0), pose=pose)
+    crank = m.body("crank", mass=1.0, inertia=0.3 * size**2)
+    hinge = m.revolute("hinge", m.ground.at(0, 0), boom.at(0, 0))
+    corner = m.ground.at((arm - lever) * size, -0.3 * size)
+    m.revolute("corner", corner, crank.at(0, 0), coordinate=m.coordinate("angle", "rad", start=0.0))
+    m.distance("rod", crank.at(lever * size, 0), boom.at(arm * size, 0), length=0.3 * size)
+    m.spring_damper(hinge, stiffness=20.0 * size**2, rest=0.3)
+    m.gravity(0, -9.81 * size)
+
+    def rate(t, y):
+        along, across = (np.array(x) for x in ([np.cos(y[:2]), np.sin(y[:2])], [-np.sin(y[:2]), np.cos(y[:2])]))
+        rod = arm * along[:, 0] - lever * along[:, 1] - [arm - lever, -0.3]
+        arms = across * [arm, -lever]
+        bend = np.sum((arms @ y[2:]) ** 2) - rod @ along @ (np.array([arm, -lever]) * y[2:] ** 2)
+        C = rod @ arms
+        K = [[1.31, 0, C[0]], [0, 0.3, C[1]], [C[0], C[1], 0]]
+        load = -9.81 * 1.1 * np.cos(y[0]) - 20 * (y[0] - 0.3)
+        return [*y[2:], *np.linalg.solve(K, [load, 0, -bend])[:2]]
+
+    found = alfmu.simulate(m, 1.0, 0.02, kernel=kernel)
+    right = solve_ivp(rate, (0, 1), np.zeros(4), "DOP853", found.time, rtol=1e-12, atol=1e-13).y[0]
+    assert np.abs(found["boom.angle"] - right).max() <= bound

@@ -21,6 +21,7 @@ from ..equations.evaluation import elimination_order, symbols, with_functions
 from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
 from ..method.formulations import CORRECTIONS
+from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import CHOSEN, Alternatives, alternatives
 from .breaks import breaks
@@ -349,7 +350,9 @@ class _Patient(Alternatives):
             return stretched * (1 + more), more
 
         again("longer_places", f"stretched {places[0]}", "stretched slow", longer)
-        self.stretch(calls, "dt", "vz", again)
+        self._direct(calls, "vz")
+        calls("stretch", "dt", "stretched", lambda dt: dt)
+        self.repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
         """Repeat passes until they converge; for other formulations if steps project."""

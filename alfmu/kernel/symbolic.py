@@ -88,7 +88,7 @@ def lengths_of(equations: Configuration) -> dict[str, int]:
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
         "singular lost noise error read_power renew before passes size most patient again projects within floor": 1,
         "of_least_norm on_branch onward by_classic by_penalty by_stiffness by_baumgarte by_dae": 1,
-        "supply supplied suppliedn crossed margin second": 1,
+        "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn way a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
@@ -497,10 +497,9 @@ class Scene:
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
 
-    def directed(self, v: SX, second: SX | float = 0.0) -> tuple[SX, SX]:
-        """S4: return the direction of positions, and 1: first that of the settings, if there is one; if `second` that
-        of the motion."""
-        return ca.if_else((1 - second) * (ca.sumsqr(self.way) > 0), self.way, v), SX(1)
+    def directed(self, v: SX) -> SX:
+        """S4: return the direction of the positions of a limit, where it is not that of the motion."""
+        return self.way + self.settings.along * v
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
         """S4: return the spacing [s] of positions along v; a step may be too short to distinguish them."""
@@ -535,7 +534,8 @@ class Scene:
         first = branch.first_position(settings.least_distance, rate, moved, settings.nothing, ca.if_else)
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
         # Indistinguishable positions give an infinite spacing, which leaves the step to the patient tier.
-        return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * first / rate
+        within = moved * ca.if_else(rate > 0, first / rate, 1) <= branch.farthest(settings.least_distance, ca.fmax)
+        return within * ca.if_else(rate > 0, zone, here <= settings.nothing), spacing * first / rate
 
     def _rate(self, here: SX, before: SX, after: SX) -> SX:
         """S2: return the distance covered by one spacing along v, from margins; 0 if it is indistinguishable."""

@@ -337,8 +337,8 @@ class Tracer:
         self._read_along(calls, places, "dt")
 
     def _direct(self, calls: Calls, v: str) -> None:
-        """Choose the direction of positions."""
-        calls("directed", f"{v} k", "way", lambda v: calls.scene.directed(v)[0])
+        """Compute the direction in which positions of a limit lie."""
+        calls("directed", f"{v} k", "way", calls.scene.directed)
 
     def _read_along(self, calls: Calls, places: Sequence[str], length: str) -> None:
         """Compute these positions in a known direction; `length` is the base of their spacing."""
@@ -509,17 +509,10 @@ class Tracer:
             return stretched * (1 + more), more
 
         again("longer", f"stretched {zone} spacing", "stretched slow", longer)
-        self.stretch(calls, length, f"v{i}", again)
+        self._direct(calls, f"v{i}")
+        calls("stretch", length, "stretched", lambda dt: dt)
+        self.repeat(calls, "slow", branch.DOUBLINGS, again)
         calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
-
-    def stretch(self, calls: Calls, length: str, v: str, again: Calls) -> None:
-        """Repeat `again` with longer spacings, and if it stays `slow` in the other direction."""
-        each = calls.inside()
-        each("direct", f"{v} second k", "way second", calls.scene.directed)
-        each("stretch", length, "stretched", lambda dt: dt)
-        self.repeat(each, "slow", branch.DOUBLINGS, again)
-        calls("directions", "k", "second slow", lambda: (SX(0), SX(1)))
-        calls.made.append(Loop("slow", 2, each.steps))
 
     def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
         """Make calls, and repeat `again` until the named number is zero."""

@@ -21,6 +21,7 @@ __all__ = [
     "along",
     "curvature",
     "direct_error",
+    "farthest",
     "fewer",
     "first_position",
     "limit_error",
@@ -170,6 +171,12 @@ def first_position(
     floor = CONVERGENCE * (nothing / NOISE_FLOOR) ** 0.5
     near = choose(MOST_MOVED * rate < least * moved, MOST_MOVED * rate / (moved + TINY), least)
     return choose(rate > 0, choose(near < floor, floor, near), least)
+
+
+def farthest(least: Array, larger: Callable[[Any, Any], Any]) -> Array:
+    """S4: return the largest displacement of the first position: beyond it the distance hardly falls along the motion,
+    as of a lever far shorter than its body, and the limit is not that of this position."""
+    return larger(FARTHEST, 4 * least)
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:

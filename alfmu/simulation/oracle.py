@@ -15,7 +15,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.memory import GROSS
+from ..kernel.memory import GROSS, SETTINGS
 from ..kernel.thresholds import PATIENT, REGULAR
 from ..method import formulations as method
 from ..method import singular as branch
@@ -204,17 +204,16 @@ class Instance(Stepped):
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
-        """Distance to a singular position, how much of it one spacing makes, and a spacing (n,) that can tell: in the
-        direction that the runtime has found, or along v."""
+        """Distance to a singular position, how much of it one spacing makes, and a spacing (n,) that can tell: along v,
+        or in the direction that the runtime has found."""
         self._unit.scene.library.alfmu_update_way(self._unit.address)
-        for way in (self.way, v) if self.way.any() else (v,):
-            spacing = shortest * way
-            for _ in range(branch.DOUBLINGS):
-                before, here, after = (self.margin(q + k * spacing)[1] for k in (-1, 0, 1))
-                rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-                if here > self.nothing or rate**2 > self.nothing:
-                    return here**0.5, rate, spacing
-                spacing *= 2  # The places are too near to be told from the singular position.
+        spacing = shortest * (self.way + self.memory["k"][SETTINGS.index("along")] * v)
+        for _ in range(branch.DOUBLINGS):
+            before, here, after = (self.margin(q + k * spacing)[1] for k in (-1, 0, 1))
+            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
+            if here > self.nothing or rate**2 > self.nothing:
+                break
+            spacing *= 2  # The places are too near to be told from the singular position.
         return here**0.5, rate, spacing
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
@@ -256,7 +255,8 @@ class Instance(Stepped):
         units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
         moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(spacing, units, strict=False))
         first = float(branch.first_position(self.least_distance, rate, moved, self.nothing, np.where))
-        if not (rate > 0 and here < branch.LIMIT_ZONE * first):
+        moved *= first
+        if not (here < branch.LIMIT_ZONE * first and 0 < moved <= rate * branch.farthest(self.least_distance, max)):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
         try:

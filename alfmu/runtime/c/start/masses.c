@@ -86,7 +86,8 @@ Outcome masses_check(Instance *i, const double *q, const unsigned char *held)
     constraints_evaluate(i, q, zeros, M.values, C.values, NULL, NULL);
     for (int e = 0; e < s->constraint.entries; e++)
         C.values[e] *= held[s->constraint.indices[e]];
-    scale = s->l ? fmax(linear_largest(M.values, s->mass.entries), 1e-300) : 1.0;
+    /* The masses of an open chain may all be small, and nothing but them is compared. */
+    scale = fmin(fmax(linear_largest(M.values, s->mass.entries), 1e-300), s->l ? INFINITY : 1.0);
     if (s->timed) /* Time needs no mass. */
         M.values[s->mass.entries - 1] = scale;
     least = (s->n <= DENSE ? find_weakest_motion : find_weakest_of_many)(i, M, C, scale, motion);

@@ -304,6 +304,24 @@ static void sort_numbers(double *x, int count)
         }
 }
 
+/* Close the constraints at a place, displaced along the motion v to the nearest of all; return whether they are. */
+int rank_close(Instance *i, const double *there, const double *v, double *near)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const double *p = instance_field(i, s->p), *k = instance_field(i, s->k);
+    const double *x[] = {there, p, k}, *from[] = {near, p, k}, *beside[] = {near, there, v, p, k};
+    double *to[] = {near}, *both[] = {near, arena_alloc(i, (size_t)s->n)};
+    int row, closed;
+    function_call(i, s->place, x, to);
+    function_call(i, s->place, from, to);
+    function_call(i, s->bring, beside, both);
+    function_call(i, s->place, from, to);
+    closed = constraints_widest(i, near, v, 0, &row) <= GROSS;
+    arena_release(i, arena);
+    return closed;
+}
+
 /* S1: scales of coordinates, pivots contributed by masses, degrees of freedom, rank. */
 void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
 {
@@ -342,9 +360,8 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
         way[c] /= size;
     memcpy(places, q, n * sizeof *q);
     for (int a = 0; a < SIDE_PLACES; a++) {
-        const double *x[] = {there, p, k}, *from[] = {near, p, k}, *beside[] = {near, there, v, p, k};
-        double *y[] = {pivots, diagonal, columns, &margin}, *to[] = {near}, *both[] = {near, rate};
-        int row;
+        const double *x[] = {there, p, k};
+        double *y[] = {pivots, diagonal, columns, &margin};
         for (int c = 0; c < s->n; c++)
             there[c] = q[c] + side_places[a] * way[c];
         function_call(i, s->pivots, x, y);
@@ -352,11 +369,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
             touched[c] += columns[c];
             i->scales[c] = fmax(i->scales[c], *i->largest_penalty * diagonal[c]);
         }
-        function_call(i, s->place, x, to);
-        function_call(i, s->place, from, to);
-        function_call(i, s->bring, beside, both);
-        function_call(i, s->place, from, to);
-        if (constraints_widest(i, near, v, 0, &row) <= GROSS)
+        if (rank_close(i, there, v, near))
             memcpy(places + count++ * n, near, n * sizeof *near);
     }
     *i->freedom = freedom;

@@ -12,6 +12,7 @@ void rank_weighted_rows(Instance *i, const double *q, const double *weights, Mat
 int rank_at(Instance *i, const double *q, const unsigned char *held);
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x);
 void rank_freeze(Instance *i);
+int rank_close(Instance *i, const double *there, const double *v, double *near);
 void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);
 

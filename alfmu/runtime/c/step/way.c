@@ -12,7 +12,7 @@
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
-#include "linear.h"
+#include "rank.h"
 #include "record.h"
 #include "scene.h"
 #include "scene_sizes.h"
@@ -31,6 +31,13 @@ static void set_unit_way(Instance *i, const double *x, double *way)
     const double size = instance_largest(i, x);
     for (int c = 0; c < i->scene->n; c++)
         way[c] = size > 0.0 ? x[c] / size : 0.0;
+}
+
+/* Positions of a limit lie along the motion from here on. */
+static void set_along(Instance *i)
+{
+    memset(way_of(i), 0, (size_t)i->scene->n * sizeof(double));
+    instance_field(i, i->scene->k)[SETTINGS_ALONG] = 1.0;
 }
 
 /* Margins at a distance along a direction, on both sides of q. */
@@ -65,39 +72,23 @@ static double slope_beside(Instance *i, const double *q, const double *way, doub
     return (margins[1] - margins[0]) / (4.0 * LITTLE * sqrt(margin));
 }
 
-/* Close the constraints at q displaced along a direction; return whether they are. */
-static int displace_closed(Instance *i, const double *q, const double *way, double distance, double *closed)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double *there = arena_alloc(i, n), *zeros = arena_alloc(i, n), *rate = arena_alloc(i, n);
-    const double *p = instance_field(i, s->p), *k = instance_field(i, s->k);
-    const double *x[] = {there, p, k}, *from[] = {closed, p, k}, *beside[] = {closed, there, zeros, p, k};
-    double *to[] = {closed}, *both[] = {closed, rate};
-    int row, done;
-    memset(zeros, 0, n * sizeof *zeros);
-    for (size_t c = 0; c < n; c++)
-        there[c] = q[c] + distance * way[c];
-    function_call(i, s->place, x, to);
-    function_call(i, s->place, from, to);
-    function_call(i, s->bring, beside, both);
-    function_call(i, s->place, from, to);
-    done = constraints_widest(i, closed, zeros, 0, &row) <= GROSS;
-    arena_release(i, arena);
-    return done;
-}
-
 /* Make a direction from a singular position q that of one of the motions that cross there. */
 static void follow_branch(Instance *i, const double *q, double *way)
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
-    double *ahead = arena_alloc(i, n), *behind = arena_alloc(i, n);
+    double *there = arena_alloc(i, n), *zeros = arena_alloc(i, n), *sides[2] = {arena_alloc(i, n), arena_alloc(i, n)};
+    int closed = 1;
+    memset(zeros, 0, n * sizeof *zeros);
     set_unit_way(i, way, way);
-    if (displace_closed(i, q, way, BESIDE, ahead) && displace_closed(i, q, way, -BESIDE, behind)) {
+    for (int side = 0; side < 2; side++) {
         for (size_t c = 0; c < n; c++)
-            ahead[c] -= behind[c];
-        set_unit_way(i, ahead, way);
+            there[c] = q[c] + (side ? BESIDE : -BESIDE) * way[c];
+        closed &= rank_close(i, there, zeros, sides[side]);
     }
+    for (size_t c = 0; c < n; c++)
+        there[c] = sides[1][c] - sides[0][c];
+    if (closed)
+        set_unit_way(i, there, way);
     arena_release(i, arena);
 }
 
@@ -106,24 +97,23 @@ static void follow_branch(Instance *i, const double *q, double *way)
 void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v)
 {
     const Scene *s = i->scene;
-    double *way = way_of(i), margin, least = 0.0;
+    double *way = way_of(i), *along = instance_field(i, s->k) + SETTINGS_ALONG, margin, least = 0.0;
     int paused;
     if (!s->l)
         return;
-    memset(way, 0, (size_t)s->n * sizeof *way);
+    set_along(i);
     paused = tape_pause(i, 1);
     margin = settings_continue(i) ? settings_margin(i, q) : 1.0;
     if (margin < BRANCH_MARGIN && !s->timed)
         least = slope_away(i, q, v, margin);
-    if (margin < BRANCH_MARGIN && least < SERVES)
-        for (int equal = 0; equal < 2; equal++) {
-            start_find_way(i, held, q, equal, way);
-            if (slope_away(i, q, way, margin) > least) {
-                follow_branch(i, q, way);
-                break;
-            }
-            memset(way, 0, (size_t)s->n * sizeof *way);
-        }
+    for (int equal = 0; margin < BRANCH_MARGIN && least < SERVES && equal < 2 && *along > 0.0; equal++) {
+        start_find_way(i, held, q, equal, way);
+        *along = !(slope_away(i, q, way, margin) > least);
+    }
+    if (*along > 0.0)
+        set_along(i);
+    else
+        follow_branch(i, q, way);
     tape_pause(i, paused);
 }
 
@@ -174,18 +164,18 @@ void way_update(Instance *i)
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     const double *z = instance_field(i, s->z), *v = z + s->n;
-    double *way = way_of(i), *possible, margin;
-    const int single = s->n - *i->rank <= 1.0, told = linear_largest(way, s->n) > 0.0;
+    double *way = way_of(i), *possible, *along = instance_field(i, s->k) + SETTINGS_ALONG, margin;
+    const int single = s->n - *i->rank <= 1.0;
     int paused, near;
-    if ((single && !told) || s->n > DENSE)
+    if ((single && *along > 0.0) || s->n > DENSE)
         return;
     paused = tape_pause(i, 1);
     margin = settings_margin(i, z);
     near = margin < TOO_NEAR * BRANCH_MARGIN;
     if (!s->timed
-        && (near ? told && slope_away(i, z, v, margin) > SERVES
+        && (near ? *along > 0.0 || slope_away(i, z, v, margin) > SERVES
                  : single || fabs(slope_beside(i, z, v, margin)) > SERVES))
-        memset(way, 0, n * sizeof *way);
+        set_along(i);
     else if (!near) {
         possible = arena_alloc(i, n);
         keep_possible(i, z, way, possible);
@@ -193,8 +183,9 @@ void way_update(Instance *i)
             set_unit_way(i, possible, way);
         else
             climb(i, z, margin, way);
+        *along = 0.0;
         if (!(fabs(slope_beside(i, z, way, margin)) > FROZEN))
-            memset(way, 0, n * sizeof *way);
+            set_along(i);
     }
     tape_pause(i, paused);
     arena_release(i, arena);
