@@ -70,6 +70,7 @@ FEATURES = {
     "MOVING_INPUTS": Feature(
         "inputs that move something", ("driving_inputs.c", "input_derivatives.c"), lambda e: e.followed
     ),
+    "LIMITS": Feature("limits at singular positions", ("way.c",), lambda e: e.l),
     "SWITCHES": Feature("Boolean inputs and impacts", ("topology.c",), lambda e: e.switches),
     "BREAKS": Feature(
         "forces, laws and rates that jump or bend", ("breaks.c",), lambda e: number_of(packed(e), "break_count")

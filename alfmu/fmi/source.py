@@ -64,7 +64,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
-    without = [*without, "ERROR_CONTROL", *["START"] * (not starts)]
+    without = [*without, "ERROR_CONTROL", *["START"] * (not starts), *["LIMITS"] * ("limit" not in own.kernel)]
     header, *texts = _texts(fmi, without)
     used = {*re.findall(r"(?:->|\.)(\w+)", _reached("".join([header, *texts])))}
     work, kinds, wide = _lean(scene, own, used, steps)

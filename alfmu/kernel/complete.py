@@ -26,6 +26,7 @@ FUNCTIONS = {
         )
     },
     **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
+    "margin": "margin_at",
 }
 """Functions called by the runtime, by their names in C."""
 

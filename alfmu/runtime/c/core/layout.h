@@ -43,7 +43,7 @@
 #define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
 #define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or other parameters"
 #define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law off there, if no impact was meant"
-#define SETTINGS 15
+#define SETTINGS 16
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
 #define SETTINGS_FREEDOM 2
@@ -59,6 +59,7 @@
 #define SETTINGS_SHORT 12
 #define SETTINGS_BESIDE 13
 #define SETTINGS_STIFF 14
+#define SETTINGS_ALONG 15
 #define CONTROL 3
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
@@ -332,6 +333,7 @@
     X(place) \
     X(bring) \
     X(settle) \
+    X(margin) \
     X(quick) \
     X(careful) \
     X(instant) \

@@ -10,6 +10,9 @@
 #ifndef HAS_MOVING_INPUTS
 #define HAS_MOVING_INPUTS 1
 #endif
+#ifndef HAS_LIMITS
+#define HAS_LIMITS 1
+#endif
 #ifndef HAS_SWITCHES
 #define HAS_SWITCHES 1
 #endif

@@ -328,7 +328,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     const double *p = instance_field(i, s->p);
-    double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l, margin;
+    double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l;
     double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n),
            *found = arena_alloc(i, SIDE_PLACES + 1);
     double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n),
@@ -361,7 +361,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     memcpy(places, q, n * sizeof *q);
     for (int a = 0; a < SIDE_PLACES; a++) {
         const double *x[] = {there, p, k};
-        double *y[] = {pivots, diagonal, columns, &margin};
+        double *y[] = {pivots, diagonal, columns};
         for (int c = 0; c < s->n; c++)
             there[c] = q[c] + side_places[a] * way[c];
         function_call(i, s->pivots, x, y);
@@ -380,7 +380,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     i->flags.brakes = rank_changes_near(i, q, v);
     for (int a = 0; a < count; a++) {
         const double *x[] = {places + a * n, p, k};
-        double *y[] = {pivots, diagonal, columns, &margin};
+        double *y[] = {pivots, diagonal, columns};
         int bad = 0;
         function_call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++)

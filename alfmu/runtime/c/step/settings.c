@@ -260,13 +260,11 @@ const char *settings_method_name(const Instance *i)
 
 double settings_margin(Instance *i, const double *q)
 {
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double found;
-    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
-    double *y[] = {arena_alloc(i, n), arena_alloc(i, n), arena_alloc(i, n), &found};
-    function_call(i, s->pivots, x, y);
-    arena_release(i, arena);
+    double found = 1.0;
+    const double *x[] = {q, instance_field(i, i->scene->p), instance_field(i, i->scene->k)};
+    double *y[] = {&found};
+    if (i->scene->margin >= 0)
+        function_call(i, i->scene->margin, x, y);
     return found;
 }
 

@@ -20,7 +20,7 @@
 #include "velocities.h"
 
 /* The direction (n) among the settings, zero where it is that of the motion. */
-double *way_of(Instance *i)
+static double *way_of(Instance *i)
 {
     return instance_field(i, i->scene->k) + scene_way(i->scene);
 }

@@ -4,12 +4,21 @@
 #define ALFMU_WAY_H
 
 #include "instance.h"
+#include "scene_features.h"
 
 #include "internal_begin.h"
 
-double *way_of(Instance *i);
+#if HAS_LIMITS
 void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v);
 void way_update(Instance *i);
+#else
+static inline void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v)
+{
+    (void)i, (void)held, (void)q, (void)v;
+}
+
+static inline void way_update(Instance *i) { (void)i; }
+#endif
 
 #include "internal_end.h"
 
