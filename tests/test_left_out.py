@@ -48,19 +48,33 @@ def five_bar() -> alfmu.Mechanism:
     return alfmu.load("five_bar")
 
 
+def pendulum() -> alfmu.Mechanism:
+    """A single body, of which no constraint is left."""
+    m = alfmu.Mechanism("pendulum")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=1.0))
+    m.gravity(0, -9.81)
+    return m
+
+
 CASES = {
-    "plain": (five_bar, {}, {"ERROR_CONTROL", "MODEL_EXCHANGE"}),
-    "of RK4": (five_bar, {"parameters": {"solver.method": "rk4"}}, {"MODEL_EXCHANGE"}),
-    "for co-simulation alone": (five_bar, {"interface": "cs"}, {"ERROR_CONTROL"}),
+    "plain": (five_bar, {}, {"LIMITS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "of RK4": (five_bar, {"parameters": {"solver.method": "rk4"}}, {"LIMITS", "MODEL_EXCHANGE"}),
+    "for co-simulation alone": (five_bar, {"interface": "cs"}, {"LIMITS", "ERROR_CONTROL"}),
     "with derivatives": (
         five_bar,
         {"outputs": ["link1.angle", "link1.angle/*"]},
-        {"ERROR_CONTROL", "INTERFACE_JACOBIAN"},
+        {"LIMITS", "ERROR_CONTROL", "INTERFACE_JACOBIAN"},
     ),
-    "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"ERROR_CONTROL", "PEAKS", "MODEL_EXCHANGE"}),
-    "rubbing": (block, {}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
-    "without derivatives": (block, {"derivatives": False}, {"FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
-    "led and locked": (led, {}, {"MOVING_INPUTS", "SWITCHES", "ERROR_CONTROL"}),
+    "with a peak": (five_bar, {"outputs": ["A.force.peak"]}, {"LIMITS", "ERROR_CONTROL", "PEAKS", "MODEL_EXCHANGE"}),
+    "rubbing": (block, {}, {"LIMITS", "FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "without derivatives": (
+        block,
+        {"derivatives": False},
+        {"LIMITS", "FRICTION", "BREAKS", "ERROR_CONTROL", "MODEL_EXCHANGE"},
+    ),
+    "without constraints": (pendulum, {}, {"ERROR_CONTROL", "MODEL_EXCHANGE"}),
+    "led and locked": (led, {}, {"LIMITS", "MOVING_INPUTS", "SWITCHES", "ERROR_CONTROL"}),
 }
 each_case = pytest.mark.parametrize("case", CASES)
 
