@@ -124,6 +124,33 @@ def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
 
 
+@pytest.mark.parametrize("coordinates", ["absolute", "joint"])
+def test_a_torque_turns_a_slider_crank_of_any_size_and_mass_in_proportion(coordinates):
+    """By the reduced inertia; a torque of 1 N.m turns a crank of a nanogram with 1e17 rad/s2."""
+    m = alfmu.load("slider_crank", coordinates=coordinates)
+    far, high = 0.5 * np.sin(0.8), 0.5 * np.cos(0.8)
+    turn = high / np.sqrt(1 - far**2)  # the rod turns back by so much of the crank's angle
+    slid = far + far * turn
+    inertia = 0.25 / 3 + (far + far * turn / 2) ** 2 + (high / 2) ** 2 + turn**2 / 12 + slid**2
+    for length, mass in SIZES:
+        values = {"l1": length / 2, "l2": length, "m1": mass, "m2": mass, "m3": mass, "start.angle": 0.8}
+        found = alfmu.linearize(m, parameters={**values, "start.angular_velocity": 0.0}, outputs=["crank.angle"])
+        assert found.B[1, 0] * mass * length**2 == pytest.approx(1 / inertia, rel=1e-9), (length, mass)
+
+
+@pytest.mark.parametrize("bodies", [True, False], ids=["bodies", "points"])
+def test_a_place_far_from_the_origin_changes_no_position_of_rest(bodies):
+    here, there = (
+        alfmu.equilibrium(four_bar(bodies), parameters={"L": 1e-3, "o": o, "start.angle_rate": 0.0})
+        for o in (0.0, 100.0)
+    )
+    assert len(here) > 1
+    size = np.abs(here[0].eigenvalues).max()
+    for one, other in zip(here, there, strict=True):
+        assert one.stability == other.stability
+        assert np.abs(one.eigenvalues - other.eigenvalues).max() <= 1e-6 * size
+
+
 def beside_a_crank() -> Mechanism:
     """The same linkage with a coupler alone torn off."""
     m = Mechanism("mixed")
