@@ -97,6 +97,8 @@ def sweep(
     interrupts it.
     """
     samples = samples if samples is None else _whole("samples", samples)
+    for each in (keep or (), keep_series):
+        names_in(mechanism, "outputs to keep", [each] if isinstance(each, str) else each)
     freeze = freeze if freeze is None else names_in(mechanism, "parameters to freeze", freeze)
     workers = workers if workers is None else _whole("workers", workers)
     seed = _whole("seed", seed)
