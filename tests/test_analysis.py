@@ -657,6 +657,7 @@ def test_what_cannot_be_judged_is_said():
         (lambda: alfmu.Recipe("five_bar", start="rest"), "it must be declared or equilibrium"),
         (lambda: alfmu.equilibrium("five_bar", parameters=["m1"]), "five_bar: the parameters are ['m1']; give a dict"),
         (lambda: alfmu.equilibrium(pendulum(), starts=1.5), "pendulum: starts is 1.5"),
+        (lambda: alfmu.equilibrium(alfmu.Recipe("five_bar"), starts=1.5), "five_bar: starts is 1.5"),
         (lambda: alfmu.linearize("slider_crank", None), "at is None; it must be start, equilibrium, or times"),
         (lambda: alfmu.linearize("slider_crank", inputs=["A.torque"]), "the inputs are ['A.torque']; give a dict"),
         (lambda: alfmu.linearize("slider_crank", inputs={"A.torque": "1"}), "the signal of A.torque is '1'; give a"),

@@ -289,7 +289,7 @@ def equilibrium(
     prescribes motion at that time.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-        name = getattr(mechanism, "name", mechanism)
+        name = getattr(mechanism, "name", "") or mechanism
         raise InputError(f"{name}: starts is {starts!r}; it must be a whole number, 0 or above")
     return equilibria(begun(mechanism, parameters or {}, inputs or {}, time), starts)
 

@@ -93,7 +93,7 @@ def _check_own(equations: Equations, rest: Equilibrium) -> None:
 
 def _times(mechanism: Any, at: Any) -> list[float]:
     """Return instants [s]; raise InputError if `at` is not a time or several."""
-    name = getattr(mechanism, "name", mechanism)
+    name = getattr(mechanism, "name", "") or mechanism
     times = list(at) if isinstance(at, Sequence) and not isinstance(at, str) else [at]
     for t in times or [None]:
         if isinstance(t, (str, bool)) or not isinstance(t, (int, float, np.number)) or not 0 <= t < math.inf:

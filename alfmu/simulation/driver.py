@@ -244,7 +244,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
 
 def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return a mapping of values by name; raise InputError for any other type."""
-    name = getattr(mechanism, "name", mechanism)
+    name = getattr(mechanism, "name", "") or mechanism
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
     if wrong := [x for x in given or () if not isinstance(x, str)]:
@@ -255,7 +255,7 @@ def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> di
 def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
     """Return a sequence of names; raise InputError for any other type, in particular a single text."""
     if isinstance(given, str) or not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
-        name = getattr(mechanism, "name", mechanism)
+        name = getattr(mechanism, "name", "") or mechanism
         raise InputError(f"{name}: the {what} are {shown(given)}; give a list of names")
     return list(given)
 
@@ -289,7 +289,7 @@ _SIGNALS = "give a number, a function of time, or a pair (times, values)"
 
 
 def _no_signal(mechanism: object, name: str) -> str:
-    return f"{getattr(mechanism, 'name', mechanism)}: the signal of {name}"
+    return f"{getattr(mechanism, 'name', '') or mechanism}: the signal of {name}"
 
 
 def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[[float], float]:
