@@ -387,6 +387,12 @@ def test_along_a_motion_outputs_change_as_the_matrices_say(name):
 
 
 @pytest.mark.slow
+def test_an_array_of_instants_is_a_list_of_them():
+    found = alfmu.linearize(pendulum(), np.array([0.0, 0.1]))
+    assert [each.time for each in found] == [0.0, 0.1]
+    assert alfmu.linearize(pendulum(), np.array(0.1)).time == 0.1
+
+
 def test_an_instance_and_instants_of_a_motion_are_linearised_where_they_are():
     first, later = alfmu.linearize("slider_crank", [0.0, 0.25])
     assert later.time == 0.25
@@ -651,6 +657,7 @@ def test_what_cannot_be_judged_is_said():
         (lambda: alfmu.Recipe("five_bar", start="rest"), "it must be declared or equilibrium"),
         (lambda: alfmu.equilibrium("five_bar", parameters=["m1"]), "five_bar: the parameters are ['m1']; give a dict"),
         (lambda: alfmu.equilibrium(pendulum(), starts=1.5), "pendulum: starts is 1.5"),
+        (lambda: alfmu.equilibrium(alfmu.Recipe("five_bar"), starts=1.5), "five_bar: starts is 1.5"),
         (lambda: alfmu.linearize("slider_crank", None), "at is None; it must be start, equilibrium, or times"),
         (lambda: alfmu.linearize("slider_crank", inputs=["A.torque"]), "the inputs are ['A.torque']; give a dict"),
         (lambda: alfmu.linearize("slider_crank", inputs={"A.torque": "1"}), "the signal of A.torque is '1'; give a"),
@@ -658,13 +665,32 @@ def test_what_cannot_be_judged_is_said():
         (lambda: alfmu.mobility("slider_crank", stop_time="long"), "the stop time is 'long' s; it must be a finite"),
         (lambda: alfmu.mobility("slider_crank", parameters=[1]), "the parameters are [1]; give a dictionary"),
         (lambda: alfmu.simulate("slider_crank", 1.0, "fine"), "the step is 'fine' s; it must be a finite number"),
+        (lambda: alfmu.linearize("five_bar", alfmu.equilibrium(pendulum())[0]), "which has other coordinates"),
+        (
+            lambda: alfmu.linearize(pendulum(), alfmu.equilibrium(pendulum())[0], inputs={"A.torque": 1.0}),
+            "a position of rest has its parameters and inputs; give them to equilibrium()",
+        ),
+        (lambda: alfmu.simulate("slider_crank", outputs=[3]), "the outputs are [3]; give a list of names"),
+        (lambda: alfmu.simulate("slider_crank", freeze="l1"), "the parameters to freeze are 'l1'; give a list"),
+        (lambda: alfmu.sweep("slider_crank", {"l1": "1,2"}, freeze=3), "the parameters to freeze are 3; give a list"),
+        (
+            lambda: alfmu.simulate("slider_crank", parameters={3: 1.0}),
+            "one of the parameters is called 3; a name is a text",
+        ),
+        (lambda: alfmu.simulate("slider_crank", parameters={"l1": [1.0]}), "l1 is [1.0]; it must be a finite number"),
+        (lambda: alfmu.linearize("five_bar", parameters={"solver.method": ["rk4"]}), "solver.method is ['rk4']; use"),
+        (lambda: alfmu.derivatives("five_bar", ["m1"], outputs="A.force.x"), "the outputs are 'A.force.x'; give a"),
+        (
+            lambda: alfmu.simulate("slider_crank", 1.0, 0.1, inputs={"A.torque": ([np.nan], [1.0])}),
+            "the signal of A.torque has times that do not rise, or are not finite; give them in order",
+        ),
         (
             lambda: alfmu.simulate("slider_crank", 1.0, 0.1, inputs={"A.torque": ([0.0, 1.0], [0.0])}),
             "the signal of A.torque has times of shape (2,) and values of shape (1,); give one value for each time",
         ),
         (
             lambda: alfmu.simulate("slider_crank", 1.0, 0.1, inputs={"A.torque": ([1.0, 0.0], [0.0, 1.0])}),
-            "the signal of A.torque has times that do not rise; give them in order",
+            "the signal of A.torque has times that do not rise, or are not finite; give them in order",
         ),
     ],
 )

@@ -104,13 +104,13 @@ def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
     there = y + BESIDE * way
     for _ in range(12):
         gaps = np.append(loops.gaps(there), way @ (there - y) - BESIDE)
-        if np.abs(gaps).max() < CLOSED:
+        if max(loops.opened(there), abs(gaps[-1])) < CLOSED:
             break
         there = there - np.linalg.lstsq(np.vstack([loops.matrix(there), way]), gaps, rcond=1e-9)[0]
         if not np.isfinite(there).all() or np.abs(there - y).max() > 5 * BESIDE:
             return 0
     aside = there - y - BESIDE * way
-    closed = np.abs(loops.gaps(there)).max(initial=0.0) < 10 * CLOSED
+    closed = loops.opened(there) < 10 * CLOSED
     if not closed or np.linalg.norm(aside) > STRAIGHT * BESIDE:
         return 0
     return loops.situation.mobility(there * loops.scale)[0].freedom_here

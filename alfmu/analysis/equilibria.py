@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.symbolic import ROUND_OFF
 from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.files import write
@@ -288,7 +289,7 @@ def equilibrium(
     prescribes motion at that time.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-        name = getattr(mechanism, "name", mechanism)
+        name = getattr(mechanism, "name", "") or mechanism
         raise InputError(f"{name}: starts is {starts!r}; it must be a whole number, 0 or above")
     return equilibria(begun(mechanism, parameters or {}, inputs or {}, time), starts)
 
@@ -323,7 +324,7 @@ class _Search:
 
     def __init__(self, loops: Loops):
         self.loops = loops
-        self.largest = 0.0
+        self.largest = self._left(loops.home)
         """Largest load along a motion encountered."""
         for way in (sign * way for way in loops.motions(loops.home).T for sign in (0, 1, -1)):
             if (y := loops.closed(loops.home + STEP * way)) is not None:
@@ -464,8 +465,13 @@ class _Search:
 
     # Balance ------------------------------------------------------------------------------------------------------
 
+    @property
+    def _nothing(self) -> float:
+        """Load that counts as none; places far from the origin have round-off."""
+        return max(BALANCED, ROUND_OFF * float(np.abs(self.loops.home).max(initial=0.0))) * self.largest
+
     def _at_rest(self, y: Vector) -> bool:
-        return self._left(y) <= BALANCED * self.largest
+        return self._left(y) <= self._nothing
 
     def _left(self, y: Vector) -> float:
         return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
@@ -489,16 +495,16 @@ class _Search:
             ahead = loops.closed(y + N @ dz, y)
             moved = None if ahead is None else loops.balance(ahead)
             if ahead is not None and moved is not None and np.linalg.norm(moved[1]) < size:
-                stalled += int(np.linalg.norm(moved[1]) > 0.5 * size and size <= BALANCED * self.largest)
+                stalled += int(np.linalg.norm(moved[1]) > 0.5 * size and size <= self._nothing)
                 y, (N, r, lam) = ahead, moved
                 damping = damping / 10 if damping > 1e-6 else 0.0
-            elif size <= BALANCED * self.largest:
+            elif size <= self._nothing:
                 break
             else:
                 damping = max(10 * damping, 1e-3)
                 if damping > 1e4:
                     break
-        return y if self._left(y) <= BALANCED * self.largest else None
+        return y if self._left(y) <= self._nothing else None
 
     # Properties of an equilibrium -------------------------------------------------------------------------------------
 

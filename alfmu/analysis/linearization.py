@@ -277,6 +277,7 @@ def linearize(
     Raises AlfmuError if a name or a value is invalid, and InputError at a singular position, where motions are not
     functions of independent coordinates.
     """
+    at = at.tolist() if isinstance(at, np.ndarray) else at
     found: list[Linearization] = []
     for where in states(mechanism, at, parameters or {}, inputs or {}):
         found.append(linearized(where, outputs, found[-1].small.independent if found else ()))

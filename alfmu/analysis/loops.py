@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..equations.arrays import ArrayFunctions
 from ..equations.reactions import square_of_size
+from ..kernel.symbolic import ROUND_OFF
 from ..model.errors import InputError
 from ..model.parts import stack
 from .situation import Situation, State, Vector
@@ -129,6 +130,11 @@ class Loops:
         self._at(y)
         return self._weights * self._values[1][self._rows]
 
+    def opened(self, y: Vector) -> float:
+        """Return the largest gap, in units of its row or of its round-off over `CLOSED` if that is larger."""
+        round_off = ROUND_OFF * np.abs(self.matrix(y)) @ np.abs(y)
+        return float((np.abs(self.gaps(y)) / np.maximum(1.0, round_off / CLOSED)).max(initial=0.0))
+
     def matrix(self, y: Vector) -> NDArray[np.float64]:
         """Return the constraint matrix of rows in force, in these coordinates."""
         self._at(y)
@@ -169,8 +175,7 @@ class Loops:
         """
         y, before, stuck = y.copy(), np.inf, 0
         for _ in range(CORRECTIONS):
-            gaps = self.gaps(y)
-            left = float(np.abs(gaps).max(initial=0.0))
+            gaps, left = self.gaps(y), self.opened(y)
             if not np.isfinite(left):
                 return None
             if left <= CLOSED / 100 or (left <= CLOSED and left > before / 2):
@@ -193,7 +198,7 @@ class Loops:
                 if stuck > 1 and left > CLOSED:
                     return None
             y = y + d
-        return y if np.abs(self.gaps(y)).max(initial=0.0) <= CLOSED else None
+        return y if self.opened(y) <= CLOSED else None
 
     def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
         """Yield positions on the branch of the motion that begins at y in direction `way`, a step apart, up to

@@ -296,7 +296,7 @@ def subject(
             raise InputError(f"{mechanism.name}: an Instance has its values already; set() them before it initialises")
         return situation_of(mechanism)
     if isinstance(time, bool) or not isinstance(time, (int, float, np.number)) or not math.isfinite(time):
-        name = getattr(mechanism, "name", mechanism)
+        name = getattr(mechanism, "name", "") or mechanism
         raise InputError(f"{name}: the time is {time!r}; it must be a finite number in s")
     found = situation(source(mechanism, parameters), float(time), rubs)
     return replace(found, state=replace(found.state, t=float(time)))

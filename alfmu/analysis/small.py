@@ -225,7 +225,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         outputs, friction laws and g."""
         right = Xq @ dq + Xv @ dv + X
         found = answered(Rq @ dq + Rv @ dv + R, right, -(g_q @ dq + g_v @ dv + g))
-        _check(where, C @ found[1] - right, right)
+        _check(where, C @ found[1] - right, right, np.abs(C) @ np.abs(S @ found[0]))
         if slides:
             asked = Lq @ dq + Lv @ dv + law + La @ found[1] + Llam @ found[2]
             mu = np.linalg.solve(np.eye(len(slides)) - La @ by_mu[1] - Llam @ by_mu[2], asked)
@@ -312,9 +312,10 @@ def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) ->
                 )
 
 
-def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:
-    """Raise InputError if the constraints require a change that no motion follows."""
-    if np.abs(missed).max(initial=0.0) > CONSISTENT * max(1.0, np.abs(wanted).max(initial=0.0)):
+def _check(where: Situation, missed: Matrix, *sizes: Matrix) -> None:
+    """Raise InputError if a change that constraints require is missed by a motion, beyond a share of what acts there:
+    forces move what is light by any amount, with its round-off."""
+    if np.abs(missed).max(initial=0.0) > CONSISTENT * max(1.0, *(np.abs(each).max(initial=0.0) for each in sizes)):
         raise InputError(
             f"{where.name}, t = {where.state.t:.6g} s: the position is too near a singular one to be linearised, as "
             f"constraints would open by {np.abs(missed).max():.1e} for a unit of motion; take a state farther from it"

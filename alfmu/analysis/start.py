@@ -18,7 +18,7 @@ from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..runtime import Instance
 from ..runtime.pipeline import derive, ready, with_defaults
-from ..simulation import instance, run
+from ..simulation import by_name, instance, names_in, run
 from ..simulation.result import Result, Signal
 from .equilibria import Equilibrium
 from .states import rest
@@ -54,7 +54,10 @@ def prepare(
 
     Parameters in `kept` are never folded; without `jacobian` the outputs include no derivatives over a step.
     """
-    given, declared = dict(parameters), None
+    given, declared = by_name(mechanism, "parameters", parameters), None
+    if not (outputs is None or isinstance(outputs, str)):
+        outputs = names_in(mechanism, "outputs", outputs)
+    freeze = None if freeze is None else names_in(mechanism, "parameters to freeze", freeze)
     facts: dict[str, Any] = {}
     if isinstance(mechanism, Equations):
         equations = mechanism

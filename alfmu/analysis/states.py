@@ -42,6 +42,10 @@ def states(
     Raises InputError if `at` is none of these, AlfmuError if the mechanism does not reach it.
     """
     if isinstance(at, Equilibrium):
+        e = mechanism.equations if isinstance(mechanism, Instance) else source(mechanism, parameters).equations
+        _check_own(e, at)
+        if parameters or inputs:
+            raise InputError(f"{e.name}: a position of rest has its parameters and inputs; give them to equilibrium()")
         return [at.situation]
     if at in PLACES if isinstance(at, str) else isinstance(mechanism, Instance) and at == 0:
         where = begun(mechanism, parameters, inputs, rubs=at != "equilibrium")
@@ -66,12 +70,7 @@ def rest(
     none, or if it belongs to another mechanism.
     """
     if isinstance(start, Equilibrium):
-        own, theirs = ([c.name for c in e.coordinates] for e in (equations, start.situation.equations))
-        if own != theirs:
-            raise InputError(
-                f"{equations.name}: the run cannot start in a position of rest of {start.mechanism}, which has other "
-                "coordinates"
-            )
+        _check_own(equations, start)
         if equations.timed and start.time:
             raise InputError(
                 f"{equations.name}: the run cannot start in a position of rest at t = {start.time:g} s, as it begins "
@@ -83,10 +82,19 @@ def rest(
     return equilibria(begun(equations, {}, inputs or {})).nearest
 
 
+def _check_own(equations: Equations, rest: Equilibrium) -> None:
+    """Raise InputError if a position of rest belongs to another mechanism."""
+    own, theirs = ([c.name for c in e.coordinates] for e in (equations, rest.situation.equations))
+    if own != theirs:
+        raise InputError(
+            f"{equations.name}: the position of rest is one of {rest.mechanism}, which has other coordinates"
+        )
+
+
 def _times(mechanism: Any, at: Any) -> list[float]:
     """Return instants [s]; raise InputError if `at` is not a time or several."""
-    name = getattr(mechanism, "name", mechanism)
-    times = list(at) if isinstance(at, Sequence | np.ndarray) and not isinstance(at, str) else [at]
+    name = getattr(mechanism, "name", "") or mechanism
+    times = list(at) if isinstance(at, Sequence) and not isinstance(at, str) else [at]
     for t in times or [None]:
         if isinstance(t, (str, bool)) or not isinstance(t, (int, float, np.number)) or not 0 <= t < math.inf:
             raise InputError(f"{name}: at is {t!r}; it must be {', '.join(PLACES)}, or times of 0 s and above")

@@ -98,7 +98,9 @@ class Runs:
         if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
             raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
         by = names_in(mechanism, "numbers to derive by", by)
-        found = prepare(mechanism, parameters or {}, inputs, outputs=outputs, kept=by, jacobian=False)
+        found = prepare(
+            mechanism, by_name(mechanism, "parameters", parameters), inputs, outputs=outputs, kept=by, jacobian=False
+        )
         if isinstance(found.unit, oracle.Instance):
             raise InputError(f"{found.unit.name}: the kernel oracle has no derivatives; use another one")
         self.unit, self.facts, self.declared = found.unit, found.facts, found.declared
@@ -139,6 +141,7 @@ class Runs:
     def columns(self, names: Sequence[str] | None = None) -> list[str]:
         """Return all outputs and inputs, or those of some names."""
         known = [v.name for v in (*self.unit.outputs, *self.unit.input_variables)]
+        names = None if names is None else names_in(self.unit, "outputs", names)
         for name in names or ():
             if name not in known:
                 raise InputError(f"{self.unit.name} has no output or input {name!r}; {there_is(name, known)}")

@@ -82,13 +82,13 @@ class Settings:
 
     def checked(self, name: str, rows: int) -> Settings:
         """Return these settings; raise InputError, with the mechanism and the mistake, if one is out of its range."""
-        if self.formulation not in FORMULATIONS:
+        if self.formulation not in list(FORMULATIONS):
             raise InputError(
                 f"{name}: solver.formulation is {self.formulation!r}; use one of {', '.join(FORMULATIONS)}"
             )
-        if self.branch not in BRANCHES:
+        if self.branch not in list(BRANCHES):
             raise InputError(f"{name}: solver.branch is {self.branch!r}; use one of {', '.join(BRANCHES)}")
-        if self.method not in METHODS:
+        if self.method not in list(METHODS):
             raise InputError(f"{name}: solver.method is {self.method!r}; use one of {', '.join(METHODS)}")
         if self.method in ("stiff", "trapezoidal", "generalized_alpha") and not self.projects:
             raise InputError(

@@ -98,8 +98,12 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Co
 
     Raises InputError where a name is unknown or a value out of bounds.
     """
-    key = tuple(sorted((name, type(value).__name__, repr(value)) for name, value in values.items()))
-    return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), key)
+    return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), _key(values))
+
+
+def _key(values: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return a key for values by name, of any types."""
+    return tuple(sorted((name, type(value).__name__, repr(value)) for name, value in values.items()))
 
 
 def _with_defaults(declared: Equations, values: Mapping[str, float | str]) -> Configuration:
@@ -142,7 +146,7 @@ def chosen(
     if not values:
         return ready(equations, {}, outputs, freeze, DEFAULT)[0]
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, *sorted(values.items()))
+    key = (*asked, *_key(values))
     return equations.kept.latest(chosen, lambda: specialised(with_defaults(equations, values), outputs, freeze), key)
 
 
@@ -229,7 +233,7 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
         e = with_defaults(equations, {**values, "solver.method": "auto"})
         return stored_decision(e, lambda: decision_of(e))
 
-    return equations.kept.latest(_decision, choose, tuple(sorted(values.items())), _DECISIONS)
+    return equations.kept.latest(_decision, choose, _key(values), _DECISIONS)
 
 
 # Survey ---------------------------------------------------------------------------------------------------------------

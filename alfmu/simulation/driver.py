@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -243,16 +244,18 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
 
 def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return a mapping of values by name; raise InputError for any other type."""
+    name = getattr(mechanism, "name", "") or mechanism
     if given is not None and not isinstance(given, Mapping):
-        name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
+    if wrong := [x for x in given or () if not isinstance(x, str)]:
+        raise InputError(f"{name}: one of the {what} is called {shown(wrong[0])}; a name is a text")
     return dict(given or {})
 
 
 def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
     """Return a sequence of names; raise InputError for any other type, in particular a single text."""
     if isinstance(given, str) or not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
-        name = getattr(mechanism, "name", mechanism)
+        name = getattr(mechanism, "name", "") or mechanism
         raise InputError(f"{name}: the {what} are {shown(given)}; give a list of names")
     return list(given)
 
@@ -262,7 +265,7 @@ def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[s
     found: dict[str, Callable[[float], float]] = {}
     for name, signal in by_name(mechanism, "inputs", inputs).items():
         if callable(signal):
-            found[name] = signal
+            found[name] = partial(_number_of, signal)
         elif isinstance(signal, tuple):
             found[name] = _of_table(mechanism, name, signal)
         elif isinstance(signal, float | int | np.number):
@@ -270,6 +273,12 @@ def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[s
         else:
             raise InputError(f"{_no_signal(mechanism, name)} is {shown(signal)}; {_SIGNALS}")
     return found
+
+
+def _number_of(signal: Callable[[float], Any], t: float) -> Any:
+    """Return a value of a function; splines of SciPy return arrays without dimensions."""
+    value = signal(t)
+    return value.item() if isinstance(value, np.ndarray) and not value.ndim else value
 
 
 def _constant(value: float) -> Callable[[float], float]:
@@ -280,11 +289,11 @@ _SIGNALS = "give a number, a function of time, or a pair (times, values)"
 
 
 def _no_signal(mechanism: object, name: str) -> str:
-    return f"{getattr(mechanism, 'name', mechanism)}: the signal of {name}"
+    return f"{getattr(mechanism, 'name', '') or mechanism}: the signal of {name}"
 
 
 def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[[float], float]:
-    """Return the piecewise linear function of a table, extrapolated linearly."""
+    """Return the piecewise linear function of a table, constant before and after it."""
     try:
         times, values = (np.array(each, float) for each in table)
     except (TypeError, ValueError):
@@ -294,6 +303,8 @@ def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[
             f"{_no_signal(mechanism, name)} has times of shape {times.shape} and values of shape {values.shape}; give "
             "one value for each time"
         )
-    if not (np.diff(times) >= 0).all():
-        raise InputError(f"{_no_signal(mechanism, name)} has times that do not rise; give them in order")
+    if not (np.isfinite(times).all() and (np.diff(times) >= 0).all()):
+        raise InputError(
+            f"{_no_signal(mechanism, name)} has times that do not rise, or are not finite; give them in order"
+        )
     return lambda t: float(np.interp(t, times, values))

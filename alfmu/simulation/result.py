@@ -48,6 +48,9 @@ _ROWS = 25
 OFF = 1e-3
 """Error of a position over 1 rad, or over the largest length of a run [1], above which a warning is issued."""
 
+_NONE = 1e-6
+"""Length over the largest coordinate [1] below which nothing moves and the error is that of round-off."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -59,7 +62,8 @@ class Check:
     errors: Mapping[str, float]
     """Largest difference of each column [in its unit]: of angles and lengths, or of all if there are none."""
     worst: str
-    """The column with the largest error, angles relative to 1 rad, others to the largest value in their unit."""
+    """The column with the largest error, angles relative to 1 rad, lengths to the largest distance along one axis,
+    wherever the origin is, others to the largest value in their unit."""
     unit: str
     share: float
     """This largest relative error."""
@@ -70,10 +74,14 @@ class Check:
     def of(cls, result: Result, finer: Result, setting: str, value: float) -> Check:
         """Return the differences of two runs with the same communication points."""
         places = [name for name in result.names if result.units.get(name) in ("rad", "m")] or list(result.names)
-        largest: dict[str, float] = {"rad": 1.0}
+        largest, spans = {"rad": 1.0}, dict[str, list[NDArray[np.float64]]]()
         for name in (x for x in places if result.units[x] != "rad"):
             unit, size = result.units[name], float(np.abs(result[name]).max(initial=0.0))
             largest[unit] = max(largest.get(unit, 0.0), size)
+            if unit == "m":
+                spans.setdefault(name.rpartition(".")[2], []).append(result[name])
+        if spans:
+            largest["m"] = max(_NONE * largest["m"], *(float(np.ptp(each)) for each in spans.values()))
         off = {name: np.abs(result[name] - finer[name]) for name in places}
         shares = {name: x / (largest[result.units[name]] or 1.0) for name, x in off.items()}
         worst = max(shares, key=lambda name: float(shares[name].max()))

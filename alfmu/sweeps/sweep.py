@@ -24,7 +24,7 @@ from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
 from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
-from ..simulation import by_name, communication_points, instance, signals_of
+from ..simulation import by_name, communication_points, instance, names_in, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
@@ -97,6 +97,9 @@ def sweep(
     interrupts it.
     """
     samples = samples if samples is None else _whole("samples", samples)
+    for each in (keep or (), keep_series):
+        names_in(mechanism, "outputs to keep", [each] if isinstance(each, str) else each)
+    freeze = freeze if freeze is None else names_in(mechanism, "parameters to freeze", freeze)
     workers = workers if workers is None else _whole("workers", workers)
     seed = _whole("seed", seed)
     vary = by_name(mechanism, "variations", vary)
@@ -105,7 +108,7 @@ def sweep(
     given, signals = by_name(mechanism, "parameters", parameters), by_name(mechanism, "inputs", inputs)
     how = _How(keep, keep_series, stop_time, communication_step, signals, given, planned_cases)
     is_fmu = isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu")
-    if is_fmu and not (freeze is kernel is None):
+    if is_fmu and not (freeze is None and kernel is None):
         raise InputError(f"{mechanism}: frozen parameters and the kernel of an FMU are fixed when it is exported")
     job, units, braking = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
     asked = {

@@ -134,17 +134,19 @@ def parsed(name: str, text: str | Sequence[float]) -> Column | Distribution:
 def _values(name: str, given: Sequence[float]) -> Column:
     """Return given values as a column."""
     try:
-        found = np.array(given, float).reshape(-1)
+        found = np.atleast_1d(np.array(given, float))
     except (TypeError, ValueError):
         raise InputError(f"{name}: {given!r} are no numbers to vary it by") from None
-    if not found.size or not np.isfinite(found).all():
-        raise InputError(f"{name}: {given!r} must be one or more finite numbers")
+    if found.ndim > 1 or not found.size or not np.isfinite(found).all():
+        raise InputError(f"{name}: {given!r} must be one or more finite numbers in a row")
     return found
 
 
 def _grid(name: str, text: str, first: float, last: float, count: int, logarithmic: bool) -> Column:
     if not 2 <= count <= MOST_CASES:
-        raise InputError(f"{name}={text}: a grid has 2 or more values; give one value alone as {name}={first:g}")
+        raise InputError(
+            f"{name}={text}: a grid has 2 to {MOST_CASES:.0e} values; give one value alone as {name}={first:g}"
+        )
     if not (math.isfinite(first) and math.isfinite(last)) or (logarithmic and not (first > 0 and last > 0)):
         raise InputError(f"{name}={text}: both ends must be finite{' and above zero' * logarithmic}")
     return np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)

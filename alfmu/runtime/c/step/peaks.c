@@ -23,6 +23,14 @@
 /* Number of states, each with its rates, that the polynomial interpolates. */
 #define STATES 3
 
+/* Largest length of a step over that of the previous one for which the state before counts: a polynomial through
+   states so close to each other enlarges their round-off by the square of this. */
+#define LENGTHENED 10.0
+
+/* Distance of a position from that by the mean of both rates [rad, lengths] below which it may be round-off, whose
+   rate in a short step would have any size. */
+#define INDISTINCT 1e-10
+
 size_t peaks_room(const Scene *s)
 {
     return s->peaks ? 2 * scene_state_length(s) + (size_t)s->seen_size + (size_t)(s->inputs + 4 * s->n)
@@ -65,12 +73,18 @@ static void update_magnitudes(Instance *i, double *magnitudes)
 }
 
 /* Interpolate states and rates at several times by Newton's form with each time twice (Hermite), and return the rate
-   of the polynomial, too. */
+   of the polynomial, too; linear in the rate where positions differ from that by less than `indistinct`. */
 static void interpolate_states(int states, const double *times, const double *const *q, const double *const *v, int c,
-    double t, double *value, double *rate)
+    double indistinct, double t, double *value, double *rate)
 {
     double z[2 * STATES], f[2 * STATES];
     const int count = 2 * states;
+    const double h = times[1] - times[0], bend = (v[1][c] - v[0][c]) / h;
+    if (fabs(q[1][c] - q[0][c] - h * (v[0][c] + h * bend / 2)) <= indistinct) {
+        *rate = v[0][c] + (t - times[0]) * bend;
+        *value = q[0][c] + (t - times[0]) * (v[0][c] + *rate) / 2;
+        return;
+    }
     for (int k = 0; k < count; k++) {
         z[k] = times[k / 2];
         f[k] = q[k / 2][c];
@@ -96,7 +110,8 @@ void peaks_along(Instance *i, const double *begin)
     double *u = arena_alloc(i, (size_t)s->inputs), *found = arena_alloc(i, (BETWEEN_STEPS + 1) * (size_t)s->peaks);
     double *top = arena_alloc(i, (size_t)s->peaks);
     const double from = begin[s->time], h = z[s->time] - from;
-    const int known = before[KNOWN_BEFORE] != 0.0 && before[TIME_BEFORE] < from, states = known ? 3 : 2;
+    const int known = before[KNOWN_BEFORE] != 0.0 && LENGTHENED * (from - before[TIME_BEFORE]) > h,
+              states = known ? 3 : 2;
     const double times[STATES] = {from, from + h, before[TIME_BEFORE]};
     const double *q[STATES] = {begin, end, before + STATE_BEFORE},
                  *v[STATES] = {begin + n, end + n, before + STATE_BEFORE + n};
@@ -129,7 +144,9 @@ void peaks_along(Instance *i, const double *begin)
         }
         t = from + x * h;
         for (int c = 0; c < scene_coordinates(s); c++)
-            interpolate_states(states, times, q, v, c, t, z + c, z + n + c);
+            interpolate_states(states, times, q, v, c,
+                INDISTINCT * fmax(fabs(end[c]), strcmp(s->coordinates[c].unit, "m") ? 1.0 : *i->length), t, z + c,
+                z + n + c);
         for (size_t k = 0; k < (size_t)scene_states(s); k++)
             z[s->work + 1 + (int)k]
                 = begin[s->work + 1 + (int)k] + x * (end[s->work + 1 + (int)k] - begin[s->work + 1 + (int)k]);
