@@ -25,11 +25,14 @@ static double *way_of(Instance *i)
     return instance_field(i, i->scene->k) + scene_way(i->scene);
 }
 
-/* Set way to x, so that its fastest coordinate has the rate 1; to zero where nothing moves. */
+/* Set way to x, so that its fastest coordinate but time has the rate 1; to zero where nothing moves. */
 static void set_unit_way(Instance *i, const double *x, double *way)
 {
-    const double size = instance_largest(i, x);
-    for (int c = 0; c < i->scene->n; c++)
+    const Scene *s = i->scene;
+    double size = 0.0;
+    for (int c = 0; c < scene_coordinates(s); c++)
+        size = fmax(size, fabs(x[c]) / (coordinate_is_length(s, c) ? *i->length : 1.0));
+    for (int c = 0; c < s->n; c++)
         way[c] = size > 0.0 ? x[c] / size : 0.0;
 }
 
@@ -38,6 +41,12 @@ static void set_along(Instance *i)
 {
     memset(way_of(i), 0, (size_t)i->scene->n * sizeof(double));
     instance_field(i, i->scene->k)[SETTINGS_ALONG] = 1.0;
+}
+
+/* Return whether everything moves together, so that there is one direction only; many coordinates count as such. */
+static int has_single_motion(const Instance *i)
+{
+    return i->scene->n - *i->rank <= 1.0 || i->scene->n > DENSE;
 }
 
 /* Margins at a distance along a direction, on both sides of q. */
@@ -92,31 +101,6 @@ static void follow_branch(Instance *i, const double *q, double *way)
     arena_release(i, arena);
 }
 
-/* Start at a singular position: what is singular may rest, and where time is a coordinate it stands still. The
-   direction is then that of the start rates, or of equal rates of the start values. */
-void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v)
-{
-    const Scene *s = i->scene;
-    double *way = way_of(i), *along = instance_field(i, s->k) + SETTINGS_ALONG, margin, least = 0.0;
-    int paused;
-    if (!s->l)
-        return;
-    set_along(i);
-    paused = tape_pause(i, 1);
-    margin = settings_continue(i) ? settings_margin(i, q) : 1.0;
-    if (margin < BRANCH_MARGIN && !s->timed)
-        least = slope_away(i, q, v, margin);
-    for (int equal = 0; margin < BRANCH_MARGIN && least < SERVES && equal < 2 && *along > 0.0; equal++) {
-        start_find_way(i, held, q, equal, way);
-        *along = !(slope_away(i, q, way, margin) > least);
-    }
-    if (*along > 0.0)
-        set_along(i);
-    else
-        follow_branch(i, q, way);
-    tape_pause(i, paused);
-}
-
 /* Compute the part of a small displacement of q that is possible while time stands still. */
 static void keep_possible(Instance *i, const double *q, const double *moved, double *possible)
 {
@@ -157,17 +141,73 @@ static void climb(Instance *i, const double *q, double margin, double *way)
     arena_release(i, arena);
 }
 
+/* Let positions of a limit lie in the direction that the one of before has become at q, or in that of the steepest
+   ascent; along the motion where the distance changes in none. */
+static void point_way(Instance *i, const double *q)
+{
+    const size_t arena = arena_mark(i);
+    const double margin = settings_margin(i, q);
+    double *way = way_of(i), *possible = arena_alloc(i, (size_t)i->scene->n);
+    keep_possible(i, q, way, possible);
+    if (fabs(slope_beside(i, q, possible, margin)) > SERVES)
+        set_unit_way(i, possible, way);
+    else
+        climb(i, q, margin, way);
+    if (fabs(slope_beside(i, q, way, margin)) > FROZEN)
+        instance_field(i, i->scene->k)[SETTINGS_ALONG] = 0.0;
+    else
+        set_along(i);
+    arena_release(i, arena);
+}
+
+/* Start at a singular position. What is singular may rest: the direction is then that of the start rates, or of equal
+   rates of the start values. Where time is a coordinate it stands still; the direction is one of those beside, on the
+   branch of the motion. */
+void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double *way, *along = instance_field(i, s->k) + SETTINGS_ALONG, *near, *there, margin, least;
+    int paused;
+    if (!s->l)
+        return;
+    way = way_of(i);
+    near = arena_alloc(i, n);
+    there = arena_alloc(i, n);
+    set_along(i);
+    paused = tape_pause(i, 1);
+    margin = settings_continue(i) ? settings_margin(i, q) : 1.0;
+    least = margin < BRANCH_MARGIN ? slope_away(i, q, v, margin) : SERVES;
+    for (int equal = 0; least < SERVES && equal < 2 && *along > 0.0; equal++) {
+        start_find_way(i, held, q, equal, way);
+        *along = !(slope_away(i, q, way, margin) > least);
+    }
+    if (*along == 0.0)
+        follow_branch(i, q, way);
+    else {
+        set_along(i);
+        if (margin < BRANCH_MARGIN && s->timed && least >= SERVES && !has_single_motion(i)) {
+            set_unit_way(i, v, there);
+            for (size_t c = 0; c < n; c++)
+                there[c] = q[c] + BESIDE * there[c];
+            if (rank_close(i, there, v, near))
+                point_way(i, near);
+        }
+    }
+    tape_pause(i, paused);
+    arena_release(i, arena);
+}
+
 /* Before a step on the branch: the direction is that of the motion where this serves, or the one of before, as long
    as it serves or the position is too near to tell. */
 void way_update(Instance *i)
 {
     const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n;
-    const double *z = instance_field(i, s->z), *v = z + s->n;
-    double *way = way_of(i), *possible, *along = instance_field(i, s->k) + SETTINGS_ALONG, margin;
-    const int single = s->n - *i->rank <= 1.0;
+    const double *z = instance_field(i, s->z), *v = z + s->n, *along = instance_field(i, s->k) + SETTINGS_ALONG;
+    double margin;
+    const int single = has_single_motion(i);
     int paused, near;
-    if ((single && *along > 0.0) || s->n > DENSE)
+    if (single && *along > 0.0)
         return;
     paused = tape_pause(i, 1);
     margin = settings_margin(i, z);
@@ -176,17 +216,7 @@ void way_update(Instance *i)
         && (near ? *along > 0.0 || slope_away(i, z, v, margin) > SERVES
                  : single || fabs(slope_beside(i, z, v, margin)) > SERVES))
         set_along(i);
-    else if (!near) {
-        possible = arena_alloc(i, n);
-        keep_possible(i, z, way, possible);
-        if (fabs(slope_beside(i, z, possible, margin)) > SERVES)
-            set_unit_way(i, possible, way);
-        else
-            climb(i, z, margin, way);
-        *along = 0.0;
-        if (!(fabs(slope_beside(i, z, way, margin)) > FROZEN))
-            set_along(i);
-    }
+    else if (!near)
+        point_way(i, z);
     tape_pause(i, paused);
-    arena_release(i, arena);
 }
