@@ -32,7 +32,7 @@ BASES: dict[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
 }
 
 
-def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str) -> list[Any]:
+def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str, started: bool = True) -> list[Any]:
     """The parallelogram on a base; its coupler is bar 2."""
     c, s = np.cos(angle), np.sin(angle)
     if coordinates == "relative":
@@ -42,7 +42,7 @@ def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str) -
     else:
         made, turned = [], [None] * 3
         for i, (x, y, th) in enumerate(((c / 2, s / 2, angle), (c + 0.5, s, 0.0), (1 + c / 2, s / 2, angle))):
-            free = {"rate": rate, "independent": True} if i == 0 else {}
+            free = {"rate": rate, "independent": True} if i == 0 and started else {}
             th = m.coordinate(f"th{i}", "rad", start=th, **free)
             pose = (m.coordinate(f"x{i}", "m", start=x), m.coordinate(f"y{i}", "m", start=y), th)
             made.append(m.bar(f"bar{i + 1}", mass=1.0, length=1.0, pose=pose))
@@ -148,6 +148,15 @@ def test_rotor_that_turns_faster(speed: float, start: tuple[float, float, float]
     m = with_rotor(coordinates, speed, angle, rate)
     assert crank(m, torque, 1.0) == pytest.approx(right, abs=1e-7)
     assert crank(m, torque, 1.0, method="rk4", step_size=5e-4) == pytest.approx(right, abs=5e-6)
+
+
+@pytest.mark.parametrize("started", [True, False])
+def test_rest_in_a_singular_position_without_a_start_value(started: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing tells whether the cranks turn together, or the coupler on the rocker; two motions are possible."""
+    m = Mechanism("undecided")
+    bars(m, m.ground, 0.0, 0.0, "absolute", started)
+    crank(m, 40.0, 0.02)
+    assert any("starts at rest in a singular position" in message for message in caplog.messages) != started
 
 
 @pytest.fixture(scope="module")

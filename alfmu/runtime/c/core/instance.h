@@ -147,7 +147,8 @@ enum {
     WARNED_OF_TIME = 128,
     WARNED_OF_SECOND_ORDER = 256,
     WARNED_OF_DRIFT = 512,
-    EVERY_WARNING = 1023
+    WARNED_OF_REST = 1024,
+    EVERY_WARNING = 2047
 };
 
 /* The arena: numbers that are handed out in order and given back as a whole to where it was marked. */

@@ -12,6 +12,7 @@
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
+#include "message.h"
 #include "rank.h"
 #include "record.h"
 #include "scene.h"
@@ -186,6 +187,11 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
         follow_branch(i, q, way);
     else {
         set_along(i);
+        if (least == 0.0)
+            instance_warn(i, WARNED_OF_REST,
+                "%s: it starts at rest in a singular position, and no start value tells which of the motions that "
+                "cross there it takes; give one, or a rate, or start beside it",
+                s->name);
         if (margin < BRANCH_MARGIN && s->timed && least >= SERVES && !has_single_motion(i)) {
             set_unit_way(i, v, there);
             for (size_t c = 0; c < n; c++)
