@@ -146,36 +146,6 @@ def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
 
 
-def inclined(tilt: float, joint: bool) -> Mechanism:
-    """A slider-crank of 1 kg each whose guide has an angle; its rod ends in a joint, or in constraints in mm."""
-    m = Mechanism("inclined")
-    crank, rod = m.bar("crank", mass=1.0, length=0.5), m.bar("rod", mass=1.0, length=1.0)
-    slider = m.body("slider", mass=1.0)
-    turn = m.coordinate("a", "rad", start=0.8 + tilt, rate=4.0, independent=True)
-    m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=turn)
-    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("b", "rad", start=-1.2))
-    place = m.coordinate("x", "m", start=1.3)
-    m.prismatic("guide", m.ground.at(0, 0), slider.at(0, 0), axis=tilt, coordinate=place)
-    if joint:
-        m.revolute("C", rod.end, slider.at(0, 0))
-    else:
-        for name, one, other in zip("xy", rod.end.position, slider.at(0, 0).position, strict=True):
-            m.constraint(f"C.{name}", 1000 * (one - other))
-    m.gravity(9.81 * np.sin(tilt), -9.81 * np.cos(tilt))
-    return m
-
-
-@pytest.mark.parametrize("joint", [True, False], ids=["joint", "constraints"])
-@pytest.mark.parametrize("tilt", [1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 1.5708, np.pi / 2 - 1e-4])
-def test_a_guide_nearly_along_an_axis_is_one_like_others(tilt, joint):
-    """Its row across has a coefficient as small as the angle, which is no unit; forces are those of a guide along x."""
-    r = alfmu.simulate(inclined(tilt, joint), 1.0, 0.1, parameters={"solver.relative_tolerance": 1e-9})
-    assert np.abs(r["crank.angle"] - tilt - crank(0.5, 9.81, 0.0, (0.8, 4.0), r.time)).max() <= 3e-9
-    level = alfmu.simulate(inclined(0.0, joint), 1.0, 0.1, parameters={"solver.relative_tolerance": 1e-9})
-    carried, exact = (np.hypot(x["B.force.x"], x["B.force.y"]) for x in (r, level))
-    assert carried == pytest.approx(exact, rel=1e-7)
-
-
 @pytest.mark.parametrize("coordinates", ["absolute", "joint"])
 def test_a_torque_turns_a_slider_crank_of_any_size_and_mass_in_proportion(coordinates):
     """By the reduced inertia; a torque of 1 N.m turns a crank of a nanogram with 1e17 rad/s2."""

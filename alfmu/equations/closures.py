@@ -114,7 +114,7 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
             if isinstance(closure, Constraint | Lock | Motion | Relation):
                 unit = closure.unit
             # The axes of bodies have any direction, so the coefficients would not show the unit.
-            rows.append(Row(closure.name, direction, unit, float(isinstance(closure, Joint | SpatialJoint))))
+            rows.append(Row(closure.name, direction, unit, float(isinstance(closure, SpatialJoint))))
             closures.append((closure, direction))
             signs.append(sign)
     return rows, closures, stack(signs)

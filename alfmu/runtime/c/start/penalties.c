@@ -78,7 +78,6 @@ void penalties_default(Instance *i, const double *q, double *penalties)
     units_tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
-        units_leave_out_tilts(told + r);
         units[r]
             = declared ? s->rows[r].size * (strcmp(s->rows[r].unit, "m") ? 1.0 : *i->length) : units_of_row(told + r);
         known &= declared || units_constant(told + r) > 0.0 || units_are_telling(told + r, told[r].lengths)

@@ -97,13 +97,12 @@ double units_own_length(Instance *i, const double *q)
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l, entries = (size_t)p->entries;
     double *C = arena_alloc(i, entries), *turned = arena_alloc(i, entries), *there = arena_alloc(i, n),
            *zeros = arena_alloc(i, n);
-    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l),
-           *reach = arena_alloc(i, l), known = 0.0, arm = 0.0, least = INFINITY, radius = INFINITY, found;
+    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l), known = 0.0, arm = 0.0,
+           radius = INFINITY, found;
     Range *sizes = (Range *)arena_alloc(i, 3 * entries), *amplitudes = (Range *)arena_alloc(i, 3 * entries);
     Row_units *told = (Row_units *)arena_alloc(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
     memset(told, 0, l * sizeof *told);
-    memset(reach, 0, l * sizeof *reach);
     constraints_evaluate(i, q, zeros, NULL, C, NULL, NULL);
     units_sample_coefficients(i, q, NULL, sizes, amplitudes);
     units_tell(s, sizes, amplitudes, told);
@@ -115,14 +114,9 @@ double units_own_length(Instance *i, const double *q)
             const double reached = amplitudes[e].most * (coordinate_is_angle(s, c) ? 1.0 : 0.5);
             if (strcmp(s->rows[r].unit, "m"))
                 continue;
-            reach[r] = fmax(reach[r], unit > 0.0 ? reached / unit : 0.0);
+            known = fmax(known, unit > 0.0 ? reached / unit : 0.0);
             arm = fmax(arm, reached);
         }
-    for (size_t r = 0; r < l; r++)
-        least = fmin(least, reach[r] > 0.0 ? reach[r] : INFINITY);
-    for (size_t r = 0; r < l; r++)
-        if (s->rows[r].size > 0.0 || reach[r] <= SLANT * least)
-            known = fmax(known, reach[r]);
     for (int k = 0; k < RANKED && arm == 0.0; k++) { /* One way alone may be along the radius, where nothing turns. */
         memset(size, 0, l * sizeof *size);
         memset(moved, 0, l * sizeof *moved);
@@ -150,16 +144,6 @@ double units_own_length(Instance *i, const double *q)
 double units_constant(const Row_units *row)
 {
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
-}
-
-/* Forget coefficients of lengths, in units of the mechanism's length, that are small beside those of the angles. */
-void units_leave_out_tilts(Row_units *row)
-{
-    if (SLANT * units_sum(row->lengths) >= row->most)
-        return;
-    row->lengths = (Sum){0.0, 0.0};
-    row->constant = row->constant > row->constant_length ? row->constant : 0.0;
-    row->constant_length = 0.0;
 }
 
 /* Return whether these coefficients determine the unit of their row. At a place that closes the loops, those of a

@@ -13,10 +13,6 @@
 static const double side_places[] = {0.0, ASIDE};
 #define SIDE_PLACES (int)(sizeof side_places / sizeof *side_places)
 
-/* Largest arm of the angles of a row over that of other rows, by a constant coefficient of a length of which the row
-   tells its unit: a slide nearly across the row has as small a coefficient as its tilt. */
-#define SLANT 100.0
-
 /* A number at several places: at the start, least and largest. */
 typedef struct {
     double first, least, most;
@@ -39,7 +35,6 @@ void units_sample_coefficients(Instance *i, const double *q, double *M, Range *s
 void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row_units *told);
 double units_own_length(Instance *i, const double *q);
 double units_constant(const Row_units *row);
-void units_leave_out_tilts(Row_units *row);
 int units_are_telling(const Row_units *row, Sum sum);
 double units_of_row(const Row_units *row);
 
