@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 23
+VERSION = 24
 """Version of scene files, increased whenever their content changes meaning."""
