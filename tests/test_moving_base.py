@@ -202,6 +202,22 @@ def test_in_an_fmu(fmi: int, kind: str, tmp_path: Path) -> None:
     assert found["bar1.angle"] == pytest.approx(right, abs=1e-7)
 
 
+@pytest.mark.parametrize("coordinates", ["relative", "absolute"])
+def test_what_is_read_changes_no_step(coordinates: str) -> None:
+    ends = []
+    for reads in (False, True):
+        i = alfmu.Instance(on_base(BASES["5 Hz"][0], coordinates))
+        for name, value in (("solver.method", "rk4"), ("solver.step_size", 1e-3), ("A.torque", 40.0)):
+            i.set(name, value)
+        i.initialize()
+        for _ in range(600):
+            i.step(1e-3)
+            if reads:
+                i.read()
+        ends.append([*i.q, *i.v])
+    assert ends[0] == ends[1]
+
+
 def test_oracle_takes_limits_in_the_same_direction() -> None:
     law, acceleration = BASES["from rest"]
     right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.2)

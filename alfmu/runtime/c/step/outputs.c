@@ -117,6 +117,19 @@ static void track_errors(Instance *i)
               fabs(seen[s->monitor_energy] - c[ENERGY_START] - instance_field(i, s->z)[s->work]));
 }
 
+/* Run a program that evaluates the outputs by limits. What is read changes no step: the direction of positions is that
+   of before again. */
+static void run_limit(Instance *i, int program)
+{
+    const size_t arena = arena_mark(i), size = (size_t)scene_settings_length(i->scene);
+    double *k = instance_field(i, i->scene->k), *before = arena_alloc(i, size);
+    memcpy(before, k, size * sizeof *k);
+    way_update(i);
+    program_run(i, program);
+    memcpy(k, before, size * sizeof *k);
+    arena_release(i, arena);
+}
+
 /* Evaluate the outputs at this instant by loops that stop on convergence. */
 static Outcome evaluate_patiently(Instance *i)
 {
@@ -128,8 +141,7 @@ static Outcome evaluate_patiently(Instance *i)
     i->iterations = 0;
     program_run(i, instant);
     if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
-        way_update(i);
-        program_run(i, s->limit_patient);
+        run_limit(i, s->limit_patient);
         limited = !find_not_finite(i, &value);
         if (!limited)
             program_run(i, instant);
@@ -222,10 +234,8 @@ int outputs_read_quickly(Instance *i)
         return 1;
     }
     program_run(i, s->instant);
-    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit >= 0) {
-        way_update(i);
-        program_run(i, s->limit);
-    }
+    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit >= 0)
+        run_limit(i, s->limit);
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0;
 }
 
