@@ -146,6 +146,65 @@ def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
 
 
+def of_points(tilt: float) -> Mechanism:
+    """The slider-crank of `crank` in natural coordinates, with a particle for its slider, on a line with an angle."""
+    m, along = Mechanism("points"), np.array([np.cos(tilt), np.sin(tilt)])
+    th = m.start("angle", 0.8, "rad", rate=4.0)
+    places = 0.3 * np.array([np.cos(0.8 + tilt), np.sin(0.8 + tilt)]), 1.19 * along
+    B, C = (
+        m.point(*(m.coordinate(f"{name}{axis}", "m", start=x) for axis, x in zip("xy", place, strict=True)))
+        for name, place in zip("BC", places, strict=True)
+    )
+    m.tie(th, ca.atan2(B.y * along[0] - B.x * along[1], B.x * along[0] + B.y * along[1]))
+    m.bar("crank", mass=1.0, length=0.3, between=(m.ground.at(0, 0), B))
+    rod = m.bar("rod", mass=1.0, length=1.0, between=(B, C))
+    m.kinetic_energy((m.rate(C.x) ** 2 + m.rate(C.y) ** 2) / 2)
+    m.potential_energy(9.81 * (C.y * along[0] - C.x * along[1]))
+    m.point_on_line("guide", m.ground.at(0, 0), rod.end, axis=tilt)
+    m.gravity(9.81 * np.sin(tilt), -9.81 * np.cos(tilt))
+    return m
+
+
+@pytest.mark.parametrize("tilt", [1e-4, 0.005, 0.01, 0.02, 1.56])
+def test_a_coordinate_held_by_a_small_coefficient_makes_no_position_singular(tilt):
+    """The end of the rod hardly moves across the line: at dead centres, where the crank's does not move along it."""
+    r, level = (
+        alfmu.simulate(of_points(each), 2.0, 0.01, parameters={"solver.relative_tolerance": 1e-9})
+        for each in (tilt, 0.0)
+    )
+    assert np.abs(r["crank.angle"] - tilt - crank(0.3, 9.81, 0.0, (0.8, 4.0), r.time)).max() <= 1e-8
+    assert r["monitor.singular"].max() == 0.0
+    assert r["guide.force"] == pytest.approx(level["guide.force"], abs=1e-6 * np.abs(level["guide.force"]).max())
+
+
+def propped(L: float, posed: bool) -> Mechanism:
+    """A heavy arm on the ground, propped by a rod on a light slide, all in proportion to L."""
+    m = Mechanism("propped")
+    pose = [m.coordinate(c, "m", start=x * L) for c, x in (("x", -0.5), ("y", -0.37))] if posed else []
+    angle = m.coordinate("angle", "rad", start=1.614)
+    slide = m.body("slide", mass=0.375, inertia=3.5e-3 * L**2)
+    arm = m.body(
+        "arm", mass=16.0, inertia=1.84 * L**2, center=(-0.03 * L, 0.14 * L), pose=(*pose, angle) if posed else None
+    )
+    guided = {"axis": 1.958, "offset": -0.078 * L, "angle": -2.2286}
+    along = m.coordinate("along", "m", start=-0.126 * L, independent=True)
+    m.prismatic("guide", m.ground.at(-0.2 * L, -0.22 * L), slide.at(0.39 * L, 0.27 * L), coordinate=along, **guided)
+    m.revolute("pivot", m.ground.at(0.02 * L, 0), arm.at(0.31 * L, -0.39 * L), coordinate=None if posed else angle)
+    m.distance("rod", slide.at(0.42 * L, 0.22 * L), arm.at(0.26 * L, -0.48 * L), length=0.348 * L)
+    m.gravity(0.0, -9.81 * L)
+    return m
+
+
+@pytest.mark.parametrize("L", [1.0, 0.1, 0.03, 0.001])
+def test_a_heavy_arm_that_moves_a_light_slide_hardly_is_the_same_in_all_sizes(L):
+    """The slide tells the motion hardly, so that the pivot of its mass is above that of a constraint."""
+    exact, r = (
+        alfmu.simulate(propped(*each), 1.0, 0.1, parameters={"solver.relative_tolerance": 1e-9})
+        for each in ((1.0, False), (L, True))
+    )
+    assert r["arm.angle"] == pytest.approx(exact["arm.angle"], abs=1e-8)
+
+
 @pytest.mark.parametrize("coordinates", ["absolute", "joint"])
 def test_a_torque_turns_a_slider_crank_of_any_size_and_mass_in_proportion(coordinates):
     """By the reduced inertia; a torque of 1 N.m turns a crank of a nanogram with 1e17 rad/s2."""

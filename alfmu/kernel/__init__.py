@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 24
+VERSION = 25
 """Version of scene files, increased whenever their content changes meaning."""

@@ -97,7 +97,7 @@ def beginning(equations: Configuration) -> Traced:
         q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)
         p, k = (ca.SX.sym(name, lengths_of(e)[name]) for name in "pk")
         stand_ins: dict[str, tuple[list[SX], list[SX | float]]] = {
-            "pivots": ([q, p, k], [ones, ones, ones]),
+            "pivots": ([q, p, k], [ones, ones, ones, 1]),
             "weighted_place": ([q, p, k], [q]),
             "weighted_return": ([q, ca.SX.sym("wanted", e.n), v, p, k], [q, v]),
             "weighted_settle": ([q, v, p, k], [v, 1, ca.SX.zeros(2)]),
@@ -232,18 +232,21 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def pivots(self, plan: Plan) -> None:
-        """S1: trace pivots of H over their scales, its diagonal, the weights of C in each column."""
+        """S1: trace pivots of H over their scales, its diagonal, the weights of C in each column, the largest mass over
+        its scale."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
         def found(q: SX) -> tuple[SX, ...]:
             C = e.C(q, scene.p)
-            H: SX = method.augmented_mass(scene.scale * e.M(q, scene.p), C, scene.weights)
+            M = scene.scale * e.M(q, scene.p)
+            H: SX = method.augmented_mass(M, C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns
+            heaviest = ca.mmax(ca.diag(M) * scene.inverse_scales)
+            return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, heaviest
 
-        calls("pivots", "q p k", "pivots diagonal columns", found)
+        calls("pivots", "q p k", "pivots diagonal columns heaviest", found)
 
     def extrapolated(self, program: Program) -> Program:
         """Return the program with inputs extrapolated from the communication point to the time of each call.

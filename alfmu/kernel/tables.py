@@ -223,6 +223,7 @@ def layout_header() -> str:
         "NOISE_FLOOR": singular.NOISE_FLOOR,
         "LEAST_DISTANCE": singular.LEAST_DISTANCE,
         "BRANCH_MARGIN": singular.BRANCH_MARGIN,
+        "SMALL_PIVOT": singular.SMALL_PIVOT,
         "REGULAR_PRODUCT": singular.REGULAR_PRODUCT,
         "CONVERGENCE": singular.CONVERGENCE,
         "FROZEN": singular.FROZEN,

@@ -3,13 +3,14 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 24
+#define SCENE_VERSION 25
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
 #define NOISE_FLOOR 25.0
 #define LEAST_DISTANCE 0.011
 #define BRANCH_MARGIN 0.00025
+#define SMALL_PIVOT 0.03
 #define REGULAR_PRODUCT 0.1
 #define CONVERGENCE 7.0
 #define FROZEN 1e-06
@@ -110,6 +111,7 @@
 #define ASIDE -0.7, -0.1, 0.1, 0.7
 #define LITTLE 0.0001
 #define FAR_RATIO 2.0
+#define RAISED 4.0
 #define COARSE 1024.0
 #define PATIENT 4
 #define UNFINISHED 1e-07

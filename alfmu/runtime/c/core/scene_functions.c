@@ -309,7 +309,7 @@ void functions_read(Reader *r)
         r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
     function_is_shaped(r, "state_rates", s->state_rates, scene_states(s) > 0 && s->exchange >= 0, 5, 1, n, n,
         scene_driven(s), P, 1, scene_states(s));
-    function_is_shaped(r, "pivots", s->pivots, l > 0, 3, 3, n, P, K, n, n, n);
+    function_is_shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
     function_is_shaped(r, "margin", s->margin, 0, 3, 1, n, P, K, 1);
     function_is_shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
     function_is_shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);

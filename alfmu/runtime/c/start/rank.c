@@ -304,6 +304,31 @@ static void sort_numbers(double *x, int count)
         }
 }
 
+/* S1: logarithms of products of pivots at q: of the smallest ones, of all small ones where a mass has a larger one than
+   masses themselves, and of all. */
+static void sum_pivots(Instance *i, const double *q, int smallest, double sums[3])
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double *pivots = arena_alloc(i, n), *unused = arena_alloc(i, n), heaviest;
+    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
+    double *y[] = {pivots, unused, unused, &heaviest};
+    int bad = 0, raised;
+    function_call(i, s->pivots, x, y);
+    for (int c = 0; c < s->n; c++)
+        bad |= !(pivots[c] > 0.0);
+    sort_numbers(pivots, bad ? 0 : s->n);
+    raised = smallest && pivots[smallest - 1] > RAISED * heaviest;
+    sums[0] = sums[1] = sums[2] = 0.0;
+    for (int c = 0; c < s->n; c++) {
+        const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
+        sums[0] += c < smallest ? part : 0.0;
+        sums[1] += c < smallest || (raised && pivots[c] < SMALL_PIVOT) ? part : 0.0;
+        sums[2] += part;
+    }
+    arena_release(i, arena);
+}
+
 /* Close the constraints at a place, displaced along the motion v to the nearest of all; return whether they are. */
 int rank_close(Instance *i, const double *there, const double *v, double *near)
 {
@@ -334,7 +359,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n),
            *touched = arena_alloc(i, n);
     double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n),
-           *together = arena_alloc(i, SIDE_PLACES + 1), size;
+           *together = arena_alloc(i, SIDE_PLACES + 1), sums[SIDE_PLACES + 1][3], size, heaviest;
     int freedom = s->freedom + s->timed, count = 1, second, here;
     if (!usual || s->freedom < 0)
         freedom = rank_freedom_near(i, q, held, &here, there);
@@ -361,7 +386,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     memcpy(places, q, n * sizeof *q);
     for (int a = 0; a < SIDE_PLACES; a++) {
         const double *x[] = {there, p, k};
-        double *y[] = {pivots, diagonal, columns};
+        double *y[] = {pivots, diagonal, columns, &heaviest};
         for (int c = 0; c < s->n; c++)
             there[c] = q[c] + side_places[a] * way[c];
         function_call(i, s->pivots, x, y);
@@ -379,24 +404,15 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     }
     i->flags.brakes = rank_changes_near(i, q, v);
     for (int a = 0; a < count; a++) {
-        const double *x[] = {places + a * n, p, k};
-        double *y[] = {pivots, diagonal, columns};
-        int bad = 0;
-        function_call(i, s->pivots, x, y);
-        for (int c = 0; c < s->n; c++)
-            bad |= !(pivots[c] > 0.0);
-        sort_numbers(pivots, bad ? 0 : s->n);
-        found[a] = together[a] = 0.0;
-        for (int c = 0; c < s->n; c++) {
-            const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
-            found[a] += c < *i->freedom ? part : 0.0;
-            together[a] += part;
-        }
+        sum_pivots(i, places + a * n, (int)*i->freedom, sums[a]);
+        together[a] = sums[a][2];
     }
     /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller,
        and the start, which may be one, is there twice. */
     sort_numbers(together, count);
     *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
+    for (int a = 0; a < count; a++)
+        found[a] = sums[a][sums[a][2] > together[count - 1] + log(REGULAR_PRODUCT)];
     sort_numbers(found, count);
     second = found[1] == found[0] ? 2 : 1;
     while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
