@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 from oracles.newton_euler import NewtonEuler
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from turned import KINDS, Linkage, gripper, sarrus, scissors, six_bar, slider_crank
+from turned import KINDS, G, Link, Linkage, gripper, sarrus, scissors, six_bar, slider_crank
 
 import alfmu
 from alfmu.runtime.probe import Probe
@@ -75,6 +76,46 @@ def test_bodies_with_coordinates_of_their_own_move_as_those_on_joints(kind, abso
     linkage.rate = 0.0
     tight = {"solver.relative_tolerance": 1e-9}
     assert np.abs(motion(linkage, *direction(1), absolute, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
+
+
+def parallelogram(angle: float) -> Linkage:
+    """Three bars of 1 m and 1 kg, which gravity drives through the line on which they all lie."""
+    linkage, turn = (
+        Linkage("parallelogram", gravity=(0.0, G, 0.0), rate=0.0),
+        Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix(),
+    )
+    end, bar = turn[:, 0], np.diag([1e-3, 1 / 12, 1 / 12])
+    places = {"link1": end / 2, "coupler": np.array([0.5, 0.0, 0.0]) + end, "link2": end / 2 + [1.0, 0.0, 0.0]}
+    linkage.links += [
+        Link(name, 1.0, place, bar if name == "coupler" else turn @ bar @ turn.T) for name, place in places.items()
+    ]
+    linkage.join("A", "revolute", None, "link1", np.zeros(3))
+    linkage.join("B", "revolute", "link1", "coupler", end)
+    linkage.join("D", "revolute", None, "link2", np.array([1.0, 0.0, 0.0]))
+    linkage.join("C", "revolute", "coupler", "link2", np.array([1.0, 0.0, 0.0]) + end)
+    return linkage
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_bodies_with_coordinates_of_their_own_pass_a_singular_position_in_every_direction(seed):
+    """In some directions pivots of Euler parameters are small that belong to no singular value."""
+    turn, tight = Rotation.random(random_state=seed), {"solver.relative_tolerance": 1e-10}
+    own, on_joints = (
+        alfmu.simulate(parallelogram(-0.3).declared(turn, absolute=which), STOP, 5e-4, parameters=tight)
+        for which in ("lc", "")
+    )
+    exact = solve_ivp(
+        lambda t, y: [y[1], 2 * G * np.cos(y[0]) / (5 / 3)],
+        *((0, STOP), [-0.3, 0.0], "DOP853", np.minimum(own.time, STOP)),
+        rtol=1e-13,
+        atol=1e-13,
+    )
+    angle = exact.y[0]
+    places = turn.inv().apply(np.array([own[f"link1.{axis}"] for axis in "xyz"]).T)
+    assert np.abs(np.arctan2(places[:, 1], places[:, 0]) - angle).max() <= 1e-9
+    # The pole lies at the singular position; rods pull with thousands of newtons within some milliradians of it.
+    pulls = [np.array([run[f"J1.force.{axis}"] for axis in "xyz"]) for run in (own, on_joints)]
+    assert (np.abs(pulls[0] - pulls[1]) / (1 + np.abs(pulls[1]).max(0))).max() <= 1e-5
 
 
 @pytest.mark.slow

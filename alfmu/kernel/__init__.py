@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 25
+VERSION = 26
 """Version of scene files, increased whenever their content changes meaning."""

@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -469,6 +469,8 @@ class Scene:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
         more = ca.sum1(small) - self.settings.freedom
+        if self.e.turns:
+            more = ca.fmin(more, loops(self.e))
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))

@@ -18,8 +18,8 @@ FAR_RATIO = 2.0
 is discarded as atypical, as coordinates that hardly describe the motion have larger ones."""
 
 RAISED = 4.0
-"""pivot contributed by masses over the largest mass [1]: a larger one means that its coordinate hardly tells the
-motion, as where constraints hold another by a small coefficient, whose pivot is smaller by as much."""
+"""pivot contributed by masses over the largest mass [1]: a typical one above it may belong to a coordinate that hardly
+tells the motion, as where constraints hold another by a small coefficient, whose pivot is smaller by as much."""
 
 COARSE = 1024.0
 """parts of 1 [1]: the logarithm of a product of pivots is rounded to them, so that round-off does not change the result

@@ -15,6 +15,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equations.evaluation import loops
 from ..kernel.memory import GROSS, SETTINGS
 from ..kernel.thresholds import PATIENT, REGULAR
 from ..method import formulations as method
@@ -201,6 +202,8 @@ class Instance(Stepped):
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
         more = len(small) - self.freedom
+        if self.equations.turns:
+            more = min(more, loops(self.equations))
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:

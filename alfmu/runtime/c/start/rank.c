@@ -304,29 +304,62 @@ static void sort_numbers(double *x, int count)
         }
 }
 
-/* S1: logarithms of products of pivots at q: of the smallest ones, of all small ones where a mass has a larger one than
-   masses themselves, and of all. */
-static void sum_pivots(Instance *i, const double *q, int smallest, double sums[3])
+/* The middle of sorted numbers. */
+static double median(const double *x, int count)
+{
+    return (x[(count - 1) / 2] + x[count / 2]) / 2;
+}
+
+/* S1: products of pivots at a place, as logarithms, and the largest mass over its scale. */
+typedef struct {
+    double smallest, small, all, heaviest;
+} Pivots;
+
+static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double *pivots = arena_alloc(i, n), *unused = arena_alloc(i, n), heaviest;
+    Pivots found = {0.0, 0.0, 0.0, 0.0};
+    double *pivots = arena_alloc(i, n), *unused = arena_alloc(i, n);
     const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
-    double *y[] = {pivots, unused, unused, &heaviest};
-    int bad = 0, raised;
+    double *y[] = {pivots, unused, unused, &found.heaviest};
+    int bad = 0;
     function_call(i, s->pivots, x, y);
     for (int c = 0; c < s->n; c++)
         bad |= !(pivots[c] > 0.0);
     sort_numbers(pivots, bad ? 0 : s->n);
-    raised = smallest && pivots[smallest - 1] > RAISED * heaviest;
-    sums[0] = sums[1] = sums[2] = 0.0;
     for (int c = 0; c < s->n; c++) {
         const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
-        sums[0] += c < smallest ? part : 0.0;
-        sums[1] += c < smallest || (raised && pivots[c] < SMALL_PIVOT) ? part : 0.0;
-        sums[2] += part;
+        found.smallest += c < smallest ? part : 0.0;
+        found.small += c < smallest || pivots[c] < SMALL_PIVOT ? part : 0.0;
+        found.all += part;
     }
     arena_release(i, arena);
+    return found;
+}
+
+/* S1: the typical product of the pivots that masses contribute, as a logarithm. */
+static double typical_masses(const Pivots *places, int count, int freedom)
+{
+    double found[SIDE_PLACES + 1], largest = -INFINITY, typical;
+    int kept = count, second;
+    for (int a = 0; a < count; a++) {
+        found[a] = places[a].smallest;
+        largest = fmax(largest, places[a].all);
+    }
+    /* The start, which may be singular, is there twice. */
+    sort_numbers(found, count);
+    second = count > 1 && found[1] == found[0] ? 2 : 1;
+    while (kept > second && !(found[kept - 1] <= found[second] + FAR_RATIO))
+        kept--;
+    typical = median(found, kept);
+    if (!(typical > freedom * log(RAISED * places[0].heaviest)))
+        return typical;
+    /* Near a singular position other pivots are small, too, and the product of all is less by as much. */
+    for (int a = 0; a < count; a++)
+        found[a] = places[a].small + largest - places[a].all;
+    sort_numbers(found, count);
+    return median(found, count);
 }
 
 /* Close the constraints at a place, displaced along the motion v to the nearest of all; return whether they are. */
@@ -354,13 +387,13 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     const size_t arena = arena_mark(i), n = (size_t)s->n;
     const double *p = instance_field(i, s->p);
     double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l;
-    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n),
-           *found = arena_alloc(i, SIDE_PLACES + 1);
+    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n);
     double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n),
            *touched = arena_alloc(i, n);
     double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n),
-           *together = arena_alloc(i, SIDE_PLACES + 1), sums[SIDE_PLACES + 1][3], size, heaviest;
-    int freedom = s->freedom + s->timed, count = 1, second, here;
+           together[SIDE_PLACES + 1], size, heaviest;
+    Pivots found[SIDE_PLACES + 1];
+    int freedom = s->freedom + s->timed, count = 1, here;
     if (!usual || s->freedom < 0)
         freedom = rank_freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
@@ -404,20 +437,13 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     }
     i->flags.brakes = rank_changes_near(i, q, v);
     for (int a = 0; a < count; a++) {
-        sum_pivots(i, places + a * n, (int)*i->freedom, sums[a]);
-        together[a] = sums[a][2];
+        found[a] = multiply_pivots(i, places + a * n, (int)*i->freedom);
+        together[a] = found[a].all;
     }
-    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller,
-       and the start, which may be one, is there twice. */
+    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
     sort_numbers(together, count);
-    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
-    for (int a = 0; a < count; a++)
-        found[a] = sums[a][sums[a][2] > together[count - 1] + log(REGULAR_PRODUCT)];
-    sort_numbers(found, count);
-    second = found[1] == found[0] ? 2 : 1;
-    while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
-        count--;
-    *i->masses = floor((found[(count - 1) / 2] + found[count / 2]) / 2 * COARSE + 0.5) / COARSE;
+    *i->regular = median(together, count) + log(REGULAR_PRODUCT);
+    *i->masses = floor(typical_masses(found, count, (int)*i->freedom) * COARSE + 0.5) / COARSE;
     for (int c = 0; c < s->n; c++)
         i->scales[c] = (float)i->scales[c];
     arena_release(i, arena);
