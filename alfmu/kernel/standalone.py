@@ -243,7 +243,7 @@ class _Patient(Alternatives):
             H: SX = method.augmented_mass(M, C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            heaviest = 0 if e.turns else ca.mmax(ca.diag(M) * scene.inverse_scales)
+            heaviest = SX(0) if e.turns else ca.mmax(ca.diag(M) * scene.inverse_scales)
             return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, heaviest
 
         calls("pivots", "q p k", "pivots diagonal columns heaviest", found)
