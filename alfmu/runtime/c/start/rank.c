@@ -338,7 +338,8 @@ static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
     return found;
 }
 
-/* S1: the typical product of the pivots that masses contribute, as a logarithm. */
+/* S1: the typical product of the pivots that masses contribute, as a logarithm. A coordinate that hardly tells the motion
+   has a larger one, and another, which constraints hold by a small coefficient, a smaller one. */
 static double typical_masses(const Pivots *places, int count, int freedom)
 {
     double found[SIDE_PLACES + 1], largest = -INFINITY, typical;
@@ -353,7 +354,7 @@ static double typical_masses(const Pivots *places, int count, int freedom)
     while (kept > second && !(found[kept - 1] <= found[second] + FAR_RATIO))
         kept--;
     typical = median(found, kept);
-    if (!(typical > freedom * log(RAISED * places[0].heaviest)))
+    if (!(typical > freedom * log(fmax(RAISED * places[0].heaviest, 1e-300))))
         return typical;
     /* Near a singular position other pivots are small, too, and the product of all is less by as much. */
     for (int a = 0; a < count; a++)
