@@ -549,11 +549,16 @@ class Scene:
         """S4: return the positions from which a limit is taken."""
         return [q + k * spacing * v for k in branch.weights(side)]
 
-    def mean(self, accelerations: Sequence[SX], watches: Sequence[SX], side: int) -> tuple[SX, SX]:
-        """S4: return the limit, and the worst watch of its evaluations."""
-        a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
-        seen = [Watch.of(x) for x in watches]
-        return a, _worst(seen, seen[0].near, seen[0].margin)
+    def mean(self, margin: SX, here: SX, watch: SX, zone: SX, *found: SX) -> tuple[SX, SX, SX]:
+        """S4: return the limit and the worst watch of its evaluations, and whether it is taken: where it differs from
+        the acceleration here by more than round-off of the latter, it is not that of this motion, which passes the
+        singular position at a distance."""
+        side, direct = len(found) // 4, Watch.of(watch)
+        a, seen = self.mean_of(found[: 2 * side], side), [Watch.of(x) for x in found[2 * side :]]
+        lost = branch.direct_error(margin, EPSILON) + ca.sqrt(direct.change / (direct.size + _TINY))
+        other = ca.logic_and(margin > self.settings.nothing, ca.mmax(ca.fabs(a - here)) > lost * ca.mmax(ca.fabs(a)))
+        zone *= 1 - other
+        return ca.if_else(zone, a, here), ca.if_else(zone, _worst(seen, seen[0].near, seen[0].margin), watch), zone
 
     def mean_of(self, values: Sequence[SX], side: int) -> SX:
         """S4: return the limit of a number."""

@@ -415,6 +415,15 @@ class Tracer:
         places, accelerations, watches = (
             [f"{name}{j}" for j in count] for name in ("place", "acceleration", "watched")
         )
+        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"}
+        if kept:
+            names |= {"q0": f"q{i}", "v0": f"v{i}"}
+        else:
+            self._brought(calls, f"q{i}", "placed", f"v{i}")
+        self.evaluation(calls, "0", names)
+        self._supply(calls, "0", names, f"supplied{i}", whole=True)
+        if not kept:
+            self._reached(calls, f"watch{i}")
         limit = calls.inside()
         limit(f"places{own}", f"q{i} way spacing", spaced(places), lambda *x: scene.places(*x, side=side))
         for place, a, watch in zip(places, accelerations, watches, strict=True):
@@ -424,26 +433,16 @@ class Tracer:
             self.evaluation(limit, "0", names)
             self._supply(limit, "0", names, place.replace("place", "supply"), whole=True)
             self._reached(limit, watch)
-        limit(
-            f"mean{own}",
-            spaced(accelerations, watches),
-            f"a{i} watch{i}",
-            lambda *x: scene.mean(x[: len(count)], x[len(count) :], side),
-        )
+        known = spaced(f"here a{i} watch{i} zone{i}", accelerations, watches, "k")
+        limit(f"mean{own}", known, f"a{i} watch{i} zone{i}", scene.mean)
         if self.supplies:
-            supplies = spaced([f"supply{j}" for j in count])
-            limit(f"mean_supply{own}", supplies, f"supplied{i}", lambda *x: scene.mean_of(x, side))
-        direct = calls.inside()
-        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"}
-        if kept:
-            names |= {"q0": f"q{i}", "v0": f"v{i}"}
-        else:
-            self._brought(direct, f"q{i}", "placed", f"v{i}")
-        self.evaluation(direct, "0", names)
-        self._supply(direct, "0", names, f"supplied{i}", whole=True)
-        if not kept:
-            self._reached(direct, f"watch{i}")
-        calls.choice(f"zone{i}", limit, direct)
+            known = spaced(f"zone{i} supplied{i}", [f"supply{j}" for j in count])
+
+            def supplied(zone: SX, here: SX, *x: SX) -> SX:
+                return ca.if_else(zone, scene.mean_of(x, side), here)
+
+            limit(f"mean_supply{own}", known, f"supplied{i}", supplied)
+        calls.choice(f"zone{i}", limit)
         if self.e.frictions and not self.supplies:
             rubbing.power(calls, f"t{i} q{i} v{i} {u}", f"a{i}", f"power{i}")
         else:

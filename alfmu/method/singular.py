@@ -204,7 +204,10 @@ def fewer(values: dict[int, Array]) -> dict[int, Array]:
 
 
 def direct_error(margin: Array, eps: Array) -> Array:
-    """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance."""
+    """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance.
+
+    It is a bound for accelerations, too, which lose digits with the third power, and less where (8) converges slowly.
+    """
     return eps / (margin * margin + TINY)
 
 

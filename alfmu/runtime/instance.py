@@ -521,7 +521,7 @@ class Instance:
         patient = int(counted["patient_steps"])
         for tier, made in (*((tier, tally[tier]) for tier in TIERS), ("careful", patient)):
             if made:
-                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * tally["limits"]
+                evaluations = 4 * made + (tier == TIERS[-1]) * len(MEAN) * tally["limits"]
                 c.steps += made
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
@@ -538,7 +538,7 @@ class Instance:
             # Careful explicit attempts, and those on the branch, evaluate once more to measure round-off.
             judging = careful * (program.nodes == 0) + judged
             evaluations = tries * program.evaluations + judging + passes * program.nodes
-            evaluations += limits * (2 * kernel[branch].plan.side - 1) if limits else 0
+            evaluations += limits * 2 * kernel[branch].plan.side if limits else 0
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program.plan.iterations
             c.projection_iterations += 2 * tries * program.plan.corrections

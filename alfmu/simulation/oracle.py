@@ -265,6 +265,13 @@ class Instance(Stepped):
         try:
             _, found = self._beside(q, v, u, t, spacing * first / rate, branch.MEAN)
             a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
+            with suppress(OpenError):
+                unconverged = self.counters.unconverged
+                alone = self.accelerations(*self.reached(q, v, t), u, t)
+                off = np.abs(a - alone[0]).max()
+                if here**2 > self.nothing and off > branch.direct_error(here**2, EPS) * np.abs(a).max():
+                    return alone  # another motion than this one leads through the singular position
+                self.counters.unconverged = unconverged
             return a, lam, max(x[2] for x in found.values()), left
         except OpenError:
             alone = self.accelerations(*self.reached(q, v, t), u, t, PATIENT)
