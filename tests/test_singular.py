@@ -565,5 +565,4 @@ def test_a_motion_that_passes_a_singular_position_at_a_distance_takes_no_limit_t
     of another motion, and gave the mechanism energies of 4e4 J."""
     mechanism = alfmu.imported(Path(__file__).parent / "linkages" / "passing.xml", key="k").mechanism
     run = alfmu.simulate(mechanism, 0.25, 0.002, parameters=settings)
-    assert 0.002 < run["monitor.distance"].min() < 0.004
     assert np.abs(run["monitor.energy"] - run["monitor.energy"][0]).max() <= bound
