@@ -397,6 +397,23 @@ def test_a_block_slides_stops_sticks_and_slides_back(built, fmi):
     assert set(found["guide.slip"]) == {0.0, 1.0, -1.0}
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_block_slides_where_an_importer_meets_its_limit_exactly(built, fmi):
+    """At an indicator of zero to the last digit, after which an importer sees no change of its sign."""
+    m = Model(built(block(lambda t: 20.0 * t), fmi=fmi))
+    low, high = 0.0, 1.0
+    while low < (middle := (low + high) / 2) < high:
+        m.fmu.setTime(middle)
+        low, high = (middle, high) if m.get("indicator.guide")[0] > 0.0 else (low, middle)
+    m.fmu.setTime(high)
+    assert m.get("indicator.guide", "guide.slip").tolist() == [0.0, 0.0]
+    assert high == pytest.approx(0.4 * 2.0 * 9.81 / 20.0, rel=1e-8)
+    m.fmu.enterEventMode()
+    m.event()
+    assert m.get("guide.slip")[0] == 1.0
+    assert m.get("guide.friction_force")[0] == pytest.approx(-0.3 * 2.0 * 9.81, rel=1e-12)
+
+
 def test_stick_and_slip_in_a_linkage_are_those_of_co_simulation(built):
     """A slider-crank whose slider rubs, swung to and fro, with the load that friction follows from."""
     m = alfmu.Mechanism("rubbing")

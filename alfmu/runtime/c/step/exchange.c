@@ -234,7 +234,8 @@ static Outcome find_next_time(Instance *i)
     return DONE;
 }
 
-/* Let joints whose event indicators have reached zero stick or slide. */
+/* Let joints whose event indicators have reached zero, as round-off leaves it, stick or slide: an importer that meets an
+   indicator of exactly zero sees no further change of its sign. */
 static Outcome change_friction(Instance *i)
 {
     const int count = i->scene->frictions;
@@ -244,8 +245,10 @@ static Outcome change_friction(Instance *i)
     int any = 0;
     Outcome outcome;
     friction_distances(i, distances);
-    for (int k = 0; k < count; k++)
-        any |= meets[k] = fabs(*friction_slip(i, k)) == 1.0 && distances[k] <= REST;
+    for (int k = 0; k < count; k++) {
+        any |= distances[k] <= REST;
+        meets[k] = fabs(*friction_slip(i, k)) == 1.0 && distances[k] <= REST;
+    }
     outcome = any ? friction_event(i, meets) : friction_checked(i);
     arena_release(i, arena);
     return outcome;
