@@ -44,6 +44,29 @@ def incline() -> alfmu.Equations:
     return alfmu.derive(block())
 
 
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize(("speed", "growth"), [(0.0, 20.0), (-0.5, 200.0)])
+def test_a_block_feels_an_input_that_changes_within_a_step(incline, speed, growth, order):
+    """A push that grows in proportion to time moves a block at rest, or turns one that slides against it: in one step,
+    at the push of that time. A slope tells how it changes, or its past values."""
+    rubs = COULOMB * 2.0 * G
+    turn = max(np.roots([growth / 4, rubs / 2, speed])) if speed else STATIC * 2.0 * G / growth
+    unit = alfmu.Instance(incline)
+    for name, value in {"tilt": 0.0, "start.speed": speed, "solver.input_order": order}.items():
+        unit.set(name, value)
+    unit.initialize()
+    if order:  # Two values are known where the long step begins.
+        unit.step(1e-3)
+        unit.set("push", growth * 1e-3)
+    else:
+        unit.slope("push", growth)
+    unit.step(0.9 - unit.time)
+    late = 0.9 - turn
+    there = (speed + rubs * turn / 4) * turn + growth * turn**3 / 12 if speed else 0.0
+    there += (growth * turn - rubs) * late**2 / 4 + growth * late**3 / 12
+    assert unit.get("block.position") == pytest.approx(there, abs=1e-4 if order else 1e-9)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_block_slides_up_an_incline_and_down_again(incline, method):
     """Thrown upwards on an incline that is too steep to stick on: it turns round, and comes down more slowly."""

@@ -422,6 +422,10 @@ def test_derivatives_of_what_follows_inputs_and_of_what_is_no_output(made):
             )
             fmu.step(h, 0.2)
             errors.append(np.abs(before + h * first + h * h / 2 * second - real(fmu, y)).max())
+        fmu.slave.setRealInputDerivatives(torque, [1], [200.0])
+        speed, rate = ([references[f"crank.angular_{name}"]] for name in ("velocity", "acceleration"))
+        assert derivatives(fmu, speed, 1) == pytest.approx(real(fmu, rate), rel=1e-8)
+        assert derivatives(fmu, speed, 2) == pytest.approx(derivatives(fmu, rate, 1), rel=1e-6)
         assert np.log2(errors[0] / errors[1]) > 2.6
         assert errors[1] < 1e-3 * np.abs(h * first).max()
         for reference, order in ((references["A.torque"], 1), (y[0], 0), (y[0], 3), (10**6, 1)):

@@ -74,7 +74,7 @@ def standalone(equations: Traced) -> Traced:
             kernel["limit_patient"] = tracer.limit(careful, redundant)
         kernel["impact"] = tracer.impact(careful)
         if e.frictions:
-            kernel["gripping"] = tracer.gripping(careful)
+            kernel["gripping"] = tracer.extrapolated(tracer.gripping(careful))
         tracer.pivots(careful)
     found = breaks(e)
     if found is not None:
@@ -224,7 +224,9 @@ class _Patient(Alternatives):
         """Return the quantities that decide on sticking and sliding of joints with dry friction."""
         calls = Calls(self, plan)
         self._unpacked(calls)
-        u = self.here(calls)
+        if self.e.states:
+            calls("unpack_states", "z", "x0", lambda z: z[self.layout.states : self.layout.time])
+        u = self.inputs(calls, "0")
         self.evaluation(calls, "0", {"u": u})
         if self.redundant:
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")

@@ -284,6 +284,15 @@ static void restore_inputs(Instance *i)
     settings_upload_parameters(i);
 }
 
+/* Let inputs follow their slopes in a step from this time. */
+static void follow_slopes(Instance *i, double start)
+{
+    const Scene *s = i->scene;
+    settings_upload_arguments(i);
+    i->slopes[0] = start;
+    memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof *i->slopes);
+}
+
 static Outcome step_once(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
@@ -306,8 +315,7 @@ static Outcome step_once(Instance *i, double start, double h)
         i->left = MOST_STEPS, i->crossings = 0;
     if (!changed)
         remember_step(i);
-    i->slopes[0] = start;
-    settings_upload_arguments(i);
+    follow_slopes(i, start);
     if (s->peaks && !i->within)
         peaks_begin(i);
     outcome = make_communication_step(i, start, h);
@@ -353,13 +361,12 @@ Outcome instance_output_derivatives(
     instance_remember(i);
     i->left = MOST_STEPS;
     i->flags.pending = 0;
-    i->slopes[0] = start;
     memset(values, 0, count * sizeof *values);
     for (int k = 0; outcome == DONE && k < PLACES; k++) {
         if (k) {
             arena_reset(i);
             i->within = k > 1;
-            settings_upload_arguments(i);
+            follow_slopes(i, start + (k - 1) * h);
             outcome = step_over_breaks(i, start + (k - 1) * h, h, -1);
             for (int each = 0; each < s->inputs; each++)
                 if (isfinite(i->slopes[1 + each]))

@@ -98,7 +98,7 @@ const char *settings_remedy(const Instance *i)
     return penalty_is_given(i) ? "use solver.penalty 0, which scales it with the masses" : settings_or_shorter(i);
 }
 
-/* Set the arguments of programs that are not part of the memory. */
+/* Set the arguments of programs that are not part of the memory. Inputs stand still, except in a step. */
 void settings_upload_arguments(Instance *i)
 {
     const Scene *s = i->scene;
@@ -115,7 +115,7 @@ void settings_upload_arguments(Instance *i)
     SCENE_OTHERS(CHOOSE)
 #undef CHOOSE
     i->workspace[s->on_branch] = i->workspace[s->onward] = 0.0;
-    memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
+    memset(i->workspace + s->slopes, 0, (size_t)(s->inputs + 1) * sizeof(double));
     if (s->reach >= 0)
         i->workspace[s->within] = i->within;
 }

@@ -1,0 +1,131 @@
+"""Planar and over-constrained linkages made of bodies in space: the same motion in every direction and place.
+
+`DRAWS=200 pytest tests/test_turned.py` draws so many of each kind; by default one of each.
+"""
+
+import logging
+import os
+from functools import cache
+
+import numpy as np
+import pytest
+from oracles.newton_euler import NewtonEuler
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from turned import KINDS, G, Link, Linkage, gripper, sarrus, scissors, six_bar, slider_crank
+
+import alfmu
+from alfmu.runtime.probe import Probe
+
+DRAWS = int(os.environ.get("DRAWS", "1"))
+STOP, STEP = 0.3, 0.02
+CASES = [(kind, seed) for kind in KINDS for seed in range(DRAWS)]
+NAMES = [f"{kind.__name__}-{seed}" for kind, seed in CASES]
+
+
+@cache
+def drawn(kind, seed: int) -> Linkage:
+    return kind(np.random.default_rng(seed))
+
+
+def direction(seed: int) -> tuple[Rotation, tuple[float, ...]]:
+    """A random direction, and a place up to 100 m from the origin."""
+    random = np.random.default_rng(seed)
+    return Rotation.random(random_state=seed), tuple(map(float, random.uniform(-100, 100, 3)))
+
+
+def motion(linkage, turn=None, offset=(0.0, 0.0, 0.0), absolute="", **parameters) -> tuple[np.ndarray, int]:
+    """Centres of mass (bodies, 3, times) in the axes of the linkage, and the evaluations that were made."""
+    run = alfmu.simulate(linkage.declared(turn, offset, absolute), STOP, STEP, parameters=parameters)
+    places = np.array([[run[f"{each.name}.{axis}"] for axis in "xyz"] for each in linkage.links])
+    if turn is not None:
+        places = np.einsum("ji,bjt->bit", turn.as_matrix(), places - np.array(offset)[:, None])
+    return places, run.counters.evaluations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
+def test_a_turned_and_shifted_linkage_moves_as_newton_and_euler_say(kind, seed, caplog):
+    """By default within 1e-6, in as many evaluations as the aligned one to a tenth, and without a warning."""
+    linkage, (turn, offset) = drawn(kind, seed), direction(seed)
+    exact = NewtonEuler(linkage).motion(np.arange(0.0, STOP + STEP / 2, STEP))
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        (aligned, evaluations), (turned, more) = motion(linkage), motion(linkage, turn, offset)
+    assert np.abs(aligned - exact).max() <= 1e-6
+    assert np.abs(turned - exact).max() <= 1e-6
+    assert more <= 1.1 * evaluations
+    assert not caplog.records
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
+def test_a_tight_tolerance_holds_in_every_direction(kind, seed):
+    linkage, (turn, offset) = drawn(kind, seed), direction(seed + 1)
+    tight = {"solver.relative_tolerance": 1e-9}
+    assert np.abs(motion(linkage, turn, offset, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
+
+
+@pytest.mark.parametrize("absolute", ["l", "c", "lc"])
+@pytest.mark.parametrize(
+    "kind",
+    [slider_crank, *(pytest.param(kind, marks=pytest.mark.slow) for kind in (six_bar, sarrus, scissors, gripper))],
+)
+def test_bodies_with_coordinates_of_their_own_move_as_those_on_joints(kind, absolute):
+    """From rest, as a joint between bodies with coordinates of their own has no rate to begin with."""
+    linkage = kind(np.random.default_rng(0))
+    linkage.rate = 0.0
+    tight = {"solver.relative_tolerance": 1e-9}
+    assert np.abs(motion(linkage, *direction(1), absolute, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
+
+
+def parallelogram(angle: float) -> Linkage:
+    """Three bars of 1 m and 1 kg, which gravity drives through the line on which they all lie."""
+    linkage, turn = (
+        Linkage("parallelogram", gravity=(0.0, G, 0.0), rate=0.0),
+        Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix(),
+    )
+    end, bar = turn[:, 0], np.diag([1e-3, 1 / 12, 1 / 12])
+    places = {"link1": end / 2, "coupler": np.array([0.5, 0.0, 0.0]) + end, "link2": end / 2 + [1.0, 0.0, 0.0]}
+    linkage.links += [
+        Link(name, 1.0, place, bar if name == "coupler" else turn @ bar @ turn.T) for name, place in places.items()
+    ]
+    linkage.join("A", "revolute", None, "link1", np.zeros(3))
+    linkage.join("B", "revolute", "link1", "coupler", end)
+    linkage.join("D", "revolute", None, "link2", np.array([1.0, 0.0, 0.0]))
+    linkage.join("C", "revolute", "coupler", "link2", np.array([1.0, 0.0, 0.0]) + end)
+    return linkage
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_bodies_with_coordinates_of_their_own_pass_a_singular_position_in_every_direction(seed):
+    """In some directions pivots of Euler parameters are small that belong to no singular value."""
+    turn, tight = Rotation.random(random_state=seed), {"solver.relative_tolerance": 1e-10}
+    own, on_joints = (
+        alfmu.simulate(parallelogram(-0.3).declared(turn, absolute=which), STOP, 5e-4, parameters=tight)
+        for which in ("lc", "")
+    )
+    exact = solve_ivp(
+        lambda t, y: [y[1], 2 * G * np.cos(y[0]) / (5 / 3)],
+        *((0, STOP), [-0.3, 0.0], "DOP853", np.minimum(own.time, STOP)),
+        rtol=1e-13,
+        atol=1e-13,
+    )
+    angle = exact.y[0]
+    places = turn.inv().apply(np.array([own[f"link1.{axis}"] for axis in "xyz"]).T)
+    assert np.abs(np.arctan2(places[:, 1], places[:, 0]) - angle).max() <= 1e-9
+    # The pole lies at the singular position; rods pull with thousands of newtons within some milliradians of it.
+    pulls = [np.array([run[f"J1.force.{axis}"] for axis in "xyz"]) for run in (own, on_joints)]
+    assert (np.abs(pulls[0] - pulls[1]) / (1 + np.abs(pulls[1]).max(0))).max() <= 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_the_rank_does_not_depend_on_the_direction(kind):
+    """Rows that are round-off alone, or combinations of others to round-off, are redundant in all directions."""
+    linkage = drawn(kind, 0)
+    known = Probe.of(alfmu.derive(linkage.declared()))
+    for seed in range(5):
+        probe = Probe.of(alfmu.derive(linkage.declared(*direction(seed))))
+        assert probe.mobility() == known.mobility()
+        assert set(probe.units) == set(known.units) == {1.0}
+        assert probe.penalty.max() == pytest.approx(known.penalty.max(), rel=0.5)
