@@ -727,6 +727,20 @@ def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
     assert re.search(said, record.getMessage())
 
 
+def test_a_lock_of_a_block_that_sticks_is_no_impact(caplog):
+    m = block()
+    m.lock("guide")
+    i = alfmu.Instance(m)
+    i.set("start.speed", 0.3)
+    i.initialize()
+    i.step(0.5)
+    assert i.get("guide.slip") == 0.0
+    i.set("guide.locked", True)
+    i.step(0.01)
+    assert i.get("monitor.energy_lost") <= 1e-30
+    assert not caplog.records
+
+
 # What is refused ----------------------------------------------------------------------------------------------------
 
 

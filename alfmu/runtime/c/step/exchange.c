@@ -234,7 +234,7 @@ static Outcome find_next_time(Instance *i)
     return DONE;
 }
 
-/* Let joints whose event indicators have reached zero, as round-off leaves it, stick or slide: an importer that meets an
+/* Let joints whose event indicators have reached zero stick or slide, with a margin: an importer that meets an
    indicator of exactly zero sees no further change of its sign. */
 static Outcome change_friction(Instance *i)
 {

@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "balance.h"
 #include "equations.h"
 #include "friction.h"
 #include "instance.h"
@@ -26,7 +27,7 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
     const Scene *s = i->scene;
     double kinetic;
     energy_evaluate(i, v, &kinetic);
-    if (lost > UNBALANCED * (kinetic + lost))
+    if (lost > UNBALANCED * fmax(kinetic + lost, fabs(energy_at_speed(i, SLOW_MOTION))))
         instance_warn(i, WARNED_OF_IMPACT,
             "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, "
             "such "
