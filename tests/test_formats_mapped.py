@@ -86,6 +86,24 @@ def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
     assert not found.mechanism.end_stops
 
 
+def test_a_tendon_without_a_motor_is_a_spring(tmp_path: Path):
+    """Its text is Python, and actuators of its joints carry it; a motor would be left out."""
+    numbers = []
+    for given in ("", ' stiffness="40" damping="2" springlength="-0.5 0.3"'):
+        path, text = tmp_path / "arm.xml", tmp_path / "arm.py"
+        path.write_text(arm(after=TENDON.format(given)))
+        found = alfmu.imported(path)
+        text.write_text(found.source())
+        k = alfmu.kinematics(found.mechanism, ["ja", "jb", "jc"])
+        numbers.append([k.efforts(k.start, {"jb": 0.7}), k.efforts(k.forward({"jb": 0.1, "jc": 0.1}))])
+        with pytest.raises(alfmu.InputError, match="no joint is actuated"):
+            alfmu.kinematics(str(text))
+    # Its length is 2 jb - 3 jc: 0.8 at the start, and -0.1, where it is slack.
+    pulled = [[moved[x] - plain[x] for x in plain] for plain, moved in zip(*numbers, strict=True)]
+    pull = 40 * (0.8 - 0.3) + 2 * 2 * 0.7
+    np.testing.assert_allclose(pulled, [[0, 2 * pull, -3 * pull], [0, 0, 0]], atol=1e-12)
+
+
 def test_friction_and_lags_of_files(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(arm(b=' frictionloss="50"', after='<actuator><position name="u" joint="ja" kp="9" timeconst="0.2"/>'

@@ -520,6 +520,20 @@ def test_outputs_called_as_a_joint_do_not_stand_for_it():
     np.testing.assert_allclose(found["tool"], plain["tool"], atol=1e-12)
 
 
+def test_the_place_of_a_slider_is_that_of_its_body():
+    """A position gives the values that it is found by, whatever else is called after the body."""
+    m = Mechanism("ways")
+    table = m.spatial_body("table", mass=1.0, inertia=(0.1, 0.1, 0.1), relative=True)
+    x = m.coordinate("x", "m", independent=True)
+    m.spatial_prismatic("guide", m.spatial_ground.at(), table.at(), axis=(0.6, 0, 0.8), coordinate=x)
+    m.gravity(0, 0, -9.81)
+    k = kinematics(m, ["guide"], ["table"])
+    there = k.forward({"guide": 0.5})
+    assert there["table.position"] == 0.5
+    np.testing.assert_allclose(there["table"], (0.3, 0, 0.4, 1, 0, 0, 0), atol=1e-15)
+    assert k.inverse({"table": there["table"]})["guide"] == pytest.approx(0.5, abs=1e-12)
+
+
 def test_a_place_has_no_rates():
     """The height of a table never changes, and its constant rate is no place."""
     m = Mechanism("table")

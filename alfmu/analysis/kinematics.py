@@ -14,7 +14,7 @@ of singular positions are those of C. Gosselin and J. Angeles (IEEE Transactions
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -86,10 +86,16 @@ class Position:
     def __getitem__(self, name: str) -> Any:
         if name in (known := {**self.values, **self.actuated}):
             return known[name]
-        parts = [x for known, x in self.values.items() if known.rpartition(".")[0] == name]
-        if not parts:
+        every = [x for x in self.values if x.rpartition(".")[0] == name]
+        if not every:
             raise InputError(f"{self.mechanism} has no place {name!r}; {there_is(name, list(self.values))}")
-        return np.array(parts)
+        return np.array([self.values[x] for x in _parts(name, self.values) or every])
+
+
+def _parts(name: str, known: Container[str]) -> list[str]:
+    """Return the known values of a coordinate, an output, a joint, a body or a watched point."""
+    ends = [x for end in (*"xyz", "angle", "e0", "e1", "e2", "e3") if (x := f"{name}.{end}") in known]
+    return [name] if name in known else ends or [x for x in (f"{name}.displacement",) if x in known]
 
 
 @dataclass(frozen=True)
@@ -171,8 +177,7 @@ class _Quantities:
 
     def parts(self, name: str) -> list[int]:
         """Return the rows of a coordinate, an output, a joint, a body or a watched point."""
-        own = [self.place[name]] if name in self.place else self.ends(name, *"xyz", "angle", "e0", "e1", "e2", "e3")
-        return own or self.ends(name, "displacement")
+        return [self.place[x] for x in _parts(name, self.place)]
 
 
 class _Steered(Loops):

@@ -448,15 +448,11 @@ class _Declaring:
     def _tendon(self, tendon: Tendon) -> None:
         length, rate = self._along(tendon.along), self._along(tendon.along, rates=True)
         low, high = tendon.rest
-        pulls = []
         if tendon.stiffness:
             stretch = length - low if low == high else length - length.limited(low, high)
-            pulls.append(-tendon.stiffness * (stretch if low or high else length))
-        if tendon.damping:
-            pulls.append(-tendon.damping * rate)
-        for joint, factor in tendon.along if pulls else ():
-            pull = functools.reduce(operator.add, pulls)
-            self.script.do("drive", self.made[joint], pull if factor == 1 else factor * pull)
+            self.script.do("potential_energy", (tendon.stiffness / 2) * (stretch if low or high else length) ** 2)
+        for joint, factor in tendon.along if tendon.damping else ():
+            self.script.do("generalized_force", self.coordinates[joint][0], (-tendon.damping * factor) * rate)
         if tendon.armature:
             self.script.do("kinetic_energy", (tendon.armature / 2) * rate**2)
         if tendon.limits and self.linkage.stops and self.chosen is not None:
