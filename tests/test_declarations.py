@@ -687,6 +687,9 @@ def test_a_length_is_doubted_once(recwarn):
         "250 m; if millimetres were meant, give 0.25",
         "300 m; if millimetres were meant, give 0.3",
     ]
+    for x in (400.0, 500.0, 600.0):
+        m.watch(f"at{x:.0f}", rod.at(x, 0))
+    assert len(recwarn) == 3  # of all lengths of a large mechanism
 
 
 @pytest.mark.parametrize("gravity", [None, (0, 0), (0, -9.81)])

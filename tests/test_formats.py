@@ -186,6 +186,7 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
         (mjcf(before='<default class="top"/>'), "its name is main"),
         (mjcf(before='<option actuatorgroupdisable="0"/>'), "leave the actuators out"),
         (mjcf(before='<option><flag wobble="enable"/></option>'), "does not know the flag wobble"),
+        (mjcf(before='<compiler eulerseq="abc"/>', inner='<site euler="1 2 3"/>'), "eulerseq is 'abc'; give three"),
         (mjcf(before='<option><wobble/></option>'), "does not know what <wobble> in <option> does"),
         (mjcf(inner='<body name="c"><freejoint align="true"/></body>'), "it moves frames, not bodies"),
         (mjcf(before='<option><flag filterparent="disable"/></option>',

@@ -185,9 +185,10 @@ class File:
     def _compiler(self, node: Node) -> None:
         found, given = self.settings, Reading(node)
         found.degrees = given.choice("angle", ("degree", "radian"), "degree" if found.degrees else "radian") == "degree"
-        found.euler = given.text("eulerseq", found.euler)
-        if len(found.euler) != 3 or set(found.euler.lower()) - set("xyz"):
-            given.fail("eulerseq", f"eulerseq is {shown(found.euler[:40])}; give three of x, y, z, X, Y, Z")
+        order = given.text("eulerseq", found.euler)
+        if len(order) != 3 or set(order) - set("xyzXYZ"):
+            given.fail("eulerseq", f"eulerseq is {shown(order[:40])}; give three of x, y, z, X, Y, Z")
+        found.euler = order
         found.autolimits = given.flag("autolimits", found.autolimits)
         found.from_geoms = given.choice("inertiafromgeom", ("auto", "true", "false"), found.from_geoms)
         low, high = given.numbers("inertiagrouprange", 2, (0, 5))

@@ -130,10 +130,11 @@ def perhaps_degrees(what: str, value: float) -> None:
         hint(f"{what} is {value:g} rad, {turns}; if degrees were meant, give {math.radians(value):.6g}")
 
 
-def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
-    """Warn of a length [m] that looks like millimetres."""
-    if not isinstance(value, ca.SX) and abs(value) > _LONG:
+def perhaps_millimetres(what: str, value: float) -> bool:
+    """Warn of a length [m] that looks like millimetres, and return whether it does."""
+    if long := abs(value) > _LONG:
         hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
+    return long
 
 
 def perhaps_an_impact(name: str, what: str, time: float, size: float, unit: str) -> None:

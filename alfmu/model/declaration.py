@@ -64,6 +64,8 @@ __all__ = ["Declaration"]
 
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z", re.ASCII)
 _RESERVED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
+_DOUBTS = 3
+"""Most lengths of a mechanism that it warns of."""
 
 
 MEANT = {
@@ -718,10 +720,10 @@ class Declaration:
         return length
 
     def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
-        """Warn of a length that looks like millimetres, once for each."""
-        if isinstance(value, ca.SX) or abs(value) not in self._told:
-            perhaps_millimetres(f"{self.name}: {what}", value)
-        if not isinstance(value, ca.SX):
+        """Warn of a length that looks like millimetres, once for each, and of few of those of a large mechanism."""
+        if isinstance(value, ca.SX) or abs(value) in self._told or len(self._told) == _DOUBTS:
+            return
+        if perhaps_millimetres(f"{self.name}: {what}", value):
             self._told.add(abs(value))
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
