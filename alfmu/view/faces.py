@@ -55,8 +55,9 @@ class Stage:
             vertices, normals, quads = mesh
             for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
                 before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # so that it hides a shaft inside
-                kept.append(Faces(_world(piece, poses, vertices + grown * normals)[quads], shown, before))
-        _floor(surface, lens, self, [face.quads for face in faces])
+                corners = _world(piece, poses, vertices + grown * normals)
+                kept.append(Faces(corners, corners[quads], shown, before))
+        _floor(surface, lens, self, [face.corners for face in faces])
         items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
         for name, path in trails.items():
             if len(path) > 1:
@@ -84,8 +85,9 @@ Item = tuple[float, Sequence[Vector], float, str, bool]
 
 @dataclass(frozen=True)
 class Faces:
-    """Faces (F, 4, 3) of a piece in ground axes [m], sorted as if nearer to the eye by `before` [m]."""
+    """Corners (V, 3) and faces (F, 4, 3) of a piece in ground axes [m], sorted as if nearer by `before` [m]."""
 
+    corners: NDArray[np.float64]
     quads: NDArray[np.float64]
     color: str
     before: float
@@ -124,7 +126,7 @@ def _light(color: str, share: float) -> str:
     return _steps(color)[min(64, max(0, round((share - 0.6) / 0.5 * 64)))]
 
 
-def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[np.float64]]) -> None:
+def _floor(surface: Surface, lens: Lens, stage: Stage, pieces: Sequence[NDArray[np.float64]]) -> None:
     """Paint grid lines on the floor under the motion, and the shadows on it."""
     up, base, floor = np.array(stage.view.up), base_of(surface.size), stage.floor
     east, north = np.array(floor.east), np.array(floor.north)
@@ -134,8 +136,7 @@ def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[n
             places = [floor.cell * (x * east + y * north) + floor.height * up for x, y in ends]
             pixels, _ = lens.seen(np.array(places))
             surface.stroke(pixels.tolist(), base, GRID if i else ZERO)
-    for quads in faces:  # convex pieces, so that their shadows are too
-        corners = quads.reshape(-1, 3)
+    for corners in pieces:  # convex ones, so that their shadows are too
         pixels, _ = lens.seen(corners - ((corners @ up) - floor.height)[:, None] * up)
         shadow = hull_of([tuple(p) for p in np.round(pixels, 2).tolist()])
         if len(shadow) > 2:

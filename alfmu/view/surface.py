@@ -158,8 +158,9 @@ def placed(
         moved = False
         for i, (x, y, w, h) in enumerate(boxes):
             for other in boxes[i + 1 :]:
-                over, under = w + other[2] - abs(x - other[0]), h + other[3] - abs(y - other[1])
-                if over > 0 and under > 0:
+                across, along = w + other[2], h + other[3]
+                if -across < x - other[0] < across and -along < y - other[1] < along:
+                    over, under = across - abs(x - other[0]), along - abs(y - other[1])
                     k, way = (0, over) if over < under else (1, under)
                     way = way / 2 + 0.01
                     sign = 1 if (boxes[i][k] - other[k]) >= 0 else -1
@@ -167,8 +168,8 @@ def placed(
                     other[k] -= sign * way
                     x, y, moved = boxes[i][0], boxes[i][1], True
             for px, py, r in pins:
-                over, under = w + r - abs(x - px), h + r - abs(y - py)
-                if over > 0 and under > 0:
+                if -w - r < x - px < w + r and -h - r < y - py < h + r:
+                    over, under = w + r - abs(x - px), h + r - abs(y - py)
                     k, way = (0, over) if over < under else (1, under)
                     boxes[i][k] += way + 0.01 if boxes[i][k] >= (px, py)[k] else -way - 0.01
                     x, y, moved = boxes[i][0], boxes[i][1], True
