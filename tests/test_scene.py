@@ -18,6 +18,7 @@ import alfmu
 from alfmu.equations import Equations, Variable
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import passes, stream, tables
+from alfmu.kernel import scene as file
 from alfmu.kernel.complete import FUNCTIONS, complete
 from alfmu.kernel.form import Call, Lanes, Program, Steps
 from alfmu.kernel.memory import Layout
@@ -439,7 +440,7 @@ def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypa
     monkeypatch.setattr(passes, "LONG", 3000)
     loaded = host.load(tables.packed(complete(chains[0])))
     own = complete(chains[0])
-    long = [code(f) for f in own.functions.values() if f.n_instructions() > 2 * passes.LONG]
+    long = [file.code(f, "chain") for f in own.functions.values() if f.n_instructions() > 2 * passes.LONG]
     assert len(long) >= 7
     assert all(each.looped for each in long)
     assert host.count(loaded) == len(own.functions)
