@@ -13,9 +13,6 @@ from alfmu.model.settings import Settings
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cost import cost
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-"""Optimised code is judged in `test_compiled`."""
-
 SCENES = [
     ("five_bar", {}, {}),
     ("five_bar", {}, {"m2": 0.0}),

@@ -20,9 +20,6 @@ from alfmu.kernel.form import called
 from alfmu.simulation import prepared, run
 from alfmu.studies.cost import cost, described, operations
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-"""Optimised code is judged in `test_compiled`."""
-
 WANTED = ["link*.angle", "A.force.x"]
 BOTH = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
