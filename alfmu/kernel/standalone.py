@@ -235,7 +235,7 @@ class _Patient(Alternatives):
 
     def pivots(self, plan: Plan) -> None:
         """S1: trace pivots of H over their scales, its diagonal, the weights of C in each column, the largest mass over
-        its scale, which is 0 with Euler parameters, as their pivots are small in turn."""
+        its scale."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -245,7 +245,7 @@ class _Patient(Alternatives):
             H: SX = method.augmented_mass(M, C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            heaviest = SX(0) if e.turns else ca.mmax(ca.diag(M) * scene.inverse_scales)
+            heaviest = ca.mmax(ca.diag(M) * scene.inverse_scales)
             return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, heaviest
 
         calls("pivots", "q p k", "pivots diagonal columns heaviest", found)

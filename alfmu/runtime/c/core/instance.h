@@ -91,7 +91,7 @@ typedef struct Instance {
     /* Parts of them. */
     double *values, *requested, *active, *discrete, *input_history, *impulses, *dissipated, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
-    double *freedom, *masses, *regular, *rank, *largest_penalty, *length;
+    double *freedom, *masses, *least_margin, *regular, *rank, *largest_penalty, *length;
     /* largest magnitudes within the last communication step, and the samples that they are found from */
     double *peaks;
     double *jacobian;      /* of the last communication step */

@@ -310,6 +310,12 @@ static double median(const double *x, int count)
     return (x[(count - 1) / 2] + x[count / 2]) / 2;
 }
 
+/* Round a logarithm so that round-off of other processors does not change it. */
+static double round_coarsely(double x)
+{
+    return floor(x * COARSE + 0.5) / COARSE;
+}
+
 /* S1: products of pivots at a place, as logarithms, and the largest mass over its scale. */
 typedef struct {
     double smallest, small, all, heaviest;
@@ -338,29 +344,52 @@ static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
     return found;
 }
 
-/* S1: the typical product of the pivots that masses contribute, as a logarithm. A coordinate that hardly tells the motion
-   has a larger one, and another, which constraints hold by a small coefficient, a smaller one. */
-static double typical_masses(const Pivots *places, int count, int freedom)
+/* S1: the typical product of the smallest pivots, as a logarithm. */
+static double typical_smallest(const Pivots *places, int count)
 {
-    double found[SIDE_PLACES + 1], largest = -INFINITY, typical;
-    int kept = count, second;
-    for (int a = 0; a < count; a++) {
+    double found[SIDE_PLACES + 1];
+    int second;
+    for (int a = 0; a < count; a++)
         found[a] = places[a].smallest;
-        largest = fmax(largest, places[a].all);
-    }
     /* The start, which may be singular, is there twice. */
     sort_numbers(found, count);
     second = count > 1 && found[1] == found[0] ? 2 : 1;
-    while (kept > second && !(found[kept - 1] <= found[second] + FAR_RATIO))
-        kept--;
-    typical = median(found, kept);
-    if (!(typical > freedom * log(fmax(RAISED * places[0].heaviest, 1e-300))))
-        return typical;
-    /* Near a singular position other pivots are small, too, and the product of all is less by as much. */
+    while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
+        count--;
+    return median(found, count);
+}
+
+/* S1: the typical product of all small pivots at regular positions. Near a singular position more of them are small,
+   and the product of all is less by as much. */
+static double typical_small(const Pivots *places, int count)
+{
+    double found[SIDE_PLACES + 1], largest = -INFINITY;
+    for (int a = 0; a < count; a++)
+        largest = fmax(largest, places[a].all);
     for (int a = 0; a < count; a++)
         found[a] = places[a].small + largest - places[a].all;
     sort_numbers(found, count);
     return median(found, count);
+}
+
+/* S1: the product of pivots at which the margin is 1, and the margin that masses leave at a singular position. A
+   coordinate that hardly tells the motion has a larger pivot than masses, and another, which constraints hold by a
+   small coefficient, a smaller one. Euler parameters do so in turn. */
+static void calibrate_margin(Instance *i, const Pivots *places, int count)
+{
+    const Scene *s = i->scene;
+    const double freedom = *i->freedom, raised = (float)(RAISED * places[0].heaviest);
+    double typical = typical_smallest(places, count);
+    int turns = 0;
+    for (int c = 0; c < s->n; c++)
+        turns |= !strcmp(s->coordinates[c].unit, "1");
+    if (freedom > 0.0 && raised > 0.0 && (turns || typical > freedom * log(raised))) {
+        *i->masses = round_coarsely(typical_small(places, count));
+        *i->least_margin = raised;
+    } else {
+        *i->masses = round_coarsely(typical);
+        *i->least_margin = freedom > 0.0 ? exp(*i->masses / freedom) : 0.0;
+    }
 }
 
 /* Close the constraints at a place, displaced along the motion v to the nearest of all; return whether they are. */
@@ -444,7 +473,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
     sort_numbers(together, count);
     *i->regular = median(together, count) + log(REGULAR_PRODUCT);
-    *i->masses = floor(typical_masses(found, count, (int)*i->freedom) * COARSE + 0.5) / COARSE;
+    calibrate_margin(i, found, count);
     for (int c = 0; c < s->n; c++)
         i->scales[c] = (float)i->scales[c];
     arena_release(i, arena);

@@ -42,6 +42,7 @@ static size_t layout_parts(Instance *i, double *numbers)
         {&i->compliances, s->compliances},
         {&i->freedom, 1},
         {&i->masses, 1},
+        {&i->least_margin, 1},
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},

@@ -173,13 +173,12 @@ void settings_upload(Instance *i)
     const Scene *s = i->scene;
     double *k = instance_field(i, s->k), *rows = k + SETTINGS, *control = instance_field(i, s->control);
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
-    const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     settings_set_penalties(i);
     k[SETTINGS_FREEDOM] = *i->freedom;
     k[SETTINGS_MASSES] = *i->masses;
     k[SETTINGS_REGULAR] = *i->regular;
-    k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
-    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
+    k[SETTINGS_NOTHING] = NOISE_FLOOR * *i->least_margin;
+    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(*i->least_margin));
     k[SETTINGS_CONTINUES] = s->l && settings_continue(i);
     k[SETTINGS_RELATIVE] = s->method ? step_tolerance(s->share, s->exponent, relative) : 0.0;
     k[SETTINGS_ABSOLUTE]
@@ -279,6 +278,7 @@ Outcome settings_update_rank(Instance *i, const double *q, const double *v)
         held[r] = i->penalty[r] > 0.0;
     *i->freedom = s->n;
     *i->masses = 0.0;
+    *i->least_margin = 1.0;
     if (s->l)
         rank_calibrate(i, q, v, held, settings_usual(i));
     if (i->flags.brakes && !s->brakes)
