@@ -556,7 +556,8 @@ class Scene:
         side, direct = len(found) // 4, Watch.of(watch)
         a, seen = self.mean_of(found[: 2 * side], side), [Watch.of(x) for x in found[2 * side :]]
         lost = branch.direct_error(margin, EPSILON) + ca.sqrt(direct.change / (direct.size + _TINY))
-        other = ca.logic_and(margin > self.settings.nothing, ca.mmax(ca.fabs(a - here)) > lost * ca.mmax(ca.fabs(a)))
+        clear = margin > ca.fmax(self.settings.nothing, branch.JUDGED)
+        other = ca.logic_and(clear, ca.mmax(ca.fabs(a - here)) > lost * ca.mmax(ca.fabs(a)))
         zone *= 1 - other
         return ca.if_else(zone, a, here), ca.if_else(zone, _worst(seen, seen[0].near, seen[0].margin), watch), zone
 

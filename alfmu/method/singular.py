@@ -83,6 +83,9 @@ INDEPENDENT_MASS = 1e3
 """mass added to independent coordinates over that of the motion [1]: large enough that a stage reaches the branch by
 moving dependent coordinates instead."""
 
+JUDGED = 1e-6
+"""margin [1]: nearer to a singular position the acceleration there judges no limit, as round-off may be most of it."""
+
 READ_DISTANCE = 0.03
 """distance of the first position where reactions are evaluated [rad]: reactions lose digits with its fourth power, so
 it is larger than that of accelerations."""

@@ -268,8 +268,8 @@ class Instance(Stepped):
             with suppress(OpenError):
                 unconverged = self.counters.unconverged
                 alone = self.accelerations(*self.reached(q, v, t), u, t)
-                off = np.abs(a - alone[0]).max()
-                if here**2 > self.nothing and off > branch.direct_error(here**2, EPS) * np.abs(a).max():
+                clear, off = here**2 > max(self.nothing, branch.JUDGED), np.abs(a - alone[0]).max()
+                if clear and off > branch.direct_error(here**2, EPS) * np.abs(a).max():
                     return alone  # another motion than this one leads through the singular position
                 self.counters.unconverged = unconverged
             return a, lam, max(x[2] for x in found.values()), left

@@ -422,7 +422,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
            *touched = arena_alloc(i, n);
     double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n),
            together[SIDE_PLACES + 1], size, heaviest;
-    Pivots found[SIDE_PLACES + 1];
+    Pivots found[SIDE_PLACES + 1] = {{0.0, 0.0, 0.0, 0.0}};
     int freedom = s->freedom + s->timed, count = 1, here;
     if (!usual || s->freedom < 0)
         freedom = rank_freedom_near(i, q, held, &here, there);
