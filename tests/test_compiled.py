@@ -3,7 +3,6 @@
 import ctypes
 import hashlib
 import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -88,14 +87,6 @@ def own_cache(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(pipeline, "_KEPT", OrderedDict())
     monkeypatch.setenv("ALFMU_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
-
-
-@pytest.fixture
-def quick(monkeypatch) -> None:
-    """Scenes are compiled without optimisation, in a third of the time."""
-    command = build.compiler()
-    if command and "ziglang" not in command:
-        monkeypatch.setenv("CC", shlex.join([*command, "-O0"]))
 
 
 def libraries(cache: Path) -> list[Path]:
@@ -234,7 +225,7 @@ def test_a_scene_refuses_the_functions_of_another(own_cache):
 
 
 @pytest.mark.slow
-def test_a_library_is_built_once_and_kept(quick, own_cache, monkeypatch):
+def test_a_library_is_built_once_and_kept(own_cache, monkeypatch):
     prepared(derived("particle_on_circle"), "compiled")
     (path,) = libraries(own_cache)
     made = path.stat().st_ino
@@ -264,7 +255,7 @@ damages = pytest.mark.parametrize("how", ["a bit", "an end", "nothing", "more"])
 
 @pytest.mark.slow
 @damages
-def test_a_damaged_library_is_built_again_and_never_loaded(quick, own_cache, how):
+def test_a_damaged_library_is_built_again_and_never_loaded(own_cache, how):
     fresh = replace(by_rk4("particle_on_circle"))
     expected = alfmu.simulate(fresh, 0.1, 0.02, kernel="compiled").values
     (path,) = libraries(own_cache)
@@ -278,7 +269,7 @@ def test_a_damaged_library_is_built_again_and_never_loaded(quick, own_cache, how
 @pytest.mark.slow
 @damages
 @pytest.mark.parametrize("kind", ["python", "native"])
-def test_a_damaged_library_is_never_in_an_fmu(quick, own_cache, tmp_path, monkeypatch, kind, how):
+def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, kind, how):
     """Export builds it again, and says that all went well only then; that of the runtime is as if of another platform,
     with which alfmu did not come."""
     form = ["--kernel", "compiled", "--set", "solver.method=rk4"] if kind == "python" else ["--platform", HERE]
@@ -303,7 +294,7 @@ def test_a_damaged_library_is_never_in_an_fmu(quick, own_cache, tmp_path, monkey
 
 @pytest.mark.slow
 @damages
-def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(quick, own_cache, tmp_path, monkeypatch, how):
+def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, tmp_path, monkeypatch, how):
     def damaged(equations: Equations, scene: bytes) -> Path:
         path = build.compiled_scene(equations, scene)
         spoiled(path, how)
@@ -316,7 +307,7 @@ def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(quick, own_c
 
 
 @pytest.mark.slow
-def test_several_processes_may_build_at_once(quick, own_cache):
+def test_several_processes_may_build_at_once(own_cache):
     """Each gets a library that works, and one whole file is left."""
     code = (
         f"import alfmu; r = alfmu.simulate('particle_on_circle', 0.1, 0.02, kernel='compiled', parameters={RK4}); "

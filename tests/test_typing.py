@@ -137,7 +137,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("typed")
     users(folder, "# mypy: disallow-untyped-defs, disallow-untyped-calls")
     command = [sys.executable, "-m", "mypy", "--no-error-summary", str(folder / "users.py")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1500)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500)
     assert done.stderr == ""
     return done.stdout.splitlines()
 
@@ -155,7 +155,7 @@ def pyright(folder: Path, *arguments: str) -> dict[str, Any]:
     if not found:
         pytest.skip("there is no pyright here; pip install -e '.[pyright]' brings one")
     command = [found[0], "--outputjson", "--pythonpath", sys.executable, *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1500)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=500)
     assert done.stdout.lstrip().startswith("{"), f"{done.stdout}{done.stderr}"
     return json.loads(done.stdout)
 

@@ -158,8 +158,9 @@ def loops(equations: Equations) -> int:
     """Return the number of loops, at least 1: closed joints, less the bodies with Euler parameters that they hold."""
     C = equations.functions["C"].sparsity_out(0).T
     touched = [set(C.row()[begin:end]) for begin, end in pairwise(C.colind())]
-    closed = [r for r in range(equations.l) if r not in equations.lengths]
-    held = [r for r in equations.lengths if any(touched[r] & touched[other] for other in closed)]
+    closed = sorted({*range(equations.l)} - {*equations.lengths})
+    columns = set[int]().union(*(touched[r] for r in closed))
+    held = [r for r in equations.lengths if touched[r] & columns]
     return max(1, len({equations.rows[r].name for r in closed}) - len(held))
 
 
