@@ -1,5 +1,5 @@
-/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older
-   systems, too. Newer versions of these differ in errno alone. */
+/* Selects versions of C library functions that every glibc has, so that a library built with a newer one also runs on
+   older systems. The newer versions differ only in errno. */
 
 #ifndef ALFMU_BASELINE_H
 #define ALFMU_BASELINE_H

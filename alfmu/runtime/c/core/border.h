@@ -1,6 +1,6 @@
-/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way:
-   inside, nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two
-   registers. */
+/* The floating-point environment of a host, which may have unmasked traps or changed the rounding mode: during a call
+   nothing traps, and results are the same for every host. If the host changed nothing, a call only reads two registers.
+   */
 
 #ifndef ALFMU_BORDER_H
 #define ALFMU_BORDER_H
@@ -40,7 +40,7 @@ static inline Border border_in(void)
     b.changed |= (b.sse & ~FLAGS_SSE) != USUAL_SSE;
     if (b.changed) {
 #if defined(__GNUC__)
-        __asm__ volatile("fnstenv %0" : "=m"(b.x87) : : "memory"); /* which masks them */
+        __asm__ volatile("fnstenv %0" : "=m"(b.x87) : : "memory"); /* fnstenv also masks the traps */
 #endif
         _mm_setcsr(USUAL_SSE);
     }
@@ -75,7 +75,7 @@ static inline void border_out(const Border *b)
         __asm__ volatile("msr fpcr, %0" : : "r"(b->control) : "memory");
 }
 
-#else /* WebAssembly has no traps; others are left as they are. */
+#else /* WebAssembly has no traps; on other targets the environment is left as it is. */
 
 static inline Border border_in(void)
 {
@@ -90,7 +90,7 @@ static inline void border_out(const Border *b)
 
 #endif
 
-/* The result of a call that runs inside. */
+/* Make a call in the usual environment and return its result. */
 #define INSIDE(TYPE, CALL) \
     do { \
         const Border border = border_in(); \

@@ -1,10 +1,9 @@
-/* Inputs that move something: inside a communication step each is a polynomial of time from where the motion is.
+/* Driving inputs, which prescribe a motion: within a communication step each follows a polynomial of time.
 
-   The highest derivative that is known of an input (its value, its rate or its acceleration) goes on by the
-   polynomial of its declared order through the newest communication points, which tells where the input will be at
-   the end of the step. The motion goes there from where it is: by a quintic with the acceleration of both ends where
-   that is known of the input, otherwise by a cubic with the rates of both ends. So places never jump, nor do
-   velocities. */
+   The highest given derivative of an input (value, rate or acceleration) is extrapolated by the polynomial of the
+   declared order through the newest communication points, which predicts the input at the end of the step. The motion
+   reaches the prediction from its present state: by a quintic with the accelerations of both ends if the input's
+   acceleration is given, otherwise by a cubic with the rates of both ends. So neither positions nor velocities jump. */
 
 #include "driving_inputs.h"
 
@@ -19,7 +18,7 @@
 #include "record.h"
 #include "scene.h"
 
-/* A step over the one before [1], from which on the motion only goes on. */
+/* Ratio of a step to the previous one [1], up to which the acceleration is kept. */
 #define SHORT 1e-6
 
 static double *polynomial_of(const Instance *i, int which)
@@ -43,7 +42,7 @@ static Given read_given(const Instance *i, int which)
     return g;
 }
 
-/* Value, rate and acceleration of a polynomial at a time. */
+/* Evaluate the value, rate and acceleration of a polynomial at a time. */
 static void input_polynomial_at(const double *c, double time, double *found)
 {
     const double x = time - c[0];
@@ -76,7 +75,7 @@ static void extrapolate_input(const double *heard, const Given *g, int order, do
 {
     const double *t = heard + TIMES, *y = heard + VALUES;
     const int degree = order < (int)heard[KNOWN_POINTS] - 1 ? order : (int)heard[KNOWN_POINTS] - 1;
-    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* differences of the known points over powers of the time from now */
+    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* coefficients through the known points */
     if (degree > 0)
         c[1] = (y[0] - y[1]) / (t[0] - t[1]);
     if (degree > 1) {
@@ -84,9 +83,9 @@ static void extrapolate_input(const double *heard, const Given *g, int order, do
         c[1] += c[2] * (t[0] - t[1]);
     }
     end[0] = end[1] = end[2] = 0.0;
-    for (int k = 0; k < 3; k++, power *= h) /* Its integrals and derivatives. */
+    for (int k = 0; k < 3; k++, power *= h) /* Integrate or differentiate each term. */
         for (int d = 0; d < 3; d++) {
-            const int raised = g->level - d; /* times that it is integrated */
+            const int raised = g->level - d; /* number of integrations */
             double term = c[k] * power;
             for (int r = 1; r <= raised; r++)
                 term *= h / (k + r);
@@ -94,7 +93,7 @@ static void extrapolate_input(const double *heard, const Given *g, int order, do
                 term *= h > 0.0 ? (k - r) / h : 0.0;
             end[d] += term;
         }
-    for (int d = 0; d < g->level; d++) { /* The lower derivatives are known now. */
+    for (int d = 0; d < g->level; d++) { /* Add the given lower derivatives. */
         double term = 1.0;
         for (int k = d; k < g->level; k++, term *= h / (k - d))
             end[d] += g->value[k] * term;
@@ -125,9 +124,9 @@ void inputs_begin(Instance *i, double time)
     }
 }
 
-/* The polynomial of an input for a step of h [s], from where the one before has come. In a step as brief as
-   `little`, or much shorter than the one before, the motion only goes on: it could make up for what it lacks only by
-   any acceleration. */
+/* Find the polynomial of an input for a step of h [s] from `start`, where it continues the previous polynomial. If the
+   step is at most `little`, or much shorter than the previous one, it keeps the acceleration: the one that reaches the
+   prediction may be arbitrarily large. */
 void input_aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little)
 {
     double now[3], end[3];
@@ -159,7 +158,7 @@ static void tape_aim(Instance *i, int which, int level, double start, double h);
 Outcome inputs_aim(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    for (int k = 0; k < s->followed_count; k++) { /* Nothing changes where one is refused. */
+    for (int k = 0; k < s->followed_count; k++) { /* Refuse before anything changes. */
         const Variable *v = s->variables + s->parameters + s->choices + s->followed[k].input;
         const double value = read_given(i, k).value[0], limit = s->followed[k].jump;
         double now[3];
@@ -184,8 +183,8 @@ Outcome inputs_aim(Instance *i, double start, double h)
     return DONE;
 }
 
-/* The polynomial is linear in the values of an input for given times: `input_aim`, applied to their tangents, gives
-   its tangents. */
+/* For given times the polynomial is linear in the values of an input: `input_aim` applied to tangents yields its
+   tangents. */
 
 static void tape_aim(Instance *i, int which, int level, double start, double h)
 {

@@ -1,4 +1,4 @@
-/* Inputs that move something: their course within a communication step. */
+/* Driving inputs: the motions that they prescribe within a communication step. */
 
 #ifndef ALFMU_DRIVING_INPUTS_H
 #define ALFMU_DRIVING_INPUTS_H
@@ -10,7 +10,7 @@
 #include "internal_begin.h"
 
 #if HAS_MOVING_INPUTS
-/* The points of an input: their number, the derivative that they are of, their times and values, newest first. */
+/* The points of an input: their number, the order of their derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 
 /* The given value, rate and acceleration of an input, and the highest derivative that is given. */

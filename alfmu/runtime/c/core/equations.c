@@ -9,7 +9,7 @@
 #include "record.h"
 #include "scene.h"
 
-/* A matrix of nonzeros within the first of `rows` rows of a dense one. */
+/* Expand the nonzeros of a matrix into the first rows of a dense matrix of `rows` rows. */
 void pattern_spread(const Pattern *pattern, const double *values, double *dense, int rows)
 {
     for (int c = 0; c < pattern->columns; c++) {
@@ -19,7 +19,7 @@ void pattern_spread(const Pattern *pattern, const double *values, double *dense,
     }
 }
 
-/* M, C (their nonzeros), Phi and C v; each may be NULL. */
+/* Evaluate M and C (their nonzeros), Phi and C v; each result may be NULL. */
 void constraints_evaluate(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv)
 {
@@ -33,7 +33,7 @@ void constraints_evaluate(
     arena_release(i, arena);
 }
 
-/* The largest |Phi|, or |Phi-dot|, in units of its row, and which row it is. */
+/* Return the largest |Phi|, or |Phi-dot|, in units of its row, and the index of that row. */
 double constraints_widest(Instance *i, const double *q, const double *v, int of_velocity, int *row)
 {
     const Scene *s = i->scene;
@@ -52,7 +52,7 @@ double constraints_widest(Instance *i, const double *q, const double *v, int of_
     return found;
 }
 
-/* Kinetic and potential energy with these velocities, and the kinetic one alone. */
+/* Return the kinetic and potential energy at velocities v, and the kinetic energy alone. */
 double energy_evaluate(Instance *i, const double *v, double *kinetic)
 {
     const Scene *s = i->scene;
@@ -63,7 +63,7 @@ double energy_evaluate(Instance *i, const double *v, double *kinetic)
     return found;
 }
 
-/* The energy now into a place of its own, written down where there is a tape. */
+/* Compute the energies now into two places, recorded if there is a tape. */
 void energy_record(Instance *i, const double *v, double *into)
 {
     const Scene *s = i->scene;
@@ -72,7 +72,8 @@ void energy_record(Instance *i, const double *v, double *into)
     function_call_recorded(i, s->energy, x, y);
 }
 
-/* Add the change of the energies in an instant, from those at the first of four places, to the work. */
+/* Add the change of energy in an instant to the work; `energies` holds those before it, then room for those after it.
+   */
 void energy_add_jump(Instance *i, double *energies)
 {
     double *q = instance_field(i, i->scene->z), *work = q + i->scene->work;
@@ -104,7 +105,7 @@ int coordinate_is_angle(const Scene *s, int coordinate)
     return !strcmp(s->coordinates[coordinate].unit, "rad");
 }
 
-/* The largest of coordinates, or of a displacement or a rate of them, lengths over that of the mechanism. */
+/* Return the largest entry of coordinates, of displacements or of rates; lengths are divided by the mechanism's. */
 double instance_largest(const Instance *i, const double *x)
 {
     const Scene *s = i->scene;

@@ -1,5 +1,5 @@
-/* Declarations from here to internal_end.h are seen within the library alone, also where an importer compiles it: other
-   libraries have such names, too. Functions of the C library that they use are those that every glibc has. */
+/* Declarations from here to internal_end.h are visible within the library only, even if an importer compiles it, as
+   other libraries may use the same names. They use versions of C library functions that every glibc has. */
 
 #include "baseline.h"
 

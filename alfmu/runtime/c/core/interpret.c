@@ -23,10 +23,9 @@
 #define HAS_WIDE 1 /* functions whose places have 32 bits */
 #endif
 
-/* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places
-   of 16 and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an
-   operation in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n
-   operands. */
+/* Runs of equal operations: the kind, the number of operations, the places of their operands. The same text serves
+   16-bit places, 32-bit places, a pass of a loop (each place is followed by its step from pass to pass) and one
+   operation in all passes. OPERAND(k) is operand k; NEXT(n) advances past an operation of n operands. */
 #define BINARY(kind, value) \
     case kind: \
         for (; count; count--, NEXT(2)) { \
@@ -115,7 +114,7 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         int32_t count = *at++;
         switch (kind) {
             SUMS
-        case LOOP_KIND: { /* how many values a pass gives, and how many words the body has */
+        case LOOP_KIND: { /* number of values per pass, number of words of the body */
             const int32_t values = at[0], body = at[1];
             at += 2;
             for (int32_t pass = 0; pass < count; pass++, d += values)
@@ -146,7 +145,7 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         } \
         break;
 
-/* Two places of 16 bits, read at once: half the time that an operation takes goes to reading places. */
+/* Read two 16-bit places at once: reading places takes half the time of an operation. */
 static inline uint32_t two(const uint16_t *at)
 {
     uint32_t both;
@@ -356,7 +355,7 @@ static void one_by_one(Instance *i, const Function *f, int count, const Word *at
         call_at(i, f, at);
 }
 
-/* A routine of linear algebra, or calls in lanes. */
+/* Run a routine of linear algebra, or calls in lanes; return the next word. */
 const Word *routine_run(Instance *i, const Word *at)
 {
     double *m = i->m;
@@ -380,7 +379,7 @@ const Word *routine_run(Instance *i, const Word *at)
             tape_solve(i, at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
         return at + 5 + at[1];
     }
-    case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
+    case LANES_CODE: { /* number of calls, the function, arguments and results of each call */
         const int32_t count = at[0];
         const Function *f = i->scene->functions + at[1];
         const int each = f->inputs + f->outputs;
@@ -405,12 +404,12 @@ const Word *routine_run(Instance *i, const Word *at)
     }
 }
 
-/* Whether a loop goes on after so many times, at its number and how often at most (or, below zero, where that
-   stands). */
+/* Return whether a loop continues after `times` passes. `at`: place of its condition; most passes, or below zero their
+   place. */
 static inline int goes_on(Instance *i, const Word *at, int times)
 {
     const double most = at[1] >= 0 ? (double)at[1] : i->m[-1 - at[1]];
-    if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
+    if (at[1] < 0) /* the multiplier iteration, whose first pass is before the loop */
         i->iterations = times + 1;
     return times + 1 <= most && i->m[at[0]] != 0.0;
 }
@@ -431,7 +430,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at += 2 + f->inputs + f->outputs;
             break;
         }
-        case CHOICE_CODE: { /* a number, how long the way is where it is not zero, and the way where it is */
+        case CHOICE_CODE: { /* place of a number; length of the code if it is not zero, if it is */
             const Word *ways = at + 4;
             if (m[at[1]] != 0.0)
                 run_code(i, ways, ways + at[2]);
@@ -440,7 +439,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at = ways + at[2] + at[3];
             break;
         }
-        case LOOP_CODE: { /* a number, how often at most, how long the body is */
+        case LOOP_CODE: { /* place of a condition, most passes, length of the body */
             const Word *body = at + 4;
             for (int times = 0; goes_on(i, at + 1, times); times++)
                 run_code(i, body, body + at[3]);

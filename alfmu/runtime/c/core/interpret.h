@@ -11,14 +11,14 @@
 /* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values);
 
-/* A function of the scene on arrays; a program on the memory. */
+/* Call a function of the scene on arrays. */
 void function_call(Instance *i, int which, const double *const *x, double *const *y);
 void function_call_alone(Instance *i, int which, const double *const *x, double *const *y); /* without `wait` */
 
 /* Call a function with arguments and results at places in the memory. */
 void function_call_at(Instance *i, const Function *f, const Word *at);
 
-/* Parts of programs, for those who run them for several instances. */
+/* Parts of programs, for callers that run several instances together. */
 const Word *routine_run(Instance *i, const Word *at);
 int loop_goes_on(Instance *i, const Word *at, int times);
 
@@ -26,7 +26,7 @@ int loop_goes_on(Instance *i, const Word *at, int times);
 void registers_load(Instance *i);
 void program_run(Instance *i, int program);
 
-/* A call of a function on arrays of the instance, written down. */
+/* Call a function on arrays of the instance, recorded if there is a tape. */
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y);
 
 #include "internal_end.h"

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #define SWEEPS 60
-#define SURE 1e-8 /* of the largest singular value */
+#define SURE 1e-8 /* share of the largest singular value, below which a rank is uncertain */
 
 static double dot_product(const double *x, const double *y, int count)
 {
@@ -32,7 +32,7 @@ static void swap_columns(double *x, double *y, int count)
         x[i] = -x[i];
 }
 
-/* Makes two columns orthogonal, as Hestenes (1958) does; returns whether they were not yet. */
+/* Make two columns orthogonal (Hestenes 1958); return whether they were not orthogonal yet. */
 static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns)
 {
     const double xx = dot_product(x, x, rows), yy = dot_product(y, y, rows), xy = dot_product(x, y, rows);
@@ -91,7 +91,7 @@ void linear_least_norm(int rows, int columns, const double *a, const double *r, 
     linear_singular_values(many, few, u, v, s);
     memset(x, 0, (size_t)columns * sizeof *x);
     for (int i = 0; i < few && s[i] > least * s[0] && s[i] > 0.0; i++) {
-        /* The columns of u are those of U times s. */
+        /* u holds the columns of U times s. */
         const double *left = wide ? v + i * few : u + i * many, *right = wide ? u + i * many : v + i * few;
         const double part = dot_product(left, r, rows) / (s[i] * s[i]);
         for (int j = 0; j < columns; j++)
@@ -163,8 +163,8 @@ void envelope_solve(const Envelope *e, const double *a, const double *b, double 
         x[i] = work[e->place[i]];
 }
 
-/* Factors of the matrix of s * s blocks (n, n) that are sums of the parts of their row (by columns), by weights of row
-   and column: rows in `order`, L without its diagonal of ones below that of U. */
+/* Factorise the matrix of s * s blocks (n, n); each block is the sum over terms of a weight (term, row, column) times a
+   part (term, row; stored by columns). Rows are in `order`; L, without its unit diagonal, is stored below U. */
 void linear_factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)
 {
     const int size = n * s;
@@ -181,7 +181,7 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
     for (int i = 0; i < size; i++)
         order[i] = i;
     for (int k = 0; k < size; k += 4) {
-        /* Four columns, with the rows below. */
+        /* Factorise four columns. */
         const int end = k + 4 < size ? k + 4 : size;
         for (int p = k; p < end; p++) {
             int largest = p;
@@ -204,7 +204,7 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
                     a[i * size + j] -= by * a[p * size + j];
             }
         }
-        /* Update the same rows to the right, then the remaining ones. */
+        /* Update the rows of these columns to the right, then the remaining rows. */
         for (int p = k; p < end; p++)
             for (int i = p + 1; i < end; i++)
                 for (int j = end; j < size; j++)

@@ -18,14 +18,14 @@ Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...)
     return outcome;
 }
 
-/* Says something that the host should know, once in a run. */
+/* Give the host a warning, once in a run. */
 void instance_warn(Instance *i, int of, const char *format, ...)
 {
     va_list arguments;
     size_t used;
     if (i->flags.warned & of)
         return;
-    if (i->warns) /* Behind one that nobody has read yet. */
+    if (i->warns) /* Append it to an unread warning. */
         strncat(i->warning, "; ", sizeof i->warning - strlen(i->warning) - 1);
     else
         *i->warning = '\0';

@@ -9,7 +9,7 @@
 
 #include "internal_begin.h"
 
-/* Between the parts of the runtime. */
+/* Set the message of an instance and return the outcome. */
 Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...) PRINTF_LIKE(3, 4);
 
 void instance_warn(Instance *i, int of, const char *format, ...);

@@ -7,7 +7,7 @@
 
 #define QUANTITY 64 /* characters */
 
-/* A value with its unit, an angle in degrees, too. */
+/* Write a value with its unit, an angle also in degrees; return `text`. */
 const char *quantity_in_unit(const char *unit, double value, char *text);
 
 #include "internal_end.h"

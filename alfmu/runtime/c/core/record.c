@@ -106,8 +106,8 @@ int tape_pause(Instance *i, int paused)
     return before;
 }
 
-/* Return whether a place of the memory has no derivative: step size, step control, tallies, and settings but the
-   penalties of a frozen rank, which are the last of them. */
+/* Return whether a place of the memory has no derivative: step size, step control, tallies, and settings except the
+   penalties of a frozen rank, which come last. */
 static int has_no_derivative(const Scene *s, ptrdiff_t in_memory)
 {
     return in_memory >= (s->brakes ? s->dt : s->k) && in_memory < s->past;
@@ -198,7 +198,7 @@ void tape_sum(Instance *i, const double *to, int terms, const double *const *fro
     }
 }
 
-/* The factors that were made last, behind the numbers of an entry that was just written. */
+/* Copy the latest factors to `kept`, behind the numbers of the newest entry; return their index. */
 static size_t keep_factors(Tape *t, double *kept, const double *factors, const double *order, size_t size)
 {
     memcpy(kept, factors, size * size * sizeof *kept);
@@ -320,9 +320,9 @@ void tape_correction(Instance *i, const double *rows, const double *columns, con
     to[n + count] = part;
 }
 
-/* S5: a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the combinations
-   that are kept have the projector P = sum v v', whose differential is the sum over each kept k and each other j of
-   (v_j v_k' + v_k v_j') (b_k' dA v_j + b_j' dA v_k) / (s_k^2 - s_j^2). */
+/* S5: record a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the kept
+   combinations have the projector P = sum v v', whose differential is the sum over each kept k and each other j of (v_j
+   v_k' + v_k v_j') (b_k' dA v_j + b_j' dA v_k) / (s_k^2 - s_j^2). */
 
 void tape_holding(Instance *i, const double *q, const double *matrix)
 {

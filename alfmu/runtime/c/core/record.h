@@ -1,10 +1,10 @@
-/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it
-   was called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers,
-   accepted steps and ranks are those that were taken.
+/* The record of a run, from which it is differentiated: each call of a function with its arguments, each routine of
+   linear algebra, each copy within the memory of an instance. Choices, tiers, accepted steps and ranks are kept as
+   taken.
 
-   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies)
-   has the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between
-   calls needs no words here. */
+   Places are counted from the first number of an instance; a number without derivative (settings, step control,
+   tallies) has the place -1. Tangents and adjoints belong to places, so that values kept in memory between calls need
+   no entry. */
 
 #ifndef ALFMU_RECORD_H
 #define ALFMU_RECORD_H
@@ -19,22 +19,22 @@
 #include "internal_begin.h"
 
 typedef enum {
-    CALLED,       /* a function; places of arguments and results */
-    COPIED,       /* to, from, how many */
-    CLEARED,      /* to, how many */
-    COMBINED,     /* a number as a sum: to, from each; the factor of each */
-    FACTORED,     /* n, blocks, terms, weights, parts, factors; weights and parts */
-    /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    CALLED,       /* a function; words: places of arguments and results; numbers: arguments */
+    COPIED,       /* words: to, from, count */
+    CLEARED,      /* words: to, count */
+    COMBINED,     /* a weighted sum; words: to, from of each term; numbers: weights */
+    FACTORED,     /* words: n, blocks, terms, weights, parts, factors; numbers: weights and parts */
+    /* words: n, blocks, factors, right-hand sides, solution, index of the kept factors (two); numbers: solution */
     SOLVED,
-    LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
+    LEAST_NORMED, /* words: side, matrix, right-hand side, solution; numbers: the last three */
     CLOSED,       /* a Gauss-Newton step of the start (start_derivatives.c) */
     RATED,        /* a correction of the start's velocities (start_derivatives.c) */
-    HELD,         /* a rank that is frozen (start_derivatives.c) */
-    AIMED         /* an input that moves something (driving_inputs.c) */
+    HELD,         /* a frozen rank (start_derivatives.c) */
+    AIMED         /* the polynomial of a driving input (driving_inputs.c) */
 } Taped;
 
 typedef struct {
-    int32_t kind, what; /* of a call: the number of the function */
+    int32_t kind, what; /* `what`: number of the function of a call */
     size_t words, numbers;
 } Entry;
 
@@ -56,7 +56,8 @@ struct Tape {
 };
 typedef struct Tape Tape;
 
-/* Numbers of an entry: arguments of the closure (and of the constraints), which rows are held, x, lam; the part. */
+/* Words of a correction. Numbers: arguments of the closure (and the constraints), weights of rows, of columns, x, lam;
+   part. */
 enum { PLACE_Q, PLACE_P, PLACE_STARTS, PLACE_V, PLACE_RATES, PLACE_COUNT };
 
 #if HAS_DERIVATIVES
@@ -73,10 +74,10 @@ Mark tape_mark(const Instance *i);
 
 void tape_cut(Instance *i, Mark mark);
 
-/* Outputs are read from here on. */
+/* Mark where the last reading of outputs begins. */
 void tape_begin_reading(Instance *i);
 
-/* Writes nothing down from here on, or goes on; returns how it was before. */
+/* Pause or resume recording; return whether it was paused before. */
 int tape_pause(Instance *i, int paused);
 
 int32_t tape_place_of(const Instance *i, const double *number);
@@ -92,8 +93,8 @@ void tape_solve(Instance *i, int n, int blocks, const double *factors, const dou
 void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x);
 size_t arguments_of(const Function *f);
 
-/* Record a step of the assembly (without v), or a correction of its velocities: x of least norm, whose rows and
-   columns have these weights. */
+/* Record a step of the assembly (v is NULL) or a correction of its velocities: x of least norm, with weights of rows
+   and columns. */
 void tape_correction(Instance *i, const double *rows, const double *columns, const double *q, const double *v,
     const double *x, const double *lam, double part);
 

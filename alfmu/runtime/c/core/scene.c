@@ -82,7 +82,7 @@ static void check_memory(Reader *r)
             reader_spoil(r, "a value is outside its workspace");
 }
 
-/* A check sum goes on: CRC-32 as in zip archives, four bytes at a time. */
+/* Continue a check sum: CRC-32 as in zip archives, four bytes at a time. */
 uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
 {
     uint32_t table[4][256];
@@ -103,7 +103,7 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     return sum;
 }
 
-/* Check that this library, which may be of one scene alone, has the features that the scene needs. */
+/* Check that this library has the features that the scene needs; it may be built for one scene. */
 static void check_features(Reader *r)
 {
     const Scene *s = r->scene;
@@ -208,7 +208,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
 {
-    Function *own = (Function *)s->functions; /* which the scene itself has made */
+    Function *own = (Function *)s->functions; /* allocated by the scene itself */
     char body[9];
     snprintf(body, sizeof body, "%08x", s->body);
     if (count != s->function_count || !reader_check_between(spare, 0, MOST_NUMBERS) || strcmp(identity, body))

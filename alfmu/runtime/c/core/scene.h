@@ -12,7 +12,7 @@
 
 #include "internal_begin.h"
 
-/* A function of the scene as compiled code: arguments, results, and a workspace. */
+/* Compiled code of a function: arguments, results, workspace. */
 typedef void Compiled(const double *const *x, double *const *y, double *w);
 
 typedef enum { REAL, INTEGER, BOOLEAN, STRING } Type;
@@ -41,25 +41,25 @@ typedef struct {
     const char *name, *unit;
 } Coordinate;
 
-/* A Boolean input and the rows that it concerns. */
+/* A Boolean input and the rows that it switches. */
 typedef struct {
     int count;
     const int *rows; /* [count] */
     int holds, value, start;
 } Switch;
 
-/* An input that moves something, and how it goes on inside a communication step. */
+/* A driving input, and how it is extrapolated within a communication step. */
 typedef struct {
     int input, derivatives, order;
     double jump;
 } Followed;
 
-/* History of such an input: the number of points, the derivative that they are of, their times and values. */
+/* History of a driving input: number of points, order of their derivative, their times and values. */
 #define HEARD_POINTS 3
 #define HEARD (2 + 2 * HEARD_POINTS)
 
-/* A law of time that may jump or may not be finite: its name, its unit and that of its rate, and the constraint that
-   it belongs to, -1 if it is always active. */
+/* A law of time that may jump or may not be finite: its name, its unit, the unit of its rate, and its constraint (-1:
+   always active). */
 typedef struct {
     const char *what, *unit, *rate_unit;
     int row;
@@ -83,25 +83,25 @@ typedef struct {
     const int *indices; /* [entries] */
 } Pattern;
 
-/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it,
-   which is one of so many directions. */
+/* An entry of the interface Jacobian: the derivative of an output at the end of a communication step by an input held
+   over it; `direction` is the number of that input among those in the Jacobian. */
 typedef struct {
     int output, input, direction;
 } Jacobian_entry;
 
-/* A function: runs of operations over places among the constants, the arguments, and what came before; behind them the
-   places of its results. Places have 16 bits (narrow) or 32 (wide). */
+/* A function: runs of equal operations, whose operands are places among constants, arguments and earlier results,
+   followed by the places of its results. Places have 16 bits (narrow) or 32 (wide). */
 typedef struct {
     int inputs, outputs, results;
     const int32_t *lengths; /* [inputs + outputs] of arguments, then of results */
     const uint16_t *narrow; /* [words + results] */
     const int32_t *wide;    /* [words + results] */
     size_t words;
-    int registers; /* numbers that it works on, constants included */
+    int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
 } Function;
 
-/* Calls of functions on the memory of an instance, choices, loops: places and lengths. */
+/* A program: calls of functions on the memory of an instance, choices and loops, as places and lengths. */
 #ifndef WORD
 #define WORD int32_t
 #endif
@@ -117,7 +117,7 @@ typedef struct {
 typedef struct {
     const char *name;
     char guid[40];
-    unsigned body; /* check sum of the file but for its head: machine code names it */
+    unsigned body; /* check sum of the file after its head; machine code names it */
 #define NUMBER(name) int name;
     SCENE_NUMBERS(NUMBER)
 #undef NUMBER
@@ -135,12 +135,12 @@ typedef struct {
     const Coordinate *coordinates; /* [n] */
     const Row *rows;         /* [l] */
     const double *nominals;  /* of first-order states */
-    const int *angle_starts; /* [angles] start value that each computed angle begins near, -1 for none */
-    const int *tied;         /* [ties] start values that are kept */
+    const int *angle_starts; /* [angles] start value near which each computed angle begins, -1 for none */
+    const int *tied;         /* [ties] start values that the assembly keeps */
     const int *peak_parts;   /* [3 * peaks] readings that each peak is the magnitude of, -1 for none */
-    const int *break_levels; /* [break_count] level of each function whose change of sign is a jump or a bend */
+    const int *break_levels; /* [break_count] level of each function whose change of sign is a jump or a kink */
     const double *normal;    /* [TRIES * n] standard normal numbers; zero for time */
-    const double *readiness; /* [n] how readily an assembly moves each coordinate: more where none guesses it */
+    const double *readiness; /* [n] weight of each coordinate in an assembly: larger if it has no guess */
     int timed;               /* whether time is the last coordinate */
     int followed_count;
     const Followed *followed; /* [followed_count] */
@@ -148,7 +148,7 @@ typedef struct {
     int limit_count;
     const Limit *limited; /* [limit_count] */
     const Leap *leaps;    /* [leap_count] */
-    int entries, directions; /* of the interface Jacobian: its entries are variables behind all others */
+    int entries, directions; /* of the interface Jacobian; its entries are the last variables */
     const Jacobian_entry *jacobian; /* [entries] */
     Pattern mass, constraint, gaps, tie_rows;
     Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
@@ -157,29 +157,29 @@ typedef struct {
     const Function *functions; /* [function_count] */
     const Program *programs;   /* [program_count] */
     int constant_count, function_count, program_count;
-    int registers; /* numbers that the longest function works on, constants included */
-    int lane_registers; /* of functions that are called in lanes */
+    int registers; /* most registers of a function, constants included */
+    int lane_registers; /* registers of functions called in lanes */
     int spare;     /* workspace of compiled functions */
     int dense;     /* unknowns of the largest dense system */
     struct Block *blocks;
 } Scene;
 
-/* CRC-32 of bytes that follow others; it begins with CHECK_BEGIN, and its complement is the check sum. */
+/* Continue a CRC-32 by more bytes: it begins with CHECK_BEGIN, and its complement is the check sum. */
 #define CHECK_BEGIN 0xffffffffu
 
 #define HEAD 64 /* bytes before the body */
-#define DEEPEST 16 /* choices and loops within each other */
+#define DEEPEST 16 /* nesting of choices and loops */
 #define MOST_NUMBERS (1 << 28) /* in the memory or the registers of an instance */
 #define MOST_UNKNOWNS 10000 /* of a dense system */
 #define MOST_RESULTS (1 << 26) /* of all functions */
 
 uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count);
 
-/* A scene from the bytes of its file; NULL, and why, where it is damaged. */
+/* Load a scene from the bytes of its file; return NULL and write the reason to `why` if it is damaged. */
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
 
-/* Compiled functions in place of the interpreted ones, before there is an instance: all of them in their order, and the
-   numbers that the hungriest needs as workspace; 0 where they were made for another scene. */
+/* Replace the interpreted functions by compiled ones, before there is an instance; `spare` is the largest workspace.
+   Return 0 if they were made for another scene. */
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
 
 void scene_free(Scene *s);

@@ -34,11 +34,11 @@ static int operand_count(int64_t kind)
 static int are_within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
 {
     const int64_t last = first + (passes - 1) * step;
-    /* Between them both sides change evenly, so that the ends tell. */
+    /* Both sides are linear in the pass, so that its first and last value suffice. */
     return first >= 0 && last >= 0 && first < known && last < known + (passes - 1) * more;
 }
 
-/* The operands of an operation in passes, from where the check is. */
+/* Check the operands of an operation in all passes of a loop. */
 static void check_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
 {
     for (int k = 0; k < operand_count(kind); k++, c->at += 2)
@@ -46,7 +46,7 @@ static void check_passes(Checked *c, int64_t kind, int64_t known, int64_t passes
             reader_spoil(c->reader, "a loop uses what is not known yet");
 }
 
-/* One pass of a loop, of which there are `passes`, up to `end`. */
+/* Check the body of a loop, which ends at `end`. */
 static void check_body(Checked *c, size_t end, int64_t passes, int64_t values)
 {
     int64_t made = 0;
@@ -153,7 +153,7 @@ static void check_function(Reader *r, Function *f)
         r->scene->registers = f->registers;
 }
 
-/* Places from differences to those before, `step` words from each other; from `first` on they count back from `end`. */
+/* Decode places from differences; write them `step` words apart. Sums from `first` on count back from `end`. */
 static void sum_differences(
     const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
 {
@@ -164,8 +164,8 @@ static void sum_differences(
     }
 }
 
-/* Words and results of a function whose places have 16 bits. In the file there are the kinds of its runs and how many
-   operations each has, then the operands, then the results; of a run all first operands come before the second ones. */
+/* Read words and results of a function with 16-bit places. The file holds the kind and length of each run, then the
+   operands, then the results; in a run all first operands precede the second ones. */
 static void read_narrow(Reader *r, Function *f, int64_t first)
 {
     size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
@@ -221,10 +221,10 @@ static void read_function(Reader *r, Function *f)
     f->inputs = (int)inputs;
     f->outputs = (int)outputs;
     f->lengths = lengths;
-    /* Words and results stand behind each other. */
+    /* The words are followed by the places of results. */
     if (wide) {
         size_t words = 0, rows = 0;
-        int64_t spare = 2 * all; /* entries that are said twice at most */
+        int64_t spare = 2 * all; /* room for two places per entry */
         const int32_t *first = reader_integers(r, -1, &words), *then = reader_integers(r, -1, &rows);
         int32_t *both = r->bad ? NULL : reader_alloc(r, words + (size_t)all + 1, sizeof *both);
         if (!both)
@@ -232,7 +232,7 @@ static void read_function(Reader *r, Function *f)
         memcpy(both, first, words * sizeof *both);
         for (int64_t k = 0; k < all; k++)
             both[words + (size_t)k] = -1;
-        /* How many, the first entry and the step to the next, the place of the first and the step. */
+        /* Each row: count, first entry and step between entries, first place and step between places. */
         for (const int32_t *row = then; row + 5 <= then + rows; row += 5) {
             const int64_t count = row[0], last = row[1] + (count - 1) * row[2];
             if (count < 1 || (spare -= count) < 0 || row[1] < 0 || row[1] >= all || last < 0 || last >= all) {

@@ -8,8 +8,6 @@
 
 #include "internal_begin.h"
 
-/* The program that leads to the end of a step by a formulation. */
-
 void programs_read(Reader *r);
 
 #include "internal_end.h"

@@ -18,7 +18,7 @@ void reader_spoil(Reader *r, const char *format, ...)
     va_end(arguments);
 }
 
-/* Memory of the scene, zero; never NULL without `bad`. */
+/* Allocate zeroed memory of the scene; if it returns NULL, `bad` is set. */
 void *reader_alloc(Reader *r, size_t count, size_t size)
 {
     struct Block *block;
@@ -47,7 +47,7 @@ int reader_has(Reader *r, size_t count, size_t bytes)
     return !r->bad;
 }
 
-/* The next bytes; NULL where there are fewer. */
+/* Return the next count * size bytes; NULL if there are fewer. */
 static const unsigned char *reader_little(Reader *r, size_t count, size_t size)
 {
     const unsigned char *at = r->at;
@@ -110,7 +110,7 @@ int32_t *reader_integers(Reader *r, int count, size_t *found)
     return made;
 }
 
-/* Integers of 2 bytes, low bytes before high ones. */
+/* Read integers of 2 bytes, little-endian. */
 uint16_t *narrow_integers(Reader *r, size_t *found)
 {
     const size_t size = reader_length(r);
@@ -139,7 +139,7 @@ double *reader_reals(Reader *r, size_t *found)
     return made;
 }
 
-/* Integers that index something: each from `least` to below `end`. */
+/* Read integers that are indices, from `least` to below `end`. */
 const int *reader_places(Reader *r, int count, int least, int end, const char *what)
 {
     const int32_t *made = reader_integers(r, count, NULL);

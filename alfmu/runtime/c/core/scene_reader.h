@@ -1,4 +1,4 @@
-/* Reads the numbers and texts of a scene file; notes the first thing that is wrong. */
+/* Reads the numbers and texts of a scene file; keeps the first error. */
 
 #ifndef ALFMU_SCENE_READER_H
 #define ALFMU_SCENE_READER_H

@@ -10,19 +10,19 @@ int scene_variable_count(const Scene *s)
     return scene_first_output(s) + s->outputs + s->entries;
 }
 
-/* Reference of the first output. */
+/* Return the reference of the first output. */
 int scene_first_output(const Scene *s)
 {
     return s->parameters + s->choices + s->inputs + s->switches;
 }
 
-/* Place among the settings of the direction of a start in a singular position. */
+/* Return the place, among the settings, of the direction of a start in a singular position. */
 int scene_way(const Scene *s)
 {
     return SETTINGS + 2 * s->l + s->n + s->compliances;
 }
 
-/* Place among the settings of the weights of constraints where redundant ones brake. */
+/* Return the place, among the settings, of the constraint weights for redundant constraints with friction. */
 int scene_matrix(const Scene *s)
 {
     return scene_way(s) + (s->l ? s->n : 0);
@@ -38,7 +38,7 @@ size_t scene_state_length(const Scene *s)
     return (size_t)s->near + 1;
 }
 
-/* They stand between the work and the time. */
+/* States lie between the work and the time. */
 int scene_states(const Scene *s)
 {
     return s->time - s->work - 1;

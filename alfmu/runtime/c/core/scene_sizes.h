@@ -9,7 +9,7 @@
 
 #include "internal_begin.h"
 
-/* Values stored beside the peaks: whether the begin of the previous step is known, its time, q and v. */
+/* Values stored after the peaks: whether the start of the previous step is known, its time, q and v. */
 enum { KNOWN_BEFORE, TIME_BEFORE, STATE_BEFORE };
 
 int scene_variable_count(const Scene *s);

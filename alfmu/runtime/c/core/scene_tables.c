@@ -192,7 +192,7 @@ void tables_read_followed(Reader *r)
     s->followed = made;
 }
 
-/* The interface Jacobian, with which a file ends that has one: of each entry the variable, the output and the input. */
+/* Read the interface Jacobian, the last part of a file that has one: variable, output and input of each entry. */
 void tables_read_jacobian(Reader *r)
 {
     Scene *s = r->scene;
@@ -206,7 +206,7 @@ void tables_read_jacobian(Reader *r)
     }
     variables = reader_alloc(r, (size_t)(first + count), sizeof *variables);
     made = reader_alloc(r, (size_t)count, sizeof *made);
-    directions = reader_alloc(r, (size_t)s->inputs + 1, sizeof *directions); /* of each input, from 1 on */
+    directions = reader_alloc(r, (size_t)s->inputs + 1, sizeof *directions); /* of each input, from 1 on; 0: none */
     if (r->bad)
         return;
     memcpy(variables, s->variables, (size_t)first * sizeof *variables);
@@ -228,7 +228,7 @@ void tables_read_jacobian(Reader *r)
     s->entries = count;
 }
 
-/* Every entry of a matrix, as a result of a function. */
+/* Make the pattern of a dense matrix. */
 static void tables_check_dense(Reader *r, Pattern *made)
 {
     const int rows = made->rows, columns = made->columns;
@@ -263,7 +263,7 @@ void tables_read_pattern(Reader *r, Pattern *made, int rows, int columns)
     made->indices = reader_places(r, made->entries, 0, rows, "a row of a matrix");
 }
 
-/* Lists, for each node, its edges, or the other way round. */
+/* The edges of each node, or the nodes of each edge. */
 typedef struct {
     int *offsets, *ends;
 } Lists;
@@ -278,7 +278,7 @@ static Lists make_lists(Reader *r, int count, int by_rows, const Part *parts, in
     made.ends = reader_alloc(r, entries + 1, sizeof *made.ends);
     if (r->bad)
         return made;
-    /* Counted, then summed, then filled: the offsets stand one further on meanwhile. */
+    /* Count, sum up, then fill; until filled, offsets are stored one place further on. */
     for (int pass = 0; pass < 2; pass++) {
         for (int k = 0; k < part_count; k++) {
             const Pattern *p = parts[k].pattern;
@@ -297,8 +297,8 @@ static Lists make_lists(Reader *r, int count, int by_rows, const Part *parts, in
     return made;
 }
 
-/* Nodes in the order in which they are reached from the first of `order`, those with few neighbours first; `degree` is
-   below zero where a node has been reached. Returns how many there are. */
+/* Append to `order` the nodes that are reached from its first node, breadth first, those of low degree first; mark them
+   by a negative `degree`. Return their number. */
 static int order_reached(const Lists *edges, const Lists *nodes, int *order, int *degree, char *passed)
 {
     int count = 1;
@@ -350,7 +350,7 @@ void tables_order_envelope(
         int reach;
         if (degree[k] < 0)
             continue;
-        /* Begin at the node that is farthest from any. */
+        /* Begin at the node reached last, which is far from k. */
         order[found] = k;
         reach = order_reached(&edges, &nodes, order + found, degree, passed);
         for (int at = found; at < found + reach; at++) {
@@ -381,7 +381,7 @@ void tables_order_envelope(
     *made = (Envelope){count, place, first, start, (size_t)entries};
 }
 
-/* Laws of time that may jump, or not be finite. */
+/* Read the laws of time that may jump or may not be finite. */
 void tables_read_leaps(Reader *r)
 {
     Scene *s = r->scene;

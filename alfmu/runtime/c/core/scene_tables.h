@@ -9,10 +9,10 @@
 
 #include "internal_begin.h"
 
-/* Places of nonzeros as a graph: which nodes meet in which edges. */
+/* Nonzeros of a matrix as a graph whose nodes and edges are its rows and columns. */
 typedef struct {
     const Pattern *pattern;
-    int shift; /* of its rows */
+    int shift; /* added to its rows */
 } Part;
 
 void tables_read_numbers(Reader *r);

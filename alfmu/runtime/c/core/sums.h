@@ -1,4 +1,4 @@
-/* Sums of products, which are operations of functions: in this order in every way to run them. */
+/* Sums of products: every way to run a function adds in this order. */
 
 #ifndef ALFMU_SUMS_H
 #define ALFMU_SUMS_H

@@ -24,7 +24,7 @@ static void put_text(Written *w, const char *text, int most)
         put(w, *text++);
 }
 
-/* A whole number with so many digits at least. */
+/* Write an integer with at least `least` digits. */
 static void put_whole(Written *w, long value, int least)
 {
     char digits[24];
@@ -38,7 +38,7 @@ static void put_whole(Written *w, long value, int least)
         put(w, digits[--count]);
 }
 
-/* A number with so many significant digits, at most 9: as %g writes it, or %e. */
+/* Write a number with `count` significant digits, at most 9, as %g or %e does. */
 static void put_number(Written *w, double value, int count, int scientific)
 {
     int tens = count - 1, point;
