@@ -1,5 +1,5 @@
-/* Orders the operations of a function for the interpreter, for `alfmu.kernel.arrangement`. No scene that runs calls
-   any of this. */
+/* Orders the operations of a function for the interpreter, for `alfmu.kernel.arrangement`. Running a scene does not
+   need it. */
 
 #include "arrange.h"
 
@@ -12,9 +12,10 @@
 
 #define MOST_OPERANDS 9
 
-/* Numbers that change nothing, in place of operands. */
+/* Neutral numbers, in place of operands. */
 enum { ONE = -1, MINUS_ONE = -2, NOTHING = -3 };
 
+/* Operations expressed by another kind: places of their own operands, or neutral numbers. */
 static const struct {
     int one, other, operands[5];
 } AS[] = {
@@ -29,13 +30,12 @@ static const struct {
     {PLUS_KIND, PRODUCTS_KIND, {0, ONE, 1, ONE}},
     {MINUS_KIND, PRODUCTS_KIND, {0, ONE, 1, MINUS_ONE}},
 };
-/* Operands of an operation as one of another kind: its own by their places, and numbers. */
 
+/* Most operations that join a run of another kind: they cost more there, but less than a run of their own, above all if
+   the processor does not predict the sequence of runs. */
 #define FEW 2
-/* Operations that become part of a run of another kind: what they cost more is less than a run of their own, above all
-   where the processor has not learnt the sequence of runs. */
 
-/* Cycles from the operands of an operation to its result, both in memory. */
+/* Return the cycles of an operation, with operands and result in memory. */
 static int cycles(int kind)
 {
     switch (kind) {
@@ -53,8 +53,8 @@ static int cycles(int kind)
     }
 }
 
-/* The operations of a run: their numbers, operands and places of these, and how many others of the run each waits for,
-   one after the other. */
+/* A run while it is made: numbers of its operations, their operands, places of the operands, and the length of the
+   chain of operations of this run that each waits for. */
 typedef struct {
     int each, *numbers, *operands, *places, *after;
 } Kind_run;
@@ -71,7 +71,7 @@ static int precedes(const Kind_run *run, int a, int b)
     return a < b;
 }
 
-/* Sort the first `count` of an array by merging, with another one of its length beside it. */
+/* Sort the first `count` entries of `order` by merging; `beside` is scratch of the same length. */
 static void sort(const Kind_run *run, int *order, int *beside, int count)
 {
     for (int width = 1; width < count; width *= 2) {
@@ -125,8 +125,8 @@ static int *users_of(Room *room, const Operations *o, int values, int *ends, int
     return users;
 }
 
-/* Of each operation, below zero: how often the kind changes after it at least, and cycles from its beginning to the end
-   of the longest chain that waits for it. */
+/* Compute two urgencies of each operation, as negative numbers: the least number of changes of kind after it, and the
+   cycles of the longest chain that waits for it. */
 static void urgency(Room *room, const Operations *o, const int *users, const int *ends, const int *missing,
     int *changes, int *chains)
 {
@@ -155,7 +155,7 @@ static void urgency(Room *room, const Operations *o, const int *users, const int
     }
 }
 
-/* Operations written as those of one kind, and the places of their results. */
+/* Runs of operations, and the values that these make. */
 typedef struct {
     const int *neutral;
     int *heads, *operands, (*made)[2];
@@ -176,7 +176,7 @@ static void operands_as(const Operations *o, int i, int kind, const int *neutral
                 operands[k] = AS[row].operands[k] < 0 ? neutral[-1 - AS[row].operands[k]] : own[AS[row].operands[k]];
 }
 
-/* A kind of which few operations are ready, all of which can be of this one; -1 where there is none. */
+/* Return a kind with few ready operations, all of which `kind` can express; -1 if there is none. */
 static int short_one(const Heap *ready, int kind)
 {
     for (size_t row = 0; row < sizeof AS / sizeof *AS; row++)
@@ -185,9 +185,9 @@ static int short_one(const Heap *ready, int kind)
     return -1;
 }
 
-/* The operations in runs. The next run is of the kind that has an operation on which the longest sequence of other
-   kinds waits, and takes all of its kind that are ready, ordered by their operands; with neutral numbers it also
-   takes operations that would be a short one of their own. */
+/* Arrange the operations in runs. The next run has the kind of the operation on which the longest sequence of other
+   kinds waits. It takes all ready operations of this kind, ordered by their operands, and, given neutral numbers,
+   operations that would form a short run of their own. */
 static void in_runs(Room *room, const Operations *o, int values, Runs *runs)
 {
     const size_t count = (size_t)o->count;
@@ -225,7 +225,7 @@ static void in_runs(Room *room, const Operations *o, int values, Runs *runs)
         for (int each = 0; each < KIND_COUNT; each++)
             if (ready[each].count && (kind < 0 || arrange_less(ready[each].entries[0], ready[kind].entries[0])))
                 kind = each;
-        if (kind < 0) /* operations that wait for each other */
+        if (kind < 0) /* The operations wait for each other. */
             return;
         run.each = OPERANDS[kind];
         for (;;) {
@@ -274,9 +274,9 @@ static void in_runs(Room *room, const Operations *o, int values, Runs *runs)
     }
 }
 
-/* The same operations in runs, by arrays. Of each operation `made` has two values, -1 for none; `neutral` has 1, -1 and
-   -0 by their values, or is NULL. `heads` becomes the kind and the length of each run. Gives the number of runs, -1
-   where there is no memory. */
+/* Arrange operations in runs, for a binding. Each operation makes two values in `made`, -1 for none; `neutral` holds
+   the values 1, -1 and -0, or is NULL; `heads` becomes the kind and length of each run. Return the number of runs, -1
+   without memory. */
 API int alfmu_in_runs(int count, int values, int *kinds, int *operands, int *made, const int *neutral, int *heads,
     int *operands_then, int *made_then)
 {
@@ -291,7 +291,7 @@ API int alfmu_in_runs(int count, int values, int *kinds, int *operands, int *mad
     return room.missing ? -1 : runs.runs;
 }
 
-/* Operations other than sums, and last the sines and cosines, those of an angle together. */
+/* Append the operations other than sums; sines and cosines come last, joined if they have the same angle. */
 static void others(Sums *f, int *slots, int *following[2], int *firsts[2], int *lasts[2])
 {
     Operations *o = &f->made;
@@ -331,10 +331,10 @@ static void others(Sums *f, int *slots, int *following[2], int *firsts[2], int *
     }
 }
 
-/* A function in runs, by arrays. Of each instruction `codes` has the kind (-1 where it makes nothing here; a sum is
-   PLUS, MINUS, NEGATIVE or PRODUCT) and two operands, -1 for none, a cosine its angle as the second one. `opposite`
-   says of constants which of `constants` is their negative, -1 of others; `constants` becomes the values of these,
-   -1 where there is none, from 1, -1 and -0 on, which come first. What is made is as in `alfmu_in_runs`. */
+/* Arrange a function in runs, for a binding. `codes` holds the kind of each instruction (-1 if it makes nothing; a sum
+   is PLUS, MINUS, NEGATIVE or PRODUCT) and `operands` two operands, -1 for none; a cosine has its angle as the second
+   one. `opposite` is the index in `constants` of each constant's negative, -1 for other values. `constants` becomes the
+   values of these, -1 if unused; 1, -1 and -0 come first. For the results see `alfmu_in_runs`. */
 API int alfmu_arrange(int count, const int *codes, const int *operands, const int *opposite, int constant_count,
     int *constants, int *heads, int *operands_then, int *made_then)
 {

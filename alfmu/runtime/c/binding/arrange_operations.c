@@ -5,8 +5,7 @@
 
 #define MOST_INTEGERS ((size_t)1 << 29)
 
-/* An array of so many integers that are all `value`; where there is no memory, `missing` says so and nothing is
-   given. */
+/* Return an array of `count` integers that all are `value`; without memory, set `missing` and return NULL. */
 int *arrange_integers(Room *room, size_t count, int value)
 {
     Room_block *block = count < MOST_INTEGERS ? malloc(sizeof *block + (count + 1) * sizeof(int)) : NULL;

@@ -19,7 +19,7 @@ typedef struct {
     int missing;
 } Room;
 
-/* Triples of integers, the least on top. */
+/* A heap of triples of integers, the least on top. */
 typedef struct {
     int (*entries)[3];
     int count;
@@ -27,7 +27,7 @@ typedef struct {
 
 static const int OPERANDS[] = {OPERAND_COUNTS};
 
-/* Operations on numbered values; each begins somewhere among the operands, and makes one value or two. */
+/* Operations on numbered values: where the operands of each begin, and the one or two values that it makes. */
 typedef struct {
     int count, used;
     int *kinds, *begins, *operands, (*made)[2];

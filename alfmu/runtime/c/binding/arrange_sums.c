@@ -26,7 +26,7 @@ static void append(Sums *f, int k, int last)
     f->length[k]++;
 }
 
-/* Collect the summands of a + b or a - b; a sum that becomes part of another is no longer one of its own. */
+/* Collect the summands of a + b or a - b; a sum used only there becomes part of the new one. */
 static void join(Sums *f, int k, int a, int b, int difference)
 {
     const int begins[2] = {f->uses[a] == 1 ? f->length[a] : 0, f->uses[b] == 1 ? f->length[b] : 0};
@@ -54,8 +54,8 @@ static void join(Sums *f, int k, int a, int b, int difference)
     }
 }
 
-/* The summands of each sum, in the order in which they are added. Sums that only begin another one, and products that
-   only one sum has, are part of that one. */
+/* Find the summands of each sum, in the order of addition. A sum that only begins another sum, or a product that only
+   one sum uses, becomes part of that sum. */
 void arrange_sums(Sums *f)
 {
     for (int k = 0; k < f->count; k++) {
@@ -69,7 +69,7 @@ void arrange_sums(Sums *f)
     }
 }
 
-/* The value that is another one negated. */
+/* Return the negative of a value. */
 static int negative(Sums *f, int value)
 {
     int constant = f->opposite[value];
@@ -111,7 +111,7 @@ void without_differences(Sums *f)
         for (int k = 0; !filling && k < f->count; k++)
             ends[k + 2] += ends[k + 1];
     }
-    /* Constants cost nothing; of others, those first that most products have. */
+    /* Prefer constants, which cost nothing, then the factors of most products. */
     Heap heap = {(int(*)[3])pool, 0};
     for (int x = 0; x < f->count; x++)
         if (ends[x + 1] > ends[x])
@@ -139,7 +139,7 @@ void without_differences(Sums *f)
     }
 }
 
-/* The two factors of a summand; `neutral` are 1, -1 and -0. */
+/* Append the two factors of a summand; `neutral` are 1, -1 and -0. */
 static void factors(Sums *f, int x, const int *neutral)
 {
     int *operands = f->made.operands + f->made.used;
@@ -148,7 +148,7 @@ static void factors(Sums *f, int x, const int *neutral)
     f->made.used += 2;
 }
 
-/* Write a sum as operations, each of which begins with the result of the one before. */
+/* Write a sum as operations, each of which begins with the previous result. */
 void arrange_write(Sums *f, int k)
 {
     Operations *o = &f->made;

@@ -7,16 +7,16 @@
 
 #include "internal_begin.h"
 
-/* A function while its sums are found. */
+/* A function whose sums are being found. */
 typedef struct {
     Room room;
     int count;
     const int *codes, *first, *second, *opposite;
     int *uses;
+    /* Data of summands: a value, or a product with `other`; the one added `next`; -1 for none. */
     int terms, *negative, *factor, *other, *next;
-    /* Summands: a value (`linear_factor`), or a product of two, and the one that is added after it; -1 for none. */
+    /* Data of each sum: its first and last summand, and their number, zero for no sum. */
     int *begin, *end, *length;
-    /* Data of each sum; a length of zero means that there is none. */
     int *negatives, *constants, values;
     Operations made;
 } Sums;

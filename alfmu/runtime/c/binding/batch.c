@@ -1,5 +1,5 @@
-/* Many instances of one scene, some of which are evaluated side by side. Each has a fiber, which waits before it runs a
-   program or calls a function, until the members that wait for the same one run it together. */
+/* Many instances of one scene, some of which are evaluated side by side. Each instance has a fiber, which waits before
+   it runs a program or calls a function; members that wait for the same one run it together. */
 
 #include <stddef.h>
 #include <stdlib.h>

@@ -1,7 +1,7 @@
 /* makecontext creates a fiber; setjmp and longjmp switch fibers without a system call. */
 
 #define _XOPEN_SOURCE 700
-#undef _FORTIFY_SOURCE /* The checked longjmp refuses another stack. */
+#undef _FORTIFY_SOURCE /* The checked longjmp refuses to change stacks. */
 
 #include "fibers.h"
 

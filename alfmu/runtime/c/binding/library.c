@@ -1,4 +1,4 @@
-/* Functions beside those of FMI: scenes and instances for a binding such as library.py. */
+/* Functions besides those of FMI: scenes and instances for a binding such as library.py. */
 
 #include <math.h>
 #include <stddef.h>
@@ -41,7 +41,7 @@ API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, 
     INSIDE(Scene *, scene_load(bytes, size, why, why_size));
 }
 
-/* The functions of the scene as compiled code in place of interpreted ones; zero where they are of another scene. */
+/* Replace interpreted functions by compiled ones; return zero if these belong to another scene. */
 API int alfmu_scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
 {
     return scene_compiled(s, functions, count, spare, identity);
@@ -77,7 +77,7 @@ API const char *alfmu_text(const Instance *i)
     return i->text;
 }
 
-/* Flag of a warning that was not read yet; its reader sets it to 0. */
+/* Return the flag of an unread warning, which its reader sets to 0. */
 API int *alfmu_warns(Instance *i)
 {
     return &i->warns;
@@ -88,7 +88,7 @@ API const char *alfmu_warning(const Instance *i)
     return i->warning;
 }
 
-/* The error of a communication step that the caller made. */
+/* Update and return the energy error of a communication step that the caller made. */
 API double alfmu_balance(Instance *i)
 {
     arena_reset(i);
@@ -166,7 +166,7 @@ API int alfmu_begin(Instance *i, double start, double stop)
     INSIDE(int, instance_begin(i, start, stop));
 }
 
-/* Set the rate of an input in the next communication step; it is constant in those after it. */
+/* Set the rate of an input in the next communication step; afterwards the input is constant. */
 API int alfmu_slope(Instance *i, int reference, double value)
 {
     INSIDE(int, instance_set_slope(i, reference, value));
@@ -188,7 +188,7 @@ API int alfmu_initialize(Instance *i)
     INSIDE(int, instance_initialize(i));
 }
 
-/* The first part of `alfmu_step`, for a caller that makes the step itself. */
+/* Begin a communication step, like `alfmu_step`, for a caller that makes the step itself. */
 API int alfmu_ready(Instance *i, double start, double h)
 {
     INSIDE(int, instance_ready(i, start, h));
@@ -207,7 +207,7 @@ API int alfmu_step(Instance *i, double start, double h)
     INSIDE(int, instance_step(i, start, h));
 }
 
-/* Functions of Python's own C interface, as the binding hands them over: the library is not linked with Python. */
+/* Functions of Python's C interface, which the binding passes: the library is not linked with Python. */
 typedef struct {
     double (*number)(void *object); /* PyFloat_AsDouble */
     void *(*address)(void *object); /* PyLong_AsVoidPtr */
@@ -219,8 +219,8 @@ typedef struct {
 
 static Python python;
 
-/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an
-   instance, the arguments are the start and the length; NULL is an exception. */
+/* `alfmu_step` as a Python function, in a tenth of the time of a ctypes call: self is the address of an instance, the
+   arguments are start and length of the step; NULL means an exception. */
 static void *step_from_python(void *self, void *const *arguments, ptrdiff_t count)
 {
     const double start = count > 0 ? python.number(arguments[0]) : NAN,
@@ -235,7 +235,7 @@ static void *step_from_python(void *self, void *const *arguments, ptrdiff_t coun
     return python.object(outcome);
 }
 
-/* A function in C as Python knows one: PyMethodDef, with its arguments as an array (METH_FASTCALL). */
+/* Python's description of a C function: PyMethodDef, with arguments as an array (METH_FASTCALL). */
 typedef struct {
     const char *name;
     void *(*function)(void *self, void *const *arguments, ptrdiff_t count);
@@ -243,7 +243,7 @@ typedef struct {
     const char *doc;
 } Method;
 
-/* Description of a built-in function of Python; it must live as long as that function. */
+/* Return the description of a Python function that steps; it must live as long as that function. */
 API const Method *alfmu_python_step(const Python *functions)
 {
     static const Method method = {"step", step_from_python, 0x80, NULL};
@@ -251,7 +251,7 @@ API const Method *alfmu_python_step(const Python *functions)
     return &method;
 }
 
-/* Outputs at this instant; where they cannot be computed, those that can. */
+/* Get the outputs at this instant; if some cannot be computed, get the others. */
 API int alfmu_read(Instance *i, double *values)
 {
     const int first = scene_first_output(i->scene), end = scene_variable_count(i->scene);
@@ -313,7 +313,7 @@ API int alfmu_brakes(const Instance *i)
     return i->flags.brakes;
 }
 
-/* Penalties of all constraints: those of the start where the instance is not initialised yet. */
+/* Set the penalties of all constraints; before initialisation, those of the start. */
 API int alfmu_penalize(Instance *i, const double *penalties)
 {
     const Scene *s = i->scene;
@@ -352,16 +352,16 @@ API void alfmu_counts(const Instance *i, double *counts)
     counts[COUNTED + TALLY] = (double)i->shared;
 }
 
-#if !defined(__wasm__) /* a page runs step by step, and has no clock of C */
+#if !defined(__wasm__) /* WebAssembly has no C clock, and a web page runs step by step. */
 
-/* A run that goes on. */
+/* A run in progress. */
 typedef struct {
     const Run *run;
-    long done; /* communication steps that are made */
+    long done; /* completed communication steps */
     clock_t asked;
 } Going;
 
-/* Asks the caller of a run, some times a second, whether it goes on. */
+/* Ask the caller of a run, a few times a second, whether it goes on. */
 static int goes_on(Instance *i)
 {
     Going *going = i->run;

@@ -1,9 +1,9 @@
-/* Runs with derivatives, for a binding: tangents of what is wanted at each communication point, and adjoints of a
-   function of all that was wanted.
+/* Runs with derivatives, for a binding: tangents of the requested values at each communication point, and adjoints of a
+   weighted sum of all of them.
 
-   A run that is to be swept back is divided into windows. The tape of the last window is kept, and of the others the
-   state in which they begin: they are run again, to the same bits, when the sweep comes to them. So memory is
-   bounded, and the whole takes two runs and a sweep at most. */
+   A run for a backward sweep is divided into windows. The tape of the last window is kept; of the others, the state at
+   their start, from which they are repeated, to the same bits, when the sweep reaches them. So memory is bounded, at
+   the cost of at most two runs and a sweep. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -27,7 +27,7 @@
 #include "variables.h"
 #include "whole_run.h"
 
-#define NO_MEMORY (-2) /* an outcome beside those of an instance; -1 where the caller ended the run */
+#define NO_MEMORY (-2) /* outcome besides those of an instance; -1: the caller ended the run */
 
 API Gradient *alfmu_gradient_new(Instance *i, int directions)
 {
@@ -45,7 +45,7 @@ static int set_row(Instance *i, const Run *r, long row)
     Outcome outcome = DONE;
     for (int k = 0; k < r->input_count && outcome == DONE; k++)
         outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
-    /* What the step read at its end is read again for other inputs. */
+    /* If inputs differ, drop the recorded reading at the end of the step, which is then repeated. */
     if (row && reading.entries && !i->flags.known && i->tape->used.entries == before.entries)
         tape_cut(i, reading);
     return (int)outcome;
@@ -72,7 +72,7 @@ static int read_row(Instance *i, const Run *r, long row)
     return (int)outcome;
 }
 
-/* Asks the caller some times a second; zero ends the run. */
+/* Ask the caller a few times a second; return zero to end the run. */
 static int goes_on(const Run *r, long row, clock_t *asked)
 {
     if (!r->progress || clock() - *asked <= CLOCKS_PER_SEC / 20)
@@ -81,8 +81,8 @@ static int goes_on(const Run *r, long row, clock_t *asked)
     return r->progress(row);
 }
 
-/* A run with tangents. `seeds` has the directions (directions) of each parameter, `input_seeds` those of each input
-   at each row (NULL for none); `derivatives` (rows, wanted, directions) is written. Returns how many rows there are. */
+/* Make a run with tangents. `seeds` holds the directions (directions) of each parameter, `input_seeds` those of each
+   input at each row (NULL for none); `derivatives` becomes (rows, wanted, directions). Return the number of rows. */
 API long alfmu_tangent_run(Gradient *g, const Run *r, int directions, const double *seeds, const double *input_seeds,
     double *derivatives, int *outcome)
 {
@@ -131,14 +131,14 @@ API long alfmu_tangent_run(Gradient *g, const Run *r, int directions, const doub
     return row;
 }
 
-/* Makes rows up to an end, or until the tape takes so many bytes; the marks of each. */
+/* Make rows up to `end`, or until the tape takes `bytes`, with the marks of each; return the outcome. */
 static int make_rows(Gradient *g, const Run *r, long *row, long end, size_t bytes, clock_t *asked)
 {
     Instance *i = g->instance;
     const long first = *row;
     int outcome = DONE;
     tape_clear(g->tape);
-    i->onward = 0; /* Nothing is taken from before. */
+    i->onward = 0; /* Reuse no evaluation from before. */
     while (*row < end && outcome == DONE && (*row == first || tape_bytes(g->tape) <= bytes)) {
         if (!goes_on(r, *row, asked))
             return -1;
@@ -156,7 +156,7 @@ static int make_rows(Gradient *g, const Run *r, long *row, long end, size_t byte
     return outcome;
 }
 
-/* A run that can be swept back, with a tape of about so many bytes; returns how many rows there are. */
+/* Make a run for a backward sweep, with a tape of about so many bytes; return the number of rows. */
 API long alfmu_recorded_run(Gradient *g, const Run *r, double bytes, int *outcome)
 {
     Instance *i = g->instance;
@@ -192,7 +192,7 @@ API long alfmu_recorded_run(Gradient *g, const Run *r, double bytes, int *outcom
     return row;
 }
 
-/* Sweeps back the rows of the window that is on the tape. */
+/* Sweep back the rows of the window on the tape. */
 static void sweep_rows(Gradient *g, const Run *r, long first, long end, const double *weights, double *of_inputs)
 {
     const Instance *i = g->instance;
@@ -219,8 +219,8 @@ static void sweep_rows(Gradient *g, const Run *r, long first, long end, const do
     g->tape->used = used;
 }
 
-/* The derivatives of the sum of all values of a recorded run times their weights (rows, wanted): by each parameter,
-   and by each input at each row. It can be asked for with other weights. */
+/* Differentiate the sum of all values of a recorded run times `weights` (rows, wanted): with respect to each parameter,
+   and to each input at each row. The run can be swept again with other weights. */
 API int alfmu_adjoint_run(Gradient *g, const Run *r, const double *weights, double *of_parameters, double *of_inputs)
 {
     Instance *i = g->instance;
@@ -251,7 +251,7 @@ API int alfmu_adjoint_run(Gradient *g, const Run *r, const double *weights, doub
         }
         if (outcome == DONE)
             sweep_rows(g, r, first, last, weights, of_inputs);
-        /* Between windows nothing is handed on but the memory. */
+        /* Windows depend on each other only through the memory of the instance. */
         memset(g->adjoints + workspace, 0, (g->places - workspace) * sizeof *g->adjoints);
     }
     g->swept = g->window_count > 1;

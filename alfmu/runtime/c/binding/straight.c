@@ -1,5 +1,5 @@
-/* Reads functions of CasADi and encodes them without loops, for `alfmu.kernel.stream` and `alfmu.kernel.passes`. No
-   scene that runs calls any of this. */
+/* Reads functions of CasADi and encodes them without loops, for `alfmu.kernel.stream` and `alfmu.kernel.passes`.
+   Running a scene does not need it. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -12,14 +12,14 @@
 
 #define MOST_IN_RUN 65535
 
-/* In place of the number of 1.0, which is known once all others are. */
+/* Placeholder for the number of 1.0, which is known only after all others. */
 #define ONE_THEN (-2)
 
+/* Neutral numbers, and the most operands of an instruction. */
 #define NEUTRALS 3
 #define MOST_TAKEN 15
-/* Numbers that change nothing, and the largest number of operands that an instruction becomes. */
 
-/* Triples by their contents. */
+/* A hash table that numbers triples. */
 typedef struct {
     int (*keys)[3], *numbers, mask;
 } Known;
@@ -34,7 +34,7 @@ static Known known_of(Room *room, int count)
     return made;
 }
 
-/* The number of a triple, which is `number` where it is new. */
+/* Return the number of a triple; a new one gets `number`. */
 static int known_number(Known *known, int a, int b, int c, int number)
 {
     unsigned at = (unsigned)a * 2654435761u ^ (unsigned)b * 2246822519u ^ (unsigned)c * 3266489917u;
@@ -55,10 +55,10 @@ static int is_binary(int role)
     return role == BINARY_ROLE || role == COPYSIGN_ROLE;
 }
 
-/* The instructions of a function without operations that an earlier one does on the same values. Of each of CasADi's
-   there are the operation and three numbers: addresses, places or a constant. `roles` has those of `OPERATIONS`
-   operations. The arrays of two rows have `count` columns. Gives the number of instructions; -1 where these numbers
-   have no meaning, or where there is no memory. */
+/* Read the instructions of a function; leave out operations that repeat an earlier one on the same values. Each atom of
+   CasADi has an operation and three numbers: addresses, places or a constant. `roles` has the roles of `OPERATIONS`
+   operations. The arrays of two rows have `count` columns. Return the number of instructions; -1 if these numbers are
+   invalid, or without memory. */
 API int alfmu_instructions(int count, const int (*atoms)[4], const int *roles, int64_t *code, int64_t *operands,
     int64_t *places, double *constants)
 {
@@ -95,22 +95,23 @@ API int alfmu_instructions(int count, const int (*atoms)[4], const int *roles, i
     return room.missing ? -1 : kept;
 }
 
-/* A function while it is encoded: its instructions, and those for `alfmu_arrange`, in which arguments and constants
-   stand before the first operation that takes them, and at the end there is one for each value that is a result. */
+/* A function while it is encoded: its instructions, and those for `alfmu_arrange`. There arguments and constants come
+   before the first operation that uses them, and a last instruction uses each value that is a result. */
 typedef struct {
     Room room;
     int count, then, entries;
     const int64_t *code, *first, *second, *which, *entry;
     const int *roles;
+    /* `numbers`: number of each instruction for `alfmu_arrange`; `slots`: of arguments their entry, of constants their
+       index after all entries; `leaf_numbers`: number of each slot, -1 if no operation uses it. */
     int *numbers, *slots, *leaf_numbers;
-    /* Of each instruction its number then, and of arguments and constants a slot: the entry, or behind all entries the
-       index of the constant. Of each slot its number then, -1 where no operation takes it. */
+    /* Instructions for `alfmu_arrange`. */
     int *codes, *operands, *slots_then;
     Known known;
     double *constants;
     int constant_count;
+    /* Runs of `alfmu_arrange`; address of each value: a constant from -1 down, an argument or a value from 0 on. */
     int runs, *heads, *operands_then, *made, *at;
-    /* Runs, and of each value then its address: a constant from -1 down, an argument or a value from 0 on. */
 } Straight;
 
 static int role_of(const Straight *s, int64_t k)
@@ -123,7 +124,7 @@ static int is_leaf(const Straight *s, int64_t k)
     return role_of(s, k) == INPUT_ROLE || role_of(s, k) == CONSTANT_ROLE;
 }
 
-/* The number of an operand; a sign that is the number's own is no operation. */
+/* Return the number of an operand; giving a number its own sign is no operation. */
 static int operand_number(const Straight *s, int64_t k)
 {
     if (role_of(s, k) == COPYSIGN_ROLE && s->first[k] == s->second[k])
@@ -139,7 +140,7 @@ static void append(Straight *s, int code, int first, int second, int slot)
     s->slots_then[s->then++] = slot;
 }
 
-/* An operation as `alfmu_arrange` takes it, after those of its arguments and constants that are new. */
+/* Append an operation for `alfmu_arrange`, after its arguments and constants that are new. */
 static void add_operation(Straight *s, int k, const int *kinds)
 {
     const int64_t from[2] = {s->first[k], s->second[k]};
@@ -162,7 +163,7 @@ static int bits_number(Known *known, double value, int number)
     return known_number(known, bits[0], bits[1], 0, number);
 }
 
-/* The index of a constant, added where it is new. */
+/* Return the index of a constant, which is added if new. */
 static int constant_index(Straight *s, double value)
 {
     const int index = bits_number(&s->known, value, s->constant_count);
@@ -171,7 +172,7 @@ static int constant_index(Straight *s, double value)
     return index;
 }
 
-/* The slots of arguments, and of constants that are used. */
+/* Find the slots of arguments and of used constants. */
 static void find_slots(Straight *s, const double *constants, const int *arguments)
 {
     int *used = arrange_integers(&s->room, (size_t)s->count, 0);
@@ -192,7 +193,7 @@ static void find_slots(Straight *s, const double *constants, const int *argument
     }
 }
 
-/* A constant that arranging may take: 1, -1 or -0, or the opposite of one of the function. */
+/* Return a constant that arranging may use: 1, -1 or -0, or the negative of a constant of the function. */
 static double opposite_of(const Straight *s, int index)
 {
     static const double NEUTRAL[] = {1.0, -1.0, -0.0};
@@ -209,7 +210,7 @@ static int64_t address_of(int at, int64_t behind)
     return at < 0 ? -1 - at - behind : at + behind;
 }
 
-/* Order those that arranging has taken by the numbers that it gave them. */
+/* Order the constants that arranging uses by the numbers that it gave them. */
 static int in_order(const int *values, int count, int *order)
 {
     int found = 0;
@@ -223,7 +224,7 @@ static int in_order(const int *values, int count, int *order)
     return found;
 }
 
-/* The runs of the operations, and the addresses of all values; gives the number of values that operations make. */
+/* Arrange the operations in runs, and find the addresses of all values; return the number of values made. */
 static int arrange(Straight *s)
 {
     Room *room = &s->room;
@@ -272,7 +273,7 @@ static int arrange(Straight *s)
     return found;
 }
 
-/* The words of the runs, each of at most so many operations as 16 bits can count. */
+/* Write the words of the runs, each of at most MOST_IN_RUN operations. */
 static int write_words(const Straight *s, int64_t behind, int64_t *words)
 {
     int count = 0, taken = 0;
@@ -287,7 +288,7 @@ static int write_words(const Straight *s, int64_t behind, int64_t *words)
     return count;
 }
 
-/* Rows of results, those of an operation where it is made. */
+/* Write the rows of results, in the order in which their values are made. */
 static int write_rows(const Straight *s, const int *results, const int *firsts, const int *nexts, int64_t behind,
     int64_t (*rows)[2])
 {
@@ -303,11 +304,11 @@ static int write_rows(const Straight *s, const int *results, const int *firsts, 
     return count;
 }
 
-/* Straight code of a function from `alfmu_instructions`: the words of its runs, its constants, and rows of an entry
-   among the results with its address. The addresses of constants begin at -behind, those of arguments and then of
-   values at `behind`. `kinds` has the kind of each operation of CasADi, `arguments` and `results` the first entry of
-   each argument and result, `entries` is the number of those of all arguments. `sizes` becomes the numbers of words,
-   constants, values and rows. Gives -1 where there is no memory. */
+/* Encode a function from `alfmu_instructions` as straight code: the words of its runs, its constants, and rows (entry
+   of the results, address). Addresses of constants begin at -behind, those of arguments and then of values at `behind`.
+   `kinds` has the kind of each CasADi operation, `arguments` and `results` the first entry of each argument and result;
+   `entries` is the number of entries of all arguments. `sizes` becomes the numbers of words, constants, values and
+   rows. Return -1 without memory. */
 API int alfmu_straight(int count, const int64_t *code, const int64_t *operands, const int64_t *places,
     const double *given, const int *roles, const int *kinds, const int *arguments, int entries, const int *results,
     int64_t behind, int64_t *words, double *constants, int64_t (*rows)[2], int *sizes)

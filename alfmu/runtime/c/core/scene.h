@@ -151,7 +151,7 @@ typedef struct {
     int entries, directions; /* of the interface Jacobian; its entries are the last variables */
     const Jacobian_entry *jacobian; /* [entries] */
     Pattern mass, constraint, gaps, tie_rows;
-    Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
+    Envelope closing; /* J J' of the start: J is C or the rows of the gaps, then those of the kept start values */
     Envelope holding; /* M + C' C */
     const double *constants;   /* [constant_count] */
     const Function *functions; /* [function_count] */

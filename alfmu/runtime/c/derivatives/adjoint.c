@@ -1,4 +1,4 @@
-/* Propagate adjoints back along a tape, from one number at the end to all numbers at the beginning, at a cost that
+/* Propagates adjoints back along a tape, from one number at the end to all numbers at the beginning, at a cost that
    does not depend on their number. The rules are those of tangent.c, transposed. */
 
 #include "adjoint.h"
@@ -72,7 +72,7 @@ static void adjoint_of_factor(const Tape *tape, const Entry *e, double *adjoints
     memset(a, 0, (size_t)(size * size) * sizeof *a);
 }
 
-/* w with A' w = x, by the factors of A: rows of A in `order`, L with ones on its diagonal below U. */
+/* Solve A' w = x with the factors of A: rows of A in `order`, L with unit diagonal below U. */
 static void solve_back(int size, const double *a, const double *order, double *x, double *w)
 {
     for (int i = 0; i < size; i++) {
@@ -142,11 +142,11 @@ static void adjoint_of_least_norm(Gradient *g, const Entry *e)
                 left[r] -= a[c * side + r] * x[c];
         }
         linear_least_norm(side, side, back, x, few, lam, i->dense);
-        linear_least_norm(side, side, back, ax, few, w, i->dense); /* A+' of the adjoint */
-        linear_least_norm(side, side, a, w, few, ww, i->dense);    /* A+ A+' of it */
+        linear_least_norm(side, side, back, ax, few, w, i->dense); /* A+' ax */
+        linear_least_norm(side, side, a, w, few, ww, i->dense);    /* A+ A+' ax */
         if (!linear_rank_is_sure(side, few, i->dense))
             w[0] = NAN;
-        for (int c = 0; c < side; c++) {                    /* (1 - A+ A) of it */
+        for (int c = 0; c < side; c++) {                    /* (1 - A+ A) ax */
             z[c] = ax[c];
             for (int r = 0; r < side; r++)
                 z[c] -= a[c * side + r] * w[r];
@@ -182,7 +182,7 @@ static void adjoint_of_sum(const Tape *tape, const Entry *e, double *a)
             a[words[1 + k]] += tape->numbers[e->numbers + (size_t)k] * w;
 }
 
-/* All adjoints of the instance led back along its tape, up to a mark. */
+/* Propagate all adjoints of the instance back along its tape, down to a mark. */
 void adjoints_along(Gradient *g, Mark from)
 {
     const Tape *tape = g->tape;

@@ -41,7 +41,7 @@ void adjoints_through(const Flat *flat, const double *r, double *ar)
             ADJOINT_SUM(PLUS_KIND, 2, A(0) += w; A(1) += w;)
             ADJOINT_SUM(MINUS_KIND, 2, A(0) += w; A(1) -= w;)
             ADJOINT_SUM(NEGATIVE_KIND, 1, A(0) -= w;)
-            ADJOINT_SUM(KIND_COUNT, 1, A(0) += w;) /* as it is */
+            ADJOINT_SUM(KIND_COUNT, 1, A(0) += w;) /* copy */
         case OVER_KIND:
             for (int32_t c = run->result + count - 1; count; count--, at -= 2, d--, c--)
                 if (*d != 0.0) {

@@ -16,7 +16,7 @@
             EACH_PART d->part[part] = value; \
         break;
 
-/* A partial derivative times the tangents of its operand, added. */
+/* Add the tangents of an operand times the partial derivative. */
 void tangent_along(Lanes *d, double partial, const Lanes *tangent)
 {
     if (partial != 0.0)
@@ -43,7 +43,7 @@ BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr)
             TANGENT_SUM(PLUS_KIND, 2, T(0) + T(1))
             TANGENT_SUM(MINUS_KIND, 2, T(0) - T(1))
             TANGENT_SUM(NEGATIVE_KIND, 1, -T(0))
-            TANGENT_SUM(KIND_COUNT, 1, T(0)) /* as it is */
+            TANGENT_SUM(KIND_COUNT, 1, T(0)) /* copy */
         case OVER_KIND:
             for (int32_t c = run->result; count; count--, at += 2, d++, c++) {
                 const double inverse = 1.0 / R(1), minus = -r[c] * inverse;

@@ -10,8 +10,8 @@
 
 void tangent_along(Lanes *d, double partial, const Lanes *tangent);
 
-/* Tangents and adjoints of a function, once its registers have their values and the arguments their tangents, or the
-   results their adjoints. */
+/* Propagate tangents, or adjoints, through a function whose registers hold the values, if the arguments have their
+   tangents, or the results their adjoints. */
 BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr);
 
 #include "internal_end.h"

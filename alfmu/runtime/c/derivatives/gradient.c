@@ -14,7 +14,7 @@
 
 static const unsigned char operand_counts[] = {OPERAND_COUNTS, 1};
 
-#define COPY_KIND KIND_COUNT /* of a flat function: a value as it is */
+#define COPY_KIND KIND_COUNT /* a copy, in a flat function */
 
 /* State of a traversal that first counts the entries of a flat function, and then writes them. */
 typedef struct {

@@ -15,7 +15,7 @@
 #include "internal_begin.h"
 
 #if HAS_DERIVATIVES
-/* A function as runs of equal operations over places of registers, loops written out. */
+/* A function as runs of equal operations on registers, with loops unrolled. */
 typedef struct {
     int32_t kind, count, result;
     const int32_t *operands;
@@ -23,7 +23,7 @@ typedef struct {
 typedef struct {
     Run_of *runs;
     int32_t *operands;
-    int count, first; /* runs; the first register behind the arguments */
+    int count, first; /* number of runs; first register after the arguments */
     int registers;
 } Flat;
 
@@ -31,28 +31,28 @@ typedef struct {
 typedef struct Gradient {
     Instance *instance;
     Tape *tape;
-    Flat *flats;         /* of each function, made when it is first needed */
+    Flat *flats;         /* [functions] each is made when first needed */
     int functions;
-    size_t places;       /* numbers of the instance that have derivatives */
-    int blocks;          /* of LANES directions */
-    Lanes *tangents;     /* by blocks, of each place */
+    size_t places;       /* count of numbers of the instance that have derivatives */
+    int blocks;          /* blocks of LANES directions */
+    Lanes *tangents;     /* [blocks * places] */
     Lanes *lane_registers;
-    double *adjoints;    /* of each place */
-    double *registers;   /* adjoints of those of a function */
+    double *adjoints;    /* [places] */
+    double *registers;   /* adjoints of a function's registers */
     void *lanes_block;
-    int lost;            /* whether there was no memory */
-    /* A run that is swept back. */
-    unsigned char *states; /* at the beginning of each window */
-    long *windows;         /* row at which each begins */
+    int lost;            /* whether memory ran out */
+    /* A recorded run, for a backward sweep. */
+    unsigned char *states; /* saved state at the start of each window */
+    long *windows;         /* first row of each window */
     long window_count, window_room, rows;
-    int swept; /* whether the tape has the first window, no longer the last */
-    Mark *marks;           /* of the last window: where inputs were set at each row, and where the row ends */
+    int swept; /* whether the tape holds the first window instead of the last */
+    Mark *marks;           /* of the window on the tape: for each row, where its inputs are set and where it ends */
 } Gradient;
 
 const Flat *gradient_flat(Gradient *g, int which);
 int32_t function_result_place(const Function *f, size_t k);
 
-/* Values of the registers of a function for saved arguments. */
+/* Evaluate the registers of a function again for saved arguments. */
 double *gradient_values_again(Gradient *g, int which, const double *saved);
 
 Gradient *gradient_new(Instance *i, int directions);

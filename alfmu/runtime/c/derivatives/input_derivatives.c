@@ -11,11 +11,12 @@
 #include "record.h"
 #include "scene.h"
 
-/* Numbers in which the polynomial of an input is linear: values of the input, coefficients, points of its history. */
+/* The polynomial of a driving input is linear in these numbers: values of the input, coefficients, points of its
+   history. */
 #define OF_INPUT 3
 #define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
 
-/* Apply the linear map of the polynomial to `x` (AIM_NUMBERS). */
+/* Apply this linear map to `x` (AIM_NUMBERS). */
 static void differentiate_aim(const Followed *f, const double *saved, double *x)
 {
     double c[POLYNOMIAL], heard[HEARD];
@@ -31,7 +32,7 @@ static void differentiate_aim(const Followed *f, const double *saved, double *x)
     memcpy(x + OF_INPUT + POLYNOMIAL - 1, heard + VALUES, HEARD_POINTS * sizeof *heard);
 }
 
-/* Return the place of one of these numbers; -1 for a derivative that the input does not have. */
+/* Return the place of one of these numbers; -1 if the input has no such derivative. */
 static int32_t aim_place(const Followed *f, const int32_t *words, int k)
 {
     if (k < OF_INPUT)

@@ -1,4 +1,4 @@
-/* Derivatives of the course of inputs that move something. */
+/* Derivatives of the polynomials of driving inputs. */
 
 #ifndef ALFMU_INPUT_DERIVATIVES_H
 #define ALFMU_INPUT_DERIVATIVES_H

@@ -1,7 +1,8 @@
-/* The interface Jacobian: derivatives of outputs at the end of a communication step by inputs that are held over it.
+/* The interface Jacobian: derivatives of outputs at the end of a communication step with respect to inputs held over
+   it.
 
-   Each internal step is written on a tape, swept forward and forgotten, so that a communication step of any length
-   takes the memory of one. What the step begins with beside its inputs is left as it is. */
+   Each internal step is recorded on a tape, swept forward and discarded, so that memory does not grow with the
+   communication step. Apart from its inputs, the state at the start of the step is constant. */
 
 #include "interface_jacobian.h"
 
@@ -23,7 +24,7 @@ static Lanes *tangents_of(const Gradient *g, int direction, const double *number
     return g->tangents + (size_t)(direction / LANES) * g->places + (size_t)tape_place_of(g->instance, number);
 }
 
-/* Before a step; one that goes on in a communication step goes on with its derivatives. */
+/* Set the tangents before a step; one that continues a communication step continues its tangents. */
 Outcome jacobian_begin(Instance *i)
 {
     const Scene *s = i->scene;
@@ -57,7 +58,7 @@ static double derivative(const Instance *i, int entry)
     return tangents_of(i->of_step, direction, output)->lane[direction % LANES];
 }
 
-/* Propagate the tangents along the steps recorded since. */
+/* Propagate the tangents along the recorded steps. */
 void jacobian_along(Instance *i)
 {
     const Mark begin = {0, 0, 0};
@@ -67,7 +68,7 @@ void jacobian_along(Instance *i)
     }
 }
 
-/* Behind a step, once its outputs have been read; FAILED where a derivative is not finite. */
+/* Store the Jacobian after the outputs of a step were evaluated; FAILED if a derivative is not finite. */
 Outcome jacobian_end(Instance *i)
 {
     const Scene *s = i->scene;

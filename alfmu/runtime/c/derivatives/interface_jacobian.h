@@ -1,4 +1,4 @@
-/* The interface Jacobian: outputs at the end of a communication step by inputs that are held over it. */
+/* The interface Jacobian: outputs at the end of a communication step by inputs held over it. */
 
 #ifndef ALFMU_INTERFACE_JACOBIAN_H
 #define ALFMU_INTERFACE_JACOBIAN_H

@@ -1,9 +1,9 @@
 /* Derivatives of the start: of each Gauss-Newton step that closed the loops, and of the corrections that made
    velocities consistent.
 
-   A step x = J+ r, and lam with x = J' lam, has the differential dx = J+ (dr - dJ x) + (1 - J+ J) dJ' lam; what it
-   leaves out lies in the rows of J, where the last step, at closed loops, sets it anew. Both parts are corrections
-   of least norm, so that their ranks are those of the start. */
+   A step x = J+ r with x = J' lam has the differential dx = J+ (dr - dJ x) + (1 - J+ J) dJ' lam. A remaining error lies
+   in the row space of J, and the last step, at closed loops, removes it. Both terms are corrections of least norm, with
+   the ranks of the start. */
 
 #include "start_derivatives.h"
 
@@ -23,7 +23,7 @@
 #include "record.h"
 #include "scene.h"
 
-/* An entry read again. */
+/* A correction, read from the tape. */
 typedef struct {
     const int32_t *places;
     const double *closure, *constraints, *rows, *columns, *x, *lam;
@@ -61,7 +61,7 @@ static size_t result_offset(const Function *f, int which)
 enum { GAPS, TIES, GAP_LEFT, TIES_LEFT };
 enum { OF_MASS, OF_C, OF_PHI, OF_CV };
 
-/* The rows of J in the present registers, of a function and from one of its results on, weighed. */
+/* Fill the rows of J from registers: results of a function from `which` on, with weights. */
 static void fill_rows(
     const Function *f, int which, const double *r, const double *rows, const double *columns, Matrix a)
 {
@@ -71,7 +71,7 @@ static void fill_rows(
     matrix_weigh(a, rows, columns);
 }
 
-/* Load the tangents of the arguments of a function from `places`, and propagate them through its registers. */
+/* Load the tangents of a function's arguments from `places`, and propagate them through its registers. */
 static void lead_tangents(Gradient *g, int which, const double *r, const int32_t *places, const Lanes *t)
 {
     const Function *f = g->instance->scene->functions + which;
@@ -86,7 +86,7 @@ static void lead_tangents(Gradient *g, int which, const double *r, const int32_t
         tangents_through(flat, r, g->lane_registers);
 }
 
-/* Adds the adjoints of the arguments of a function whose results have theirs in `g->registers`, cleared before. */
+/* Add the adjoints of a function's arguments at `places`; those of its results are in `g->registers`. */
 static void lead_adjoints(Gradient *g, int which, const double *r, const int32_t *places)
 {
     const Function *f = g->instance->scene->functions + which;
@@ -106,7 +106,7 @@ static void clear_registers(Gradient *g, int which)
         (size_t)(s->functions[which].registers - s->constant_count) * sizeof *g->registers);
 }
 
-/* The derivative of x = J+ r along one direction: `right` is dr - dJ x, `row` is dJ' lam. */
+/* Differentiate x = J+ r along one direction; `right` is dr - dJ x, `row` is dJ' lam. */
 static void differentiate_least_norm(Instance *i, const Rows *J, double *right, const double *row, double *dx)
 {
     const Scene *s = i->scene;
@@ -135,7 +135,7 @@ static void add_row_changes(const Function *f, int which, const Lanes *dr, int l
         }
 }
 
-/* J of the positions: gaps of the constraints, and ties, from the registers of the closure. */
+/* Return J for positions: rows of the gaps and of the ties, from the registers of the closure. */
 static Rows make_position_rows(Instance *i, const Correction *k, const double *r)
 {
     const Scene *s = i->scene;
@@ -177,7 +177,7 @@ void closed_tangents(Gradient *g, const Entry *e)
     arena_release(i, arena);
 }
 
-/* Adjoints of the nonzeros of a matrix, added to those of the registers: of r by w, of rows by z. */
+/* Add the adjoints of a matrix's nonzeros to the registers: from the right-hand side by w, from the rows by z. */
 static void add_matrix_adjoints(const Function *f, int which, double *ar, const Pattern *p, const double *rows,
     const double *columns, const double *x, const double *lam, const double *w, const double *z)
 {
@@ -189,7 +189,7 @@ static void add_matrix_adjoints(const Function *f, int which, double *ar, const 
         }
 }
 
-/* w = J+' y and z = (1 - J+ J) y */
+/* Compute w = J+' y and z = (1 - J+ J) y. */
 static void split_adjoint(Instance *i, const Rows *J, const double *y, double *w, double *z)
 {
     const Scene *s = i->scene;
@@ -228,7 +228,7 @@ void closed_adjoints(Gradient *g, const Entry *e)
     arena_release(i, arena);
 }
 
-/* J of the velocities: C of the constraints, and the ties of the closure. */
+/* Return J for velocities: C from the constraints, and the ties from the closure. */
 static Rows make_rate_rows(Gradient *g, const Correction *k)
 {
     Instance *i = g->instance;
@@ -241,7 +241,7 @@ static Rows make_rate_rows(Gradient *g, const Correction *k)
     return J;
 }
 
-/* Return the velocities before a correction over the weights of their columns. */
+/* Return the velocities before a correction, divided by the weights of their columns. */
 static const double *find_scaled_rates(Instance *i, const Correction *k)
 {
     const double *v = k->constraints + i->scene->n;
@@ -320,7 +320,7 @@ void rated_adjoints(Gradient *g, const Entry *e)
     split_adjoint(i, &J, y, w, z);
     for (int j = 0; j < s->ties; j++)
         g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += k.rows[s->l + j] * w[s->l + j];
-    /* The product T v of the ties is differentiated here; C v is part of the function of the constraints. */
+    /* Differentiate the product T v of the ties here; C v is a result of the constraints. */
     {
         double *of_ties = arena_alloc(i, count);
         memset(of_ties, 0, count * sizeof *of_ties);
@@ -345,7 +345,8 @@ void rated_adjoints(Gradient *g, const Entry *e)
     arena_release(i, arena);
 }
 
-/* An entry read again: roots of penalties over that of the largest, and b, v and sizes. */
+/* A frozen rank, read from the tape: roots of penalties over the root of the largest, and b, v and sizes of
+   tape_holding. */
 typedef struct {
     int32_t places[3];
     int32_t matrix;

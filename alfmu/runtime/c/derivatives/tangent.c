@@ -1,9 +1,7 @@
-/* Tangents along a tape: what directions of the beginning become, LANES of them at once.
-
-   An operation of a function is differentiated by partial derivatives that CasADi derives (operations.h), a routine
-   of linear algebra by the equation that its result solves, at that result: its iterations, pivots and ranks are
-   those that were. A derivative of zero takes no part, so that what is infinite on a way that was not taken does no
-   harm. */
+/* Propagates tangents along a tape, LANES directions at once. Operations are differentiated by partial derivatives from
+   CasADi (operations.h), routines of linear algebra by the equation that their result satisfies, with the recorded
+   pivots and ranks. Operands with zero tangents are skipped, so that an infinite partial derivative in a branch not
+   taken has no effect. */
 
 #include "tangent.h"
 
@@ -22,8 +20,6 @@
 #include "record.h"
 #include "scene.h"
 #include "start_derivatives.h"
-
-/* One block of directions at a time. */
 
 static void tangent_of_call(Gradient *g, const Entry *e, Lanes *t)
 {
@@ -108,7 +104,7 @@ static void tangent_of_solve(Gradient *g, const Entry *e, Lanes *t)
     g->instance->used = used;
 }
 
-/* The pseudoinverse of a matrix as it is used for a tangent: x = A+ b, for many b. */
+/* Solve x = A+ b, with the pseudoinverse that tangents use. */
 static void least(Instance *i, int side, const double *a, const double *b, double *x)
 {
     linear_least_norm(side, side, a, b, DBL_EPSILON * side, x, i->dense);
@@ -130,7 +126,7 @@ static void product_of(int side, const double *a, const double *x, double *y)
     }
 }
 
-/* x = A+ b with the rank as it was: dx = A+ (db - dA x) + A+ A+' dA' (b - A x) + (1 - A+ A) dA' A+' x */
+/* Differentiate x = A+ b at constant rank: dx = A+ (db - dA x) + A+ A+' dA' (b - A x) + (1 - A+ A) dA' A+' x. */
 static void tangent_of_least_norm(Gradient *g, const Entry *e, Lanes *t)
 {
     Instance *i = g->instance;
@@ -192,7 +188,7 @@ static void tangent_of_sum(const Tape *tape, const Entry *e, Lanes *t)
         t[words[0]] = sum;
 }
 
-/* All tangents of the instance led on along its tape. */
+/* Propagate all tangents of the instance along its tape. */
 void tangents_along(Gradient *g, Mark from)
 {
     const Tape *tape = g->tape;

@@ -1,4 +1,4 @@
-/* The part that FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log. */
+/* Common part of FMI 2 and FMI 3: an instance behind a handle, its phase, its log. */
 
 #include "component.h"
 
@@ -22,7 +22,7 @@
 #define HANDLE 0x48414e44u /* "HAND" */
 #define SAVED 0x53415645u  /* "SAVE" */
 
-/* Those that a host cannot switch off but by naming others. */
+/* Categories that stay on unless a host names others. */
 #define ALWAYS (1u << WARNING | 1u << DISCARD | 1u << ERROR_ | 1u << FATAL)
 
 const char *const category_names[CATEGORIES] = {
@@ -98,7 +98,7 @@ void component_say(Component *c, Category category, const char *text)
         return;
     snprintf(safe, sizeof safe, "%s", text);
     for (char *at = safe; (at = strchr(at, '%')); at++)
-        *at = '?'; /* A host may take it for a format. */
+        *at = '?'; /* A host may take % for a format. */
     c->log(c->host, c->name, category, safe);
 }
 
@@ -165,7 +165,7 @@ int component_in(Component *c, int phases, const char *call)
     return 0;
 }
 
-/* Those of the categories that are known are logged from now on, where all are. */
+/* Log the named categories from now on, if all are known. */
 Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call)
 {
     unsigned logged = 0;
@@ -236,12 +236,12 @@ Status component_reset(Component *c, const char *call)
 
 static State *save_into(Component *c, State *state);
 
-/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had
-   asked for that one. Where it cannot be made, the state here stays. */
+/* Return early: repeat the step from its start to the present time as a single step, as if the host had asked for it.
+   If that fails, keep the present state. */
 static void ask_early_return(Component *c, double point, double step, long made)
 {
     Instance *i = c->instance;
-    if (made < 2) /* The only step so far is that one. */
+    if (made < 2) /* The only step so far is this single step. */
         return;
     c->after = save_into(c, c->after);
     if (!c->after)
@@ -249,13 +249,13 @@ static void ask_early_return(Component *c, double point, double step, long made)
     state_restore(i, c->before->bytes, c->before->size);
     if (instance_step(i, point, step) != DONE)
         state_restore(i, c->after->bytes, c->after->size);
-    i->warns = 0; /* It has been said. */
+    i->warns = 0; /* This warning has been logged. */
 }
 
-/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after
-   each of which the host may look; at last the state is that of the first time, so that looks change nothing. The
-   host may end the step at one of them; where the step fails, it then has what was reached before, and otherwise the
-   whole step is taken back. */
+/* Make a communication step with intermediate updates. It is made like any other, then repeated by internal steps,
+   after each of which the host may look; at last the state of the first pass is restored, so that looks change nothing.
+   The host may return early at a look. If the step fails, a host that may return early gets the state reached before;
+   otherwise the whole step is taken back. */
 static Status step_watched(Component *c, double point, double step, int *early)
 {
     const int may_return = *early;
@@ -283,12 +283,12 @@ static Status step_watched(Component *c, double point, double step, int *early)
             outcome = instance_step(i, k > 1.0 ? *instance_time(i) : point, length);
             i->within = 0;
             if (whole == DONE)
-                i->warns = 0; /* It has been said. */
+                i->warns = 0; /* This warning has been logged. */
             else
                 component_warn(c);
         }
         if (outcome != DONE && whole == DONE)
-            k = count; /* It can be made, in one. */
+            k = count; /* The step succeeds as a single one. */
         else if (outcome != DONE && may_return && k > 1.0) {
             *early = 1; /* The next step reports the error. */
             ask_early_return(c, point, (k - 1.0) * length, (long)k - 1);
@@ -314,7 +314,7 @@ static Status step_watched(Component *c, double point, double step, int *early)
     return STATUS_OK;
 }
 
-/* `early` says whether the host takes an early return, and then whether there was one. */
+/* `early`: whether the host accepts an early return; on return whether there was one. */
 Status component_step(Component *c, double point, double step, int *early, const char *call)
 {
     Outcome outcome;
@@ -327,7 +327,7 @@ Status component_step(Component *c, double point, double step, int *early, const
     if (early)
         *early = 0;
     outcome = log_step(c, point, step);
-    /* A host makes other steps where one is discarded, and none would lead on. */
+    /* After a discarded step a host tries other steps; report an error if none can succeed. */
     return outcome == DONE ? STATUS_OK : component_refused(c, outcome == NO_STEP_ON ? STATUS_ERROR : STATUS_DISCARD);
 }
 
@@ -342,7 +342,7 @@ static State *new_state(const Component *c)
     return state;
 }
 
-/* The state of a component, in place of one that is given; NULL where there is no memory. */
+/* Save the state of a component into `state`, or into a new one if it is NULL; return NULL if there is no memory. */
 static State *save_into(Component *c, State *state)
 {
     if (!state)
@@ -412,7 +412,7 @@ Status component_write(Component *c, void *state, void *bytes, size_t size, cons
     return STATUS_OK;
 }
 
-/* Copy the bytes; they are checked when they are restored. */
+/* Copy the bytes, which are checked when they are restored. */
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
 {
     State *made;

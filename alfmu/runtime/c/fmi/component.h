@@ -1,5 +1,5 @@
-/* The part that FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, its log, and every function
-   that both have. The argument `call` is the name of the FMI function that is answered. */
+/* Common part of FMI 2 and FMI 3: an instance behind a handle, its phase, its log, and the functions of both. The
+   argument `call` is the name of the FMI function that the host called. */
 
 #ifndef ALFMU_COMPONENT_H
 #define ALFMU_COMPONENT_H
@@ -17,19 +17,19 @@ typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } Status;
 
 typedef enum { ALL, WARNING, DISCARD, ERROR_, FATAL, CATEGORIES } Category;
 
-/* Type of the values in the host's arrays, and of the variables that have such values. */
+/* Types of the host's arrays, and the variables that have such values. */
 typedef enum {
-    AS_DOUBLE,  /* double: real ones, and time in FMI 3 */
-    AS_INT,    /* int: whole ones */
-    AS_FMI2_INTEGER, /* int: whole ones and choices, as in FMI 2 */
+    AS_DOUBLE,  /* double: Real variables, and time in FMI 3 */
+    AS_INT,    /* int: Integer variables */
+    AS_FMI2_INTEGER, /* int: Integer variables and choices, as in FMI 2 */
     AS_INT64,   /* int64_t: choices, as in FMI 3 */
-    AS_INT_BOOLEAN,   /* int: Boolean ones, as in FMI 2 */
-    AS_BOOL,  /* bool: Boolean ones, as in FMI 3 */
+    AS_INT_BOOLEAN,   /* int: Boolean variables, as in FMI 2 */
+    AS_BOOL,  /* bool: Boolean variables, as in FMI 3 */
     VALUE_TYPES
 } Value_type;
 
-/* Lets the host look after an internal step that ends at a time. Where the host wants to return early, `until` becomes
-   the time from which on. */
+/* Intermediate update: lets the host look after an internal step that ends at `time`. If the host wants to return
+   early, `until` becomes the time from which it does. */
 typedef void Look(void *host, double time, int can_return, double *until);
 
 /* A saved state: the bytes of the instance follow. */
@@ -47,8 +47,8 @@ typedef struct {
     void (*log)(void *host, const char *name, Category category, const char *text);
     Look *look;
     void *host;
-    State *before, *after; /* a step that the host looks into */
-    unsigned logged; /* categories, as bits */
+    State *before, *after; /* states around a step with intermediate updates */
+    unsigned logged; /* categories that are logged, as bits */
     int has_time;    /* whether time is a variable, numbered after those of the scene */
     int exchanges;   /* whether the instance is for Model Exchange */
 } Component;
@@ -57,7 +57,7 @@ extern const char *const category_names[CATEGORIES];
 
 int component_phase(const Component *c);
 
-/* NULL where there can be no component, and why; a host of so many bytes comes with it. */
+/* Return a new component, followed by memory of `host` bytes; NULL, and the reason in `why`, if this fails. */
 Component *component_new(
     const char *name, const char *guid, const char *resources, size_t host, char *why, size_t why_size);
 
@@ -71,7 +71,7 @@ int component_begun(Component *c);
 int component_in(Component *c, int phases, const char *call);
 Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call);
 
-/* `tolerance` is 0 where the host asks for none, `stop` is NULL where it says no stop time. */
+/* `tolerance` is 0 and `stop` is NULL if the host gives none. */
 Status component_begin(Component *c, double start, const double *stop, double tolerance, const char *call);
 
 Status component_enter(Component *c, const char *call);
@@ -79,7 +79,7 @@ Status component_initialized(Component *c, const char *call);
 Status component_terminated(Component *c, const char *call);
 Status component_reset(Component *c, const char *call);
 
-/* `early` may be NULL where the host cannot be asked. */
+/* `early` is NULL if the host does not accept an early return. */
 Status component_step(Component *c, double point, double step, int *early, const char *call);
 
 Status component_save(Component *c, void **state, const char *call);

@@ -107,7 +107,7 @@ static double take_value(const void *values, size_t k, Value_type form)
         return (double)((const int64_t *)values)[k];
     case AS_INT_BOOLEAN:
         return ((const int *)values)[k] != 0;
-    case AS_BOOL: /* A byte of a host may be neither. */
+    case AS_BOOL: /* A byte of a host may be neither 0 nor 1. */
         return ((const unsigned char *)values)[k * sizeof(bool)] != 0;
     default:
         return ((const int *)values)[k];
@@ -119,7 +119,7 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
 {
     Instance *i;
     int outputs = 0, exchanged = 0, finite = 1;
-    /* FMI 3 gives start values as soon as there is an instance, FMI 2 when initialisation has begun. */
+    /* FMI 3 permits reading start values once there is an instance, FMI 2 once initialisation has begun. */
     const int phases = component_good(c) && c->has_time ? KNOWN | INSTANTIATED : KNOWN;
     if (!component_in(c, phases, call) || !check_references(c, references, count, values, value_count, form, call))
         return STATUS_ERROR;
@@ -146,7 +146,7 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
     return finite ? STATUS_OK : component_refused(c, STATUS_DISCARD);
 }
 
-/* Values that are refused leave those before them in force; the others are taken. */
+/* Set variables. A refused value leaves the previous one in force; the other values are set. */
 Status component_set(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
     Value_type form, const char *call)
 {
@@ -222,7 +222,7 @@ static int addressed_knowns(
     return !why;
 }
 
-/* Differentiate along a direction of the knowns, or back from a direction of the unknowns. */
+/* Differentiate along a direction of the knowns, or backwards for weights of the unknowns. */
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
     const char *call)

@@ -1,5 +1,5 @@
-/* Files of an FMU: in the folder of resources that the host names, or as seen from this library. Apart from the
-   rest, as the names of windows.h are those of others too. */
+/* Files of an FMU: in the resources folder that the host names, or relative to this library. In a file of its own, as
+   windows.h declares common names. */
 
 #if !defined(_GNU_SOURCE)
 #define _GNU_SOURCE /* dladdr, dl_iterate_phdr */
@@ -73,8 +73,7 @@ static FILE *open_file(const char *path)
 }
 
 #if defined(__linux__)
-/* The path of the object that an address is in; dladdr has moved from one library to another between versions of
-   glibc. */
+/* Path of the library that contains an address; dladdr is in different libraries in different versions of glibc. */
 typedef struct {
     uintptr_t address;
     char *path;
@@ -97,7 +96,7 @@ static int look_into(struct dl_phdr_info *info, size_t size, void *sought)
 
 #endif
 
-/* The folder of resources as seen from this library, which is in binaries/<platform>. */
+/* Find the resources folder from the path of this library, which is in binaries/<platform>. */
 void files_own_resources(char *path)
 {
     char *end = path;
@@ -130,7 +129,7 @@ void files_own_resources(char *path)
     }
 #endif
     for (int k = 0; k < 3; k++) {
-        end = (strrchr)(path, '/'); /* the function: in new headers the macro of its name is no C99 */
+        end = (strrchr)(path, '/'); /* the function: the macro of its name in new headers is not C99 */
         if (!end) {
             *path = 0;
             return;

@@ -9,13 +9,13 @@
 
 #define LONGEST_PATH 4096
 
-/* Path (LONGEST_PATH) of a URI such as file:///tmp/a%20b; other texts are paths already. */
+/* Return the path (LONGEST_PATH) of a URI such as file:///tmp/a%20b; other texts are paths already. */
 void files_path_of(const char *uri, char *path);
 
-/* The folder of resources as seen from this library, which is in binaries/<platform>; empty where it is not known. */
+/* Find the resources folder from the path of this library, which is in binaries/<platform>; empty if unknown. */
 void files_own_resources(char *path);
 
-/* The content of a file, to be freed; NULL where it cannot be read. */
+/* Return the content of a file, which the caller frees; NULL if it cannot be read. */
 unsigned char *files_read(const char *folder, const char *name, size_t *size);
 
 #include "internal_end.h"

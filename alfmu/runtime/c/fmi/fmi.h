@@ -1,4 +1,4 @@
-/* The binary interface of FMI 2.0 and 3.0 as far as this runtime has it: types and statuses, by which hosts call it. */
+/* The binary interface of FMI 2.0 and 3.0 as far as this runtime supports it: types and statuses. */
 
 #ifndef ALFMU_FMI_H
 #define ALFMU_FMI_H

@@ -122,7 +122,7 @@ VALUES(Real, AS_DOUBLE)
 VALUES(Integer, AS_FMI2_INTEGER)
 VALUES(Boolean, AS_INT_BOOLEAN)
 
-/* A call for variables of which there are none. */
+/* Answer a call for variables that do not exist. */
 static fmi2Status none(Component *c, int phases, size_t count, const char *call)
 {
     if (!component_in(c, phases, call))
@@ -179,7 +179,7 @@ API fmi2Status fmi2CancelStep(fmi2Component c)
         : fmi2Error;
 }
 
-/* `found` is set for a status that exists; the others concern pending steps. */
+/* Return the outcome for a status kind; `found` is 0 for kinds that concern pending steps. */
 static fmi2Status status_of(Component *c, int found, const char *call)
 {
     if (!component_in(c, RUN, call))

@@ -38,14 +38,14 @@ static void look(void *host, double time, int can_return, double *until)
         *until = from;
 }
 
-/* A call for which there is nothing in this FMU, with the rest of its arguments. */
+/* Answer a call for features that this FMU does not have; the other arguments are ignored. */
 static fmi3Status unknown(Component *c, const char *call, ...)
 {
     return component_good(c) ? (fmi3Status)component_refuse(c, ERROR_, call, "this FMU has nothing of the kind")
                              : fmi3Error;
 }
 
-/* Return OK if nothing is asked for. */
+/* Return OK if the count is zero. */
 static fmi3Status none(Component *c, size_t count, const char *call, ...)
 {
     return component_good(c) && !count ? fmi3OK : unknown(c, call);
@@ -281,7 +281,7 @@ API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], s
     INSIDE(fmi3Status, component_read(c, bytes, size, state, "fmi3DeserializeFMUState"));
 }
 
-/* A call without arguments. */
+/* Functions without arguments. */
 #define UNKNOWN(NAME) \
     API fmi3Status NAME(fmi3Instance c) \
     { \

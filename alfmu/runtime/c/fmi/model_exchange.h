@@ -11,12 +11,12 @@
 
 #include "internal_begin.h"
 
-/* A vector that the host gets. */
+/* Vectors that the host requests. */
 typedef enum { STATES, RATES, NOMINALS, INDICATORS } Exchanged;
 
-/* What an event leaves to the host. */
+/* Information for the host after an event. */
 typedef struct {
-    int changed; /* whether states have */
+    int changed; /* whether states have changed */
     int timed;   /* whether there is a next event at a known time */
     double next;
 } Exchange_event;
@@ -24,10 +24,11 @@ typedef struct {
 #define CO_SIMULATION "it is for co-simulation alone"
 
 #if HAS_MODEL_EXCHANGE
-/* Make a new component one of Model Exchange; NULL, and why, where it is for co-simulation alone. */
+/* Make a new component one of Model Exchange; return NULL, and the reason in `why`, if its scene is for co-simulation
+   only. */
 Component *exchange_instance(Component *c, char *why, size_t why_size);
 
-/* After initialisation, which leads to event mode. */
+/* Complete initialisation, and enter event mode. */
 Status exchange_initialized(Component *c, const char *call);
 Status exchange_enter(Component *c, int mode, const char *call);
 Status exchange_time(Component *c, double time, const char *call);

@@ -9,7 +9,7 @@
 
 #include "internal_begin.h"
 
-/* The scene among the resources of an FMU, which the host names by a URI or a path. */
+/* Load the scene from the resources folder of an FMU, given as a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
 
 #include "internal_end.h"

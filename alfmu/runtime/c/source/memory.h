@@ -1,5 +1,5 @@
-/* Memory of instances from a static arena: blocks one behind another, each behind its length, below zero while it is
-   taken. */
+/* Memory of instances from a static arena. Each block follows its length, which is negative while the block is in use.
+   */
 
 #ifndef ALFMU_MEMORY_H
 #define ALFMU_MEMORY_H
@@ -14,7 +14,7 @@ typedef union {
 
 static Cell cells[ARENA * sizeof(double) / sizeof(Cell) + 1];
 
-/* Memory that is zero, to be given back; NULL where there is none. */
+/* Allocate zeroed memory; return NULL if there is none. */
 static void *memory_take(size_t count, size_t size)
 {
     const ptrdiff_t all = (ptrdiff_t)(sizeof cells / sizeof *cells);
@@ -26,7 +26,7 @@ static void *memory_take(size_t count, size_t size)
         if (cells[at].length < 0)
             continue;
         for (; next < all && cells[next].length > 0; next += cells[next].length)
-            cells[at].length += cells[next].length; /* Free blocks join. */
+            cells[at].length += cells[next].length; /* Merge free blocks. */
         if (cells[at].length < wanted)
             continue;
         if (cells[at].length > wanted)

@@ -9,7 +9,7 @@
 #include "scene_sizes.h"
 #include "variables.h"
 
-/* The memory of NAME.h holds an instance and its numbers on this machine, too. */
+/* Check that on this machine, too, the memory of NAME.h holds an instance and its numbers. */
 typedef char NAME_fits[sizeof(Instance) + NUMBERS * sizeof(double) <= sizeof(NAME) ? 1 : -1];
 
 static Instance *instance_of(NAME *m)
@@ -57,7 +57,7 @@ int NAME_start(NAME *m, double time)
     return outcome;
 }
 #else
-/* The state after the start was found when this file was written. */
+/* This file contains the state after the start, found when it was generated. */
 int NAME_start(NAME *m, double time)
 {
     Instance *i = instance_of(m);

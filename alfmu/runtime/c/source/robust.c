@@ -1,4 +1,4 @@
-/* Steps by fixed numbers of iterations alone: where those of the kernel's tiers do not suffice, the step fails. */
+/* Steps with fixed iteration counts only: a step for which the kernel's tiers do not suffice fails. */
 
 #include "robust.h"
 

@@ -27,7 +27,7 @@ static void find_uncorrectable(Instance *i, const Rows *J, const double *r, doub
     arena_release(i, arena);
 }
 
-/* Return the distance that the constraints lead back from a place displaced along a motion, over the displacement. */
+/* Return how far the constraints lead back a position that is displaced along a motion, over the displacement. */
 static double find_restoring_share(
     Instance *i, const Rows *J, const double *weights, const double *q, const double *way, double size)
 {
@@ -51,7 +51,7 @@ static double find_restoring_share(
     return found;
 }
 
-/* Joints of the rows that have most of a residue (l). */
+/* List the joints of the rows with most of a residue (l). */
 static void list_joints(const Scene *s, const double *residue, char *names, size_t size)
 {
     int said = 0;
@@ -112,8 +112,8 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
     return outcome;
 }
 
-/* Warns of constraints that stop a motion at every place, but to second order alone: displaced along it they lead
-   back, and no further where the displacement is smaller. */
+/* Warn of constraints that stop a motion at every position, but only to second order: displaced along the motion they
+   lead back, by a share that does not fall with the displacement. */
 void agreement_warn_of_second_order(Instance *i, const unsigned char *held, const double *q)
 {
     const Scene *s = i->scene;
@@ -145,7 +145,7 @@ void agreement_warn_of_second_order(Instance *i, const unsigned char *held, cons
         way[c] /= fmax(size, 1e-300);
     if (size > REGULAR)
         back = find_restoring_share(i, &J, weights, q, way, LITTLE);
-    /* Along a motion the way back shrinks with the square of the displacement. */
+    /* For a possible motion this share falls with the displacement. */
     if (back > SECOND_ORDER && back > 0.5 * find_restoring_share(i, &J, weights, q, way, 10 * LITTLE)) {
         for (int c = 0; c < s->n; c++)
             dq[c] = q[c] + LITTLE * way[c];

@@ -19,14 +19,14 @@
 #include "scene.h"
 #include "velocities.h"
 
-/* An assembly beside the one that the start ends in, and how far it is from the guess. */
+/* An assembly other than the one in which the start ends (`own`), and its distance from the guess. */
 typedef struct {
     const double *own;
     double *q, way;
 } Another;
 
-/* The assembly nearest to the guess among those found from places around it, and the number of its place; -1 where
-   there is none. The nearest one that is not the own is `another`. */
+/* Find the assembly nearest to the guess from positions around it; return the number of that position, -1 if none leads
+   to an assembly. `another` becomes the nearest one that differs from its `own`. */
 static int find_nearest(Instance *i, Loops *loops, const double *guess, double size, double *found, Another *another)
 {
     const Scene *s = i->scene;
@@ -51,7 +51,7 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
         away = coordinates_apart(s, loops->columns, guess, q);
         if (away < another->way && coordinates_apart(s, loops->units, another->own, q) > DISTINCT) {
             another->way = away;
-            for (int c = 0; c < s->n; c++) /* Angles that a reader compares with the guess, without whole turns. */
+            for (int c = 0; c < s->n; c++) /* Remove whole turns: a reader compares these angles with the guess. */
                 another->q[c] = guess[c] + coordinate_shortest_way(s, c, q[c] - guess[c]);
         }
     }
@@ -60,7 +60,7 @@ static int find_nearest(Instance *i, Loops *loops, const double *guess, double s
     return from;
 }
 
-/* Return whether start values determine the assembly: it is found again from a place beside it. */
+/* Return whether start values determine the assembly: the loops close there again from a position beside it. */
 static int start_values_determine(Instance *i, Loops *loops, const double *assembly)
 {
     const Scene *s = i->scene;
@@ -77,8 +77,8 @@ static int start_values_determine(Instance *i, Loops *loops, const double *assem
     return back;
 }
 
-/* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles
-   of a rough guess do so in assemblies that look alike. */
+/* Return the length that changes most, by more than AWAY, from one sign to the other between two positions; -1 if there
+   is none. Angles are ignored: from a rough guess they change sign even if the assembly looks the same. */
 static int find_changed_side(const Scene *s, const Loops *loops, const double *from, const double *to)
 {
     int most = -1;
@@ -93,7 +93,8 @@ static int find_changed_side(const Scene *s, const Loops *loops, const double *f
     return most;
 }
 
-/* DONE, with a warning where the guess is about as near to another assembly, or the only one is on its other side. */
+/* Warn if another assembly is about as near to the guess, or if a length has the other sign than its guess; return
+   DONE. */
 static Outcome warn_of_other_assembly(
     Instance *i, Loops *loops, const double *guess, const double *q, const Another *another)
 {
@@ -120,7 +121,7 @@ static Outcome warn_of_other_assembly(
     return DONE;
 }
 
-/* The refusal of loops that do not close, with the start values where they do, if anywhere. */
+/* Refuse loops that do not close; name a start value with which they do, if there is one. */
 static Outcome report_not_closed(Instance *i, Loops *loops, const double *guess, double *q)
 {
     const Scene *s = i->scene;
@@ -132,7 +133,7 @@ static Outcome report_not_closed(Instance *i, Loops *loops, const double *guess,
     loops_evaluate(i, loops, q);
     contradict = linear_largest(loops->residue, s->l) <= ROUGH;
     loops_gap_label(i, loops, label, sizeof label);
-    if (s->ties && !contradict) { /* Start values that give way, too. */
+    if (s->ties && !contradict) { /* Let start values give way, too. */
         memcpy(other, guess, n * sizeof *other);
         loops->untied = 1;
         loops_follow(i, loops, other);
@@ -174,10 +175,10 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     step = loops_follow(i, loops, q);
     moved = loops_close(i, loops, q) ? loops_way(i, loops, guess, q, &most) : INFINITY;
     direct = moved <= 1.5 * step + 1e-6;
-    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* without weights that is the way */
+    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* without weights this is the distance */
     if (direct && (size <= AWAY || s->n > DENSE))
         return DONE;
-    /* A long way, or none: is there an assembly nearer to the guess? */
+    /* The correction is long or failed: look for an assembly nearer to the guess. */
     size = fmin(size, 3.0);
     from = find_nearest(i, loops, guess, size, other, &another);
     if (from >= 0)
@@ -200,14 +201,14 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     }
     if (from < 0 && moved == INFINITY)
         return report_not_closed(i, loops, guess, q);
-    if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess leads to another assembly, or to none. */
+    if (from >= 0 && away < 0.99 * moved) { /* The correction from the guess does not lead to the nearest assembly. */
         memcpy(another.q, q, (size_t)s->n * sizeof *q);
         another.way = moved < INFINITY ? coordinates_apart(s, loops->columns, guess, q) : INFINITY;
         tape_cut(i, begin);
         loops_beside_guess(i, loops, guess, size, from, q);
         tape_copy(i, q, guess, (size_t)s->n);
         loops_follow(i, loops, q);
-        if (unguessed) /* The coordinates that have a guess tell which assembly is meant. */
+        if (unguessed) /* The guessed coordinates decide which assembly is meant. */
             return warn_of_other_assembly(i, loops, guess, q, &another);
         loops_way(i, loops, guess, q, &most);
         return instance_say(i, DONE,
@@ -220,7 +221,7 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     return warn_of_other_assembly(i, loops, guess, q, &another);
 }
 
-/* A joint, or a start value, that the guess gives no finite gap; NULL where each has one. */
+/* Return the name of a joint or start value whose gap at the guess is not finite; NULL if all are finite. */
 static const char *find_undefined_gap(Instance *i, Loops *loops, const double *guess)
 {
     const Scene *s = i->scene;
@@ -244,7 +245,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     Mark begin;
     function_call_recorded(i, s->guesses, x, y);
     own = s->l ? units_own_length(i, guess) : 1.0;
-    *i->length = own < 1 / ALIKE || own > ALIKE ? own : 1.0; /* Displacements are measured in it. */
+    *i->length = own < 1 / ALIKE || own > ALIKE ? own : 1.0; /* unit of displacements */
     loops = loops_new(i, held, own);
     if (!isfinite(linear_norm(guess, s->n)))
         outcome = instance_say(
@@ -261,7 +262,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     }
     if (outcome == DONE) {
         guesses_check(i, &loops, guess, q);
-        tape_correction(i, loops.rows, loops.columns, q, NULL, NULL, NULL, 1.0); /* The loops are closed at its end. */
+        tape_correction(i, loops.rows, loops.columns, q, NULL, NULL, NULL, 1.0); /* At its end the loops are closed. */
         outcome = start_rates(i, &loops, q, v);
     }
     arena_release(i, arena);

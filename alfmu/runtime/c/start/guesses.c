@@ -15,8 +15,8 @@
 #include "record.h"
 #include "scene.h"
 
-/* Return the distance of an angle or a length of an assembly from its guess, relative to its tolerance; a guess of
-   zero may be none. */
+/* Return the distance of an angle or a length of an assembly from its guess, relative to its tolerance; zero may mean
+   that there is no guess. */
 static double find_missed_start(const Instance *i, int c, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
@@ -25,8 +25,8 @@ static double find_missed_start(const Instance *i, int c, const double *guess, c
     return guess[c] != 0.0 ? fabs(coordinate_shortest_way(s, c, q[c] - guess[c])) / tolerance : 0.0;
 }
 
-/* Return whether the loops close if angles that are missed, or beyond a turn, are read as degrees: `meant` is that
-   guess, and `there` the assembly near it. */
+/* Return whether the loops close if angles that were missed, or exceed a turn, are read as degrees; `meant` becomes
+   that guess, and `there` the assembly near it. */
 static int fits_in_degrees(
     Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
 {
@@ -48,8 +48,8 @@ static int fits_in_degrees(
     return fits;
 }
 
-/* Adds a warning, unless there is one, of guesses far from which the loops closed; in its place one of angles in
-   degrees. */
+/* Warn of guesses far from which the loops closed, or of angles that seem to be in degrees, unless there is a warning.
+   */
 void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
@@ -103,7 +103,8 @@ static void evaluate_limits(Instance *i, const double *q, double *beyond, double
     arena_release(i, arena);
 }
 
-/* The limit that q is beyond most, by how much more than is allowed there, lengths over that of the mechanism. */
+/* Return by how much q exceeds a limit more than allowed, for the worst limit; lengths are divided by the mechanism's.
+   */
 static double find_worst_limit(Instance *i, const double *q, const double *allowed, int *worst)
 {
     const Scene *s = i->scene;
@@ -137,7 +138,7 @@ static int bring_within_limits(Instance *i, Loops *loops, const double *allowed,
         evaluate_limits(i, q, beyond, J);
         memset(way, 0, n * sizeof *way);
         size = square = part = 0.0;
-        for (int k = 0; k < s->limit_count; k++) { /* A little within them, so that few passes are made. */
+        for (int k = 0; k < s->limit_count; k++) { /* Aim slightly within the limits, so that few passes are made. */
             const double unit = strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length;
             const double left = beyond[k] > allowed[k] ? (beyond[k] - allowed[k]) / unit + DISTINCT / 10 : 0.0;
             size += left * left;
@@ -159,8 +160,8 @@ static int bring_within_limits(Instance *i, Loops *loops, const double *allowed,
     return size <= 0.0;
 }
 
-/* Looks for an assembly within the limits of stops where the one at q is far beyond one, and takes the nearest
-   found. What the guess itself is beyond a limit is allowed. */
+/* If q is far beyond the limit of a stop, look for assemblies within the limits and take the nearest one. A limit may
+   be exceeded as far as the guess exceeds it. */
 void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin)
 {
     const Scene *s = i->scene;
@@ -177,7 +178,7 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
     for (int k = 0; k < s->limit_count; k++)
         allowed[k] = fmax(allowed[k], 0.0);
     left = find_worst_limit(i, q, allowed, &worst);
-    if (left > DISTINCT) { /* Less is a load on the stop. */
+    if (left > DISTINCT) { /* A smaller excess is the load on the stop. */
         const int paused = tape_pause(i, 1);
         for (int k = -1; k < TRIES; k++) {
             memcpy(tried, q, n * sizeof *tried);

@@ -15,7 +15,7 @@ Matrix matrix_new(Instance *i, const Pattern *pattern)
     return (Matrix){pattern, arena_alloc(i, (size_t)pattern->entries)};
 }
 
-/* y = A x */
+/* Compute y = A x. */
 void matrix_times(Matrix a, const double *x, double *y)
 {
     const Pattern *p = a.pattern;
@@ -25,7 +25,7 @@ void matrix_times(Matrix a, const double *x, double *y)
             y[p->indices[e]] += a.values[e] * x[c];
 }
 
-/* Multiply each row and each column by its weight; those of columns may be NULL. */
+/* Multiply each row and each column by its weight; `columns` may be NULL. */
 void matrix_weigh(Matrix a, const double *rows, const double *columns)
 {
     for (int c = 0; c < a.pattern->columns; c++)
@@ -49,7 +49,7 @@ void rows_times_back(const Rows *J, const double *y, double *x)
                 x[c] += parts[k].values[e] * y[parts[k].pattern->indices[e]];
 }
 
-/* J J', with LOOSE of its largest entry on the diagonal, which makes it regular; returns that entry. */
+/* Compute J J', regularised by LOOSE of its largest entry on the diagonal; return that entry. */
 double rows_squared(Instance *i, const Rows *J, double *a)
 {
     const Envelope *e = &i->scene->closing;
@@ -80,10 +80,10 @@ double rows_squared(Instance *i, const Rows *J, double *a)
     return most;
 }
 
-/* x (n) of least norm with J x = r as nearly as possible: the correction (10) with the unit matrix in place of M,
-   repeated until it gains no more, at most so often. x = J' lam, and lam = (J J' + 1 / alpha)^-1 (r - J x) adds up,
-   so that rows that depend on each other share it; a direction that rows hold less than some 1e-6 of what they hold
-   others needs more passes than there are. */
+/* Find x (n) of least norm that minimises |J x - r|: the correction (10) with the unit matrix for M, repeated while it
+   gains, at most `most` times. x = J' lam, where each pass adds (J J' + 1 / alpha)^-1 (r - J x) to lam, so that
+   dependent rows share it. Directions that rows hold less than about 1e-6 of others do not converge within these
+   passes. */
 void rows_least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x)
 {
     const Envelope *e = &i->scene->closing;

@@ -21,7 +21,7 @@ const double *loops_starts(const Instance *i)
     return i->values + i->scene->own;
 }
 
-/* Residue and matrix at q. */
+/* Evaluate residue and matrix at q. */
 void loops_evaluate(Instance *i, Loops *loops, const double *q)
 {
     const Scene *s = i->scene;
@@ -39,14 +39,14 @@ void loops_evaluate(Instance *i, Loops *loops, const double *q)
             loops->J.constraints.values[e] = 0.0;
 }
 
-/* Return whether a gap, or behind them a start value, is in metres. */
+/* Return whether row k, a gap or a start value after all gaps, is in metres. */
 static int row_is_length(const Scene *s, int k)
 {
     return !strcmp(k < s->l ? s->rows[k].unit : s->variables[s->own + s->tied[k - s->l]].unit, "m");
 }
 
-/* The unit of length is a power of two near the length of the mechanism, by which scaling is exact; the derivatives of
-   the start take it as constant. */
+/* Prepare the loops. Their unit of length is a power of two near the length of the mechanism, so that scaling is exact;
+   the derivatives of the start take it as constant. */
 Loops loops_new(Instance *i, const unsigned char *held, double length)
 {
     const Scene *s = i->scene;
@@ -83,7 +83,7 @@ int loops_close(Instance *i, Loops *loops, const double *q)
     return loops_within(i, loops, q, ROUGH);
 }
 
-/* Return the norm of the weighed residue. */
+/* Return the norm of the weighted residue. */
 static double loops_size(const Loops *loops)
 {
     double square = 0.0;
@@ -92,7 +92,7 @@ static double loops_size(const Loops *loops)
     return sqrt(square);
 }
 
-/* Make Gauss-Newton steps of least weighed norm from q to where they end; return the length of the first one. */
+/* Make Gauss-Newton steps of least weighted norm from q until they gain no more; return the length of the first one. */
 double loops_follow(Instance *i, Loops *loops, double *q)
 {
     const Scene *s = i->scene;
@@ -130,13 +130,13 @@ double loops_follow(Instance *i, Loops *loops, double *q)
     return fmax(first, 0.0);
 }
 
-/* A change of a coordinate, of an angle by at most half a turn. */
+/* Return a change of a coordinate; for an angle, without whole turns. */
 double coordinate_shortest_way(const Scene *s, int coordinate, double change)
 {
     return strcmp(s->coordinates[coordinate].unit, "rad") ? change : remainder(change, 4 * QUARTER);
 }
 
-/* The length of the shortest way from one place to another, in units of each coordinate. */
+/* Return the distance between two positions, in units of each coordinate and without whole turns. */
 double coordinates_apart(const Scene *s, const double *units, const double *from, const double *to)
 {
     double square = 0.0;
@@ -145,7 +145,7 @@ double coordinates_apart(const Scene *s, const double *units, const double *from
     return sqrt(square);
 }
 
-/* A place beside the guess from which an assembly is looked for, the k-th of them. */
+/* Compute the k-th position beside the guess from which an assembly is searched. */
 void loops_beside_guess(
     const Instance *i, const Loops *loops, const double *guess, double size, int k, double *q)
 {
@@ -155,7 +155,7 @@ void loops_beside_guess(
             + loops->units[c] * size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
 }
 
-/* The widest gap, or the start value that is missed most. */
+/* Name the widest gap, or the start value that is missed most. */
 const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t size)
 {
     const Scene *s = i->scene;
@@ -178,7 +178,7 @@ const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t
     return label;
 }
 
-/* The weighed length of the way from one place to another, and the coordinate that changes most on it. */
+/* Return the weighted distance between two positions; `most` becomes the coordinate that differs most. */
 double loops_way(const Instance *i, const Loops *loops, const double *from, const double *to, int *most)
 {
     double square = 0.0, longest = 0.0;

@@ -14,12 +14,12 @@
 /* The equations that an assembly solves: the gaps of the rows in force, and the start values. */
 typedef struct {
     const unsigned char *held;
-    int count; /* of both */
-    int untied; /* whether start values are guesses, too */
+    int count; /* gaps and start values */
+    int untied; /* whether start values are guesses instead */
     Rows J;
     double *residue, *trial;
-    double *rows, *columns; /* weights: gaps in metres are over the mechanism's length, coordinates are multiples */
-    double *units;          /* those of coordinates, which columns without a guess are larger multiples of */
+    double *rows, *columns; /* weights: 1 / length for gaps in metres; `units` times `readiness` for coordinates */
+    double *units;          /* units of coordinates */
 } Loops;
 
 const double *loops_starts(const Instance *i);

@@ -12,7 +12,7 @@
 #include "message.h"
 #include "scene.h"
 
-/* The motion (n) that masses and constraints hold least, and how much they do: singular value of [M / scale; C]. */
+/* Find the motion (n) that masses and constraints hold least; return that singular value of [M / scale; C]. */
 static double find_weakest_motion(Instance *i, Matrix M, Matrix C, double scale, double *motion)
 {
     const Scene *s = i->scene;
@@ -86,7 +86,7 @@ Outcome masses_check(Instance *i, const double *q, const unsigned char *held)
     constraints_evaluate(i, q, zeros, M.values, C.values, NULL, NULL);
     for (int e = 0; e < s->constraint.entries; e++)
         C.values[e] *= held[s->constraint.indices[e]];
-    /* The masses of an open chain may all be small, and nothing but them is compared. */
+    /* In an open chain all masses may be small, and there is nothing else to compare them with. */
     scale = fmin(fmax(linear_largest(M.values, s->mass.entries), 1e-300), s->l ? INFINITY : 1.0);
     if (s->timed) /* Time needs no mass. */
         M.values[s->mass.entries - 1] = scale;

@@ -16,9 +16,9 @@ static int are_of_one_joint(const Scene *s, int a, int b)
     return a == b || (s->rows[a].size > 0.0 && s->rows[b].size > 0.0 && !strcmp(s->rows[a].name, s->rows[b].name));
 }
 
-/* How often each row is written: rows that are multiples of each other at all places have the same sums, over places
-   and coordinates, of their coefficients by random numbers, over their size. Those of one joint are parts of one
-   row, which the directions of its axes have divided among them. */
+/* Count how often each constraint is written. Rows that are multiples of each other at all positions have the same
+   ratio of two sums: their coefficients times random numbers, and the norm of the coefficients. The rows of one joint
+   count as parts of one constraint, split along the joint's axes. */
 static void count_copies(Instance *i, const double *q, double *count)
 {
     const Scene *s = i->scene;
@@ -101,7 +101,7 @@ void penalties_default(Instance *i, const double *q, double *penalties)
     for (int r = 0; !known && all.most <= ALIKE * all.least && r < s->l; r++)
         units[r] = 1 / ALIKE < mean && mean < ALIKE ? 1.0 : mean;
     for (int c = 0; c < s->n; c++) {
-        double own = 0.0; /* of the directions of a joint together, as its axes may lie anywhere */
+        double own = 0.0; /* norm over the rows of a joint, whose axes may have any direction */
         held[c] = 0.0;
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e], more = e > p->offsets[c] && are_of_one_joint(s, p->indices[e - 1], r);
@@ -116,7 +116,7 @@ void penalties_default(Instance *i, const double *q, double *penalties)
                 const double size = coordinate_is_length(s, c) ? 1 / *i->length : held[c];
                 heaviest = fmax(heaviest, M[e] / (size * size));
             }
-    /* The squares of a constraint that is written several times come to that of one: it holds as if written once. */
+    /* Divide the penalty of a constraint by the number of its copies, so that together they hold as one. */
     count_copies(i, q, written);
     for (int r = 0; r < s->l; r++) {
         units[r] *= sqrt(written[r]);

@@ -17,7 +17,7 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Phi and C at q, each row times its weight. */
+/* Evaluate Phi and C at q, each row times its weight. */
 void rank_weighted_rows(Instance *i, const double *q, const double *weights, Matrix C, double *phi)
 {
     const Scene *s = i->scene;
@@ -31,7 +31,7 @@ void rank_weighted_rows(Instance *i, const double *q, const double *weights, Mat
     arena_release(i, arena);
 }
 
-/* Singular values of C that are more than nothing. */
+/* Return the rank of C: its number of singular values above round-off. */
 static int count_rank(Instance *i, Matrix C)
 {
     const Scene *s = i->scene;
@@ -55,7 +55,7 @@ static int count_rank(Instance *i, Matrix C)
     return rank;
 }
 
-/* Count the independent rows of many coordinates by the pivots of C C'. */
+/* Count the independent rows for many coordinates, by the pivots of C C'. */
 static int count_rank_of_many(Instance *i, const Rows *J)
 {
     const Envelope *e = &i->scene->closing;
@@ -86,8 +86,8 @@ int rank_at(Instance *i, const double *q, const unsigned char *held)
     return rank;
 }
 
-/* Compute the correction of least norm by which a rank is judged; with few coordinates it includes motions that C
-   hardly holds. */
+/* Compute the correction of least norm by which a rank is judged; for few coordinates it includes motions that C hardly
+   holds. */
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
 {
     const Scene *s = i->scene;
@@ -103,7 +103,8 @@ void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
     arena_release(i, arena);
 }
 
-/* S1: degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
+/* S1: return the degrees of freedom at regular positions near q, set `here` to those at q itself and `place` to a
+   position of the largest rank. */
 static int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
 {
     const Scene *s = i->scene;
@@ -122,7 +123,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
         weights[r] = held[r];
         units[r] = 0.0;
     }
-    for (int k = -1; k < places && !many; k++) { /* Rows in other units are as independent as before. */
+    for (int k = -1; k < places && !many; k++) { /* Scale rows by their size, so that units do not affect the rank. */
         for (int c = 0; c < s->n; c++)
             near[c] = q[c]
                 + (k < 0 ? 0.0 : size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c]);
@@ -131,7 +132,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
             units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
     }
     most = fmax(most, linear_largest(units, s->l));
-    for (int r = 0; r < s->l; r++) /* A row of round-off alone stays small. */
+    for (int r = 0; r < s->l; r++) /* Do not scale up a row of round-off. */
         weights[r] = held[r] / (units[r] > SAME * most ? units[r] : 1.0);
     rank_weighted_rows(i, q, weights, C, phi);
     rank = many ? count_rank_of_many(i, &J) : count_rank(i, C);
@@ -140,7 +141,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     for (int k = 0; k < places; k++) {
         for (int c = 0; c < s->n; c++)
             side_places[c] = size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c];
-        if (many) { /* Along the motion: in a long chain any other way leads far from an assembly. */
+        if (many) { /* Displace along the motion: in a long chain any other displacement leads far from an assembly. */
             double most;
             rank_weighted_rows(i, q, weights, C, phi);
             matrix_times(C, side_places, phi);
@@ -172,7 +173,8 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     return s->n - rank;
 }
 
-/* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
+/* S5: compute combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at
+   q. */
 static void combine_rows(Instance *i, const double *q, double *combinations, double *sizes)
 {
     const Scene *s = i->scene;
@@ -189,7 +191,8 @@ static void combine_rows(Instance *i, const double *q, double *combinations, dou
     arena_release(i, arena);
 }
 
-/* S5: whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
+/* S5: return whether constraints that are redundant at q become independent at a displacement along `way`, and would
+   stop that motion. */
 static int rank_changes_along(Instance *i, const double *q, const double *way)
 {
     const Scene *s = i->scene;
@@ -214,7 +217,7 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
 }
 
-/* Return the same for any place of the motion near the start. */
+/* Return whether this happens for a motion at a position near the start. */
 static int rank_changes_near(Instance *i, const double *q, const double *v)
 {
     const Scene *s = i->scene;
@@ -236,7 +239,7 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
-    /* The motion at the start comes first, then any other: a loop may rest on a base that moves. */
+    /* Try the motion at the start first, then a random one: a loop may rest on a moving base. */
     for (int a = 0; a < 2 * SIDE_PLACES && !found; a++) {
         if (a % SIDE_PLACES == 0) {
             memcpy(way, v, n * sizeof *way);
@@ -267,7 +270,7 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     return found;
 }
 
-/* S5: freezes the rank of C at the state before a step. */
+/* S5: freeze the rank of C at the state before a step. */
 void rank_freeze(Instance *i)
 {
     const Scene *s = i->scene;
@@ -278,7 +281,7 @@ void rank_freeze(Instance *i)
         return;
     combinations = arena_alloc(i, l * l);
     sizes = arena_alloc(i, l);
-    /* S5: at a singular position the combinations of the place before it are kept. */
+    /* S5: at a singular position keep the combinations of the previous regular one. */
     combine_rows(i, instance_field(i, s->z), combinations, sizes);
     if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
@@ -293,7 +296,7 @@ void rank_freeze(Instance *i)
     arena_release(i, arena);
 }
 
-/* Sorts upwards; there are few. */
+/* Sort a few numbers in increasing order. */
 static void sort_numbers(double *x, int count)
 {
     for (int a = 1; a < count; a++)
@@ -304,19 +307,19 @@ static void sort_numbers(double *x, int count)
         }
 }
 
-/* The middle of sorted numbers. */
+/* Return the median of sorted numbers. */
 static double median(const double *x, int count)
 {
     return (x[(count - 1) / 2] + x[count / 2]) / 2;
 }
 
-/* Round a logarithm so that round-off of other processors does not change it. */
+/* Round a logarithm, so that the result does not depend on the round-off of a processor. */
 static double round_coarsely(double x)
 {
     return floor(x * COARSE + 0.5) / COARSE;
 }
 
-/* S1: products of pivots at a place, as logarithms, and the largest mass over its scale. */
+/* S1: logarithms of products of pivots at a position, and the largest mass over its scale. */
 typedef struct {
     double smallest, small, all, heaviest;
 } Pivots;
@@ -344,14 +347,14 @@ static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
     return found;
 }
 
-/* S1: the typical product of the smallest pivots, as a logarithm. */
+/* S1: return the typical product of the smallest pivots, as a logarithm. */
 static double typical_smallest(const Pivots *places, int count)
 {
     double found[SIDE_PLACES + 1];
     int second;
     for (int a = 0; a < count; a++)
         found[a] = places[a].smallest;
-    /* The start, which may be singular, is there twice. */
+    /* The start, which may be singular, is among the positions twice. */
     sort_numbers(found, count);
     second = count > 1 && found[1] == found[0] ? 2 : 1;
     while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
@@ -359,8 +362,8 @@ static double typical_smallest(const Pivots *places, int count)
     return median(found, count);
 }
 
-/* S1: the typical product of all small pivots at regular positions. Near a singular position more of them are small,
-   and the product of all is less by as much. */
+/* S1: return the typical product of all small pivots at regular positions. At a position with more small pivots, as
+   near a singular one, the product of all pivots is smaller; the difference corrects for that. */
 static double typical_small(const Pivots *places, int count)
 {
     double found[SIDE_PLACES + 1], largest = -INFINITY;
@@ -372,9 +375,10 @@ static double typical_small(const Pivots *places, int count)
     return median(found, count);
 }
 
-/* S1: the product of pivots at which the margin is 1, and the margin that masses leave at a singular position. A
-   coordinate that hardly tells the motion has a larger pivot than masses, and another, which constraints hold by a
-   small coefficient, a smaller one. Euler parameters do so in turn. */
+/* S1: find the product of pivots at which the margin is 1, and the margin that masses leave at a singular position. A
+   coordinate that hardly describes the motion has a larger pivot than masses contribute, and a coordinate that
+   constraints hold by a small coefficient has a smaller one. Each Euler parameter is one or the other in the course of
+   a turn. */
 static void calibrate_margin(Instance *i, const Pivots *places, int count)
 {
     const Scene *s = i->scene;
@@ -392,7 +396,8 @@ static void calibrate_margin(Instance *i, const Pivots *places, int count)
     }
 }
 
-/* Close the constraints at a place, displaced along the motion v to the nearest of all; return whether they are. */
+/* Close the constraints at the position `there`; displaced along the motion v, `near` becomes the nearest position.
+   Return whether they are closed. */
 int rank_close(Instance *i, const double *there, const double *v, double *near)
 {
     const Scene *s = i->scene;
@@ -410,7 +415,7 @@ int rank_close(Instance *i, const double *there, const double *v, double *near)
     return closed;
 }
 
-/* S1: scales of coordinates, pivots contributed by masses, degrees of freedom, rank. */
+/* S1: find the scales of coordinates, the pivots contributed by masses, the degrees of freedom and the rank. */
 void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
 {
     const Scene *s = i->scene;
@@ -427,7 +432,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     if (!usual || s->freedom < 0)
         freedom = rank_freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
-    /* Masses are not known yet. */
+    /* Take the masses as unknown. */
     k[SETTINGS_NOTHING] = 0.0;
     for (int c = 0; c < s->n; c++)
         inverse_scales[c] = 1.0;
@@ -470,7 +475,8 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
         found[a] = multiply_pivots(i, places + a * n, (int)*i->freedom);
         together[a] = found[a].all;
     }
-    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
+    /* A coordinate that cannot describe the motion makes the product far larger, a singular position may make it
+       smaller. */
     sort_numbers(together, count);
     *i->regular = median(together, count) + log(REGULAR_PRODUCT);
     calibrate_margin(i, found, count);
@@ -479,8 +485,8 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
     arena_release(i, arena);
 }
 
-/* Of the constraints in force, of all of them, or of those in force without what dry friction holds; also a place
-   (n) near the present one at which they are told. */
+/* Count the degrees of freedom and redundant constraints of the rows in force, of all rows, or of the rows in force
+   without those of dry friction; `place` (n) becomes a nearby position with the largest rank. */
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place)
 {
     const Scene *s = i->scene;

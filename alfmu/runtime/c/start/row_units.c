@@ -22,9 +22,9 @@ int range_is_constant(Range range)
     return range.most - range.least <= SAME * range.most;
 }
 
-/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. Those that are
-   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does
-   not. */
+/* Sample the nonzeros of C at several positions, and amplitudes of those that belong to angles, from a second
+   evaluation a quarter turn further. Nonzeros that are round-off at all positions are set to zero: otherwise a
+   constraint of such nonzeros only would get its own penalty and hold a motion. */
 void units_sample_coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
 {
     const Scene *s = i->scene;
@@ -87,9 +87,9 @@ void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row
         }
 }
 
-/* Return the length of the mechanism: the longest arm by which an angle moves a point, of constraints of lengths
-   alone the least radius by which their coefficients turn; 1 m where nothing tells it. Rows in other units have the
-   same arms: those of a known coefficient of a length are over it, and others count where none is. */
+/* Return the length of the mechanism: the longest arm at which an angle moves a point; for constraints on lengths alone
+   the least radius at which their coefficients turn; 1 m if neither exists. Arms of rows in scaled units are divided by
+   the row's known unit; arms without a known unit count only if no unit is known. */
 double units_own_length(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
@@ -110,14 +110,14 @@ double units_own_length(Instance *i, const double *q)
         for (int e = p->offsets[c]; !coordinate_is_length(s, c) && e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
-            /* A turn changes Euler parameters by half of its angle. */
+            /* A turn changes Euler parameters by half its angle. */
             const double reached = amplitudes[e].most * (coordinate_is_angle(s, c) ? 1.0 : 0.5);
             if (strcmp(s->rows[r].unit, "m"))
                 continue;
             known = fmax(known, unit > 0.0 ? reached / unit : 0.0);
             arm = fmax(arm, reached);
         }
-    for (int k = 0; k < RANKED && arm == 0.0; k++) { /* One way alone may be along the radius, where nothing turns. */
+    for (int k = 0; k < RANKED && arm == 0.0; k++) { /* A displacement along the radius turns nothing: try several. */
         memset(size, 0, l * sizeof *size);
         memset(moved, 0, l * sizeof *moved);
         memset(bent, 0, l * sizeof *bent);
@@ -140,22 +140,22 @@ double units_own_length(Instance *i, const double *q)
     return found >= 1e-300 && found < 1e12 ? found : 1.0;
 }
 
-/* The constant coefficient of a row, of a length where it has any. */
+/* Return the constant coefficient of a row, that of a length if it has lengths. */
 double units_constant(const Row_units *row)
 {
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
 }
 
-/* Return whether these coefficients determine the unit of their row. At a place that closes the loops, those of a
-   slide across the row, and of the attitude of a body that carries the whole loop, are round-off. */
+/* Return whether these coefficients determine the unit of their row. In closed loops, coefficients of a slide across
+   the row, or of the attitude of a body that carries the whole loop, are round-off. */
 int units_are_telling(const Row_units *row, Sum sum)
 {
     return units_sum(sum) > HARDLY * row->most;
 }
 
-/* What a row comes to for a unit of displacement, 0 where it has no coefficient: 1 in metres and radians, 1000 in
-   millimetres. That is its constant coefficient; otherwise what its lengths come to together, or the constant amplitude
-   of an angle. Of others it is not known but by the size of their coefficients. */
+/* Return the value of a row per unit of displacement: 1 in metres and radians, 1000 in millimetres, 0 without
+   coefficients. It is the row's constant coefficient, or else follows from the norm of its length or Euler
+   coefficients, or is the constant amplitude of an angle; otherwise it is estimated by the largest coefficient. */
 double units_of_row(const Row_units *row)
 {
     return units_constant(row) > 0.0         ? units_constant(row)

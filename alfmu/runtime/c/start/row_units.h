@@ -9,11 +9,11 @@
 
 #include "internal_begin.h"
 
-/* S1: displacements to places beside the start, the start first. */
+/* S1: displacements to positions near the start; the first is zero. */
 static const double side_places[] = {0.0, ASIDE};
 #define SIDE_PLACES (int)(sizeof side_places / sizeof *side_places)
 
-/* A number at several places: at the start, least and largest. */
+/* A number at several positions: its value at the start, its least and largest value. */
 typedef struct {
     double first, least, most;
 } Range;

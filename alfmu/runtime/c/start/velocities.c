@@ -53,7 +53,7 @@ static void solve_rates(Instance *i, Loops *loops, const double *q, const double
     arena_release(i, arena);
 }
 
-/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
+/* Find velocities that keep the loops closed and have the start rates, nearest to the guess v. */
 Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
 {
     const Scene *s = i->scene;
@@ -110,8 +110,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* Find a direction of motion at fixed time, that of the start rates or of equal rates of the start values; it is zero
-   where there is none. */
+/* Find a direction of motion at fixed time: that of the start rates, or of equal rates of the start values; zero if
+   there is none. */
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;

@@ -15,8 +15,8 @@
 /* Shortest step, in units of the last digit of the time. */
 #define LEAST_DIGITS 16
 
-/* Number of jumps that steps of the least length may cross one after the other; a step that is AWAY_FROM_IT times as
-   long as the least one ends such a sequence. */
+/* Most jumps that steps of the least length cross one after the other; a step AWAY_FROM_IT times as long ends the
+   sequence. */
 #define CROSSINGS 4
 #define AWAY_FROM_IT 1e3
 
@@ -66,7 +66,7 @@ static int short_steps_serve(const Instance *i, double left)
 }
 
 /* Try a short step, on the branch near a singular position. Return 0 if its error cannot be judged, or if it is
-   rejected there: limits at singular positions are less exact for short steps. */
+   rejected there, where limits are less exact for short steps. */
 static int try_short_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -76,7 +76,7 @@ static int try_short_step(Instance *i)
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
-        i->shared += s->short_cost; /* The tally counts these evaluations; none of them is made. */
+        i->shared += s->short_cost; /* The tally counts evaluations that the short step took over from the outputs. */
     else {
         i->workspace[s->onward] = onward;
         program_run(i, s->short_step);
@@ -106,8 +106,8 @@ static int error_is_round_off(const Instance *i)
     return i->m[i->scene->pace + PACE_FLOOR] * i->scene->share > NOISE;
 }
 
-/* Try an explicit step in place of one of the integrator, from the same step-control numbers. Return whether its
-   error can be judged; an error that is acceptable only because of round-off cannot. */
+/* Try an explicit step in place of one of the integrator, from the same step-control numbers. Return whether its error
+   can be judged; not if only round-off makes the error acceptable. */
 static int try_explicit_step(Instance *i, const double *kept, int regular)
 {
     const Scene *s = i->scene;
@@ -239,9 +239,8 @@ static void note_crossing(Instance *i, double least)
     pace[PACE_REFUSED] = pace[PACE_LAST] = 0.0;
 }
 
-/* Accept a step of the least length although its error is too large, as at a jump that depends on the motion: the
-   error is the jump itself, over almost no time. Return 0 if this happens repeatedly, because the cause is then
-   another. */
+/* Accept a step of the least length although its error is too large: at a jump that depends on the motion, the error is
+   the jump itself, over almost no time. Return 0 if this happens repeatedly, as the cause is then no jump. */
 static int cross_jump(Instance *i)
 {
     const Scene *s = i->scene;
@@ -275,7 +274,7 @@ int step_adaptive(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
-    double judged = 0.0; /* length of the first step that could not be judged since the last one that could */
+    double judged = 0.0; /* length of the first step that could not be judged since the last judged one */
     double until = -INFINITY;
     int stuck = 0;
     pace[PACE_END] = end;

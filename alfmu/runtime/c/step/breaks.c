@@ -23,7 +23,7 @@
 /* Relative deviation from a cubic below which the cubic is accepted. */
 #define EXPLAINED 1e-4
 
-/* Ratio of an extremum to the largest value below which the extremum is searched for a double change of sign. */
+/* An extremum below this share of the largest value is searched for a double change of sign. */
 #define TOUCHING 0.01
 
 /* Width of a change of sign, in units of the last digit of the time. */
@@ -32,7 +32,7 @@
 /* Most doublings of that width, for functions that are zero on both sides of a change of sign. */
 #define FLAT 24
 
-/* Most secant steps, more than any change of sign of finite numbers needs. */
+/* Most secant steps; no change of sign of finite numbers needs as many. */
 #define MOST_PASSES 300
 
 /* Number of points at which cubics are compared, none of them at a simple fraction of the interval, so that waves
@@ -96,8 +96,8 @@ static void shrink_bracket(Instance *i, int which, double time, Bracket *b)
     arena_release(i, arena);
 }
 
-/* Return the first time after `time`, in the direction `way`, at which the function is not zero to the last digit,
-   and as far again, where round-off no longer affects it. */
+/* Return the first time after `time`, in the direction `way`, at which the function is not zero to the last digit, plus
+   as much again, so that round-off no longer affects it. */
 static double find_time_beyond(Instance *i, int which, double time, double way)
 {
     const size_t arena = arena_mark(i);

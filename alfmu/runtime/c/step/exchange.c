@@ -1,7 +1,7 @@
 /* Model Exchange: an importer integrates coordinates, their rates and the states of first-order equations.
 
    Errors of the importer's steps violate the constraints. Rates and outputs are evaluated at the importer's states
-   projected onto the constraints (10), and rates have a term that leads the states back to these. So constraints hold
+   projected onto the constraints (10), and a term in the rates leads the states back to the constraints. So these hold
    in every output, and errors across them decay. An event corrects states after a step only if they are far from the
    constraints, as events restart the importer's method (docs/howto/exchange.md has the measurement). */
 
@@ -157,7 +157,7 @@ void exchange_set_states(Instance *i, const double *states)
     i->flags.known = 0;
 }
 
-/* The nominal length is that of the mechanism, the nominal angle 1 rad; nominal rates are as much per second. */
+/* The nominal length is the mechanism's, the nominal angle 1 rad; nominal rates are these values per second. */
 void exchange_nominals(const Instance *i, double *found)
 {
     const Scene *s = i->scene;

@@ -35,7 +35,7 @@ int step_can_reuse(const Instance *i)
         && !memcmp(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
 }
 
-/* Return whether that evaluation was near a singular position. */
+/* Return whether the last evaluation of outputs was near a singular position. */
 int step_reuse_is_near(const Instance *i)
 {
     const Scene *s = i->scene;

@@ -1,12 +1,11 @@
 /* Dry friction that follows from the load: when joints stick and slide, and steps up to these events.
 
-   While a joint slides, its direction s is 1 or -1 and accelerations contain its friction; while it sticks, s is 0
-   and the constraint of the joint is in force. What changes s is an event: the rate of a joint that slides goes
-   through zero, or the multiplier of one that sticks exceeds its limit. A step over an event is taken back and made
-   again up to it.
+   While a joint slides, its direction s is 1 or -1 and accelerations contain its friction; while it sticks, s is 0 and
+   the constraint of the joint is in force. An event changes s: the rate of a sliding joint crosses zero, or the
+   multiplier of a sticking joint exceeds its limit. A step over an event is taken back and repeated up to it.
 
-   As many joints stick as there are motions to hold; others at rest are held by them, at their limit (LIMITED) or
-   with a share of it (SHARED). */
+   As many joints stick as there are motions to hold; these hold the others at rest, which are at their limit (LIMITED)
+   or use a share of it (SHARED). */
 
 #include "friction.h"
 
@@ -121,7 +120,7 @@ static void make_stick(Instance *i, int k)
     arena_release(i, arena);
 }
 
-/* Return the second rate of a joint at rest that holds with a share of its limit; NaN beyond a jam, where no load
+/* Return the acceleration of a joint at rest if its friction is a share of its limit; NaN beyond a jam, where no load
    balances its own friction. */
 static double find_second_rate(Instance *i, int k, double share)
 {
@@ -172,7 +171,8 @@ static double find_holding_share(Instance *i, int k, double share, double idle)
     return way * low;
 }
 
-/* Let the joint at rest slide that accelerates most in spite of its whole limit. Return 0 if there is none. */
+/* Of the joints at rest that move in spite of their whole limit, let the one with the largest acceleration slide.
+   Return 0 if there is none. */
 static int let_one_slide(Instance *i, unsigned char *rests, double idle)
 {
     const Scene *s = i->scene;
@@ -224,7 +224,7 @@ static void bring_to_rest(Instance *i, unsigned char *rests, const unsigned char
 }
 
 /* Choose the joints that stick: as many joints at rest as there are motions to hold, those with the largest reserve
-   first. They hold the others. */
+   first. These hold the others. */
 static void choose_sticking(Instance *i, const unsigned char *rests)
 {
     const Scene *s = i->scene;
@@ -292,9 +292,10 @@ static void release_unheld(Instance *i)
     settings_upload_parameters(i);
 }
 
-/* Decide which joints at rest stick and in which direction the others slide. Each joint in turn takes the share of
-   its limit that holds it, until only joints at their whole limit move. This ends, because friction opposes motion:
-   a share taken by one joint relieves the others. The joint that moves most then slides, and the search repeats. */
+/* Decide which joints at rest stick and in which direction the others slide. Each joint in turn takes the share of its
+   limit that holds it, until only joints at their whole limit move. This ends because friction opposes motion: a share
+   that one joint takes relieves the others. Then the joint with the largest acceleration slides, and the search
+   repeats. */
 static Outcome decide_sticking(Instance *i, unsigned char *rests)
 {
     const Scene *s = i->scene;

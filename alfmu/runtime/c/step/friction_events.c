@@ -15,9 +15,9 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
-/* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its
-   direction, the reserve of a sticking joint's multiplier relative to its limit, or the rate that a joint held by
-   others lacks to move. */
+/* Compute the distance of each joint from its event, negative beyond it: the rate of a sliding joint in its direction,
+   the reserve of a sticking joint's multiplier relative to its limit, or how far the rate of a joint held by others is
+   below that of a moving joint. */
 void friction_distances(Instance *i, double *found)
 {
     const Scene *s = i->scene;
@@ -45,7 +45,7 @@ static double find_least_distance(const double *rooms, const unsigned char *meet
     return found;
 }
 
-/* Compute the second rates of sliding joints in their directions. */
+/* Compute the accelerations of sliding joints in their directions. */
 static void find_second_rates(Instance *i, double *found)
 {
     const double *grip = friction_gripped(i);
@@ -68,7 +68,7 @@ static int has_crossing(double rest, double before, double after, double bend_be
     return 0;
 }
 
-/* Return whether there is a jam here or within an internal step ahead, as where links are nearly aligned. */
+/* Return whether a jam, as with nearly aligned links, is here or within an internal step ahead. */
 static int find_jam_ahead(Instance *i)
 {
     const Scene *s = i->scene;

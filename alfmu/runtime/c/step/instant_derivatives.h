@@ -13,8 +13,8 @@
 #include "internal_begin.h"
 
 #if HAS_DERIVATIVES
-/* Differentiate outputs with respect to inputs and, before the run, to parameters and start values: along a
-   direction of the knowns, or back from a direction of the unknowns. */
+/* Differentiate outputs with respect to inputs and, before the run, to parameters and start values: along a direction
+   of the knowns, or backwards for weights of the unknowns. */
 int variable_has_derivatives(const Scene *s, int reference);
 
 int instance_moves_start(const Instance *i);

@@ -18,7 +18,7 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Set the pointers to the parts, one behind the other. Return the total size. */
+/* Set the pointers to the parts of `numbers`, one after another; return their total length. */
 static size_t layout_parts(Instance *i, double *numbers)
 {
     const Scene *s = i->scene;
@@ -64,7 +64,7 @@ static size_t layout_parts(Instance *i, double *numbers)
     return count;
 }
 
-/* Return how many numbers an instance has as scratch memory: for its start, ranks among it, or for steps alone. */
+/* Return the length of an instance's scratch memory, for its start (which determines ranks) or for steps only. */
 static size_t scratch_length(const Scene *s, int starts)
 {
     const size_t side = (size_t)(s->n + s->l + s->ties + 1), kept = (size_t)(s->past + s->past_size - s->pace);
@@ -80,7 +80,7 @@ static size_t scratch_length(const Scene *s, int starts)
     return room;
 }
 
-/* Set the pointers of an instance to the numbers that it keeps, and return how many these are; `numbers` may be
+/* Set the pointers of an instance to the numbers that it keeps between calls, and return their count; `numbers` may be
    NULL. */
 static size_t layout_kept(Instance *i, double *numbers)
 {
@@ -88,7 +88,7 @@ static size_t layout_kept(Instance *i, double *numbers)
     i->count = layout_parts(i, numbers);
     if (numbers) {
         i->numbers = numbers;
-        i->workspace = numbers + i->count; /* of programs: it follows the memory, which is the last part */
+        i->workspace = numbers + i->count; /* workspace of programs: it follows the memory, which is the last part */
         i->read_at = i->workspace + s->workspace;
         i->breaks = i->read_at + 2 * s->n + s->inputs;
     }
@@ -96,7 +96,7 @@ static size_t layout_kept(Instance *i, double *numbers)
         + (s->break_count ? 2 * MOST_BREAKS : 0);
 }
 
-/* The same of those that no call leaves to the next one. */
+/* Set its pointers to the numbers that it uses only during a call, and return their count. */
 static size_t layout_lent(Instance *i, double *numbers, int starts)
 {
     const Scene *s = i->scene;

@@ -10,17 +10,19 @@
 
 #include "internal_begin.h"
 
-/* How many numbers an instance of a scene has, which finds its start by itself or only makes steps. */
+/* Return how many numbers an instance of a scene has, if it finds its start itself (`starts`) or only makes steps. */
 size_t instance_length(const Scene *s, int starts);
 
-/* Of these, how many it keeps, and how many are free between two calls, so that instances may share them. */
+/* Return how many of these it keeps between calls, and how many it uses only during a call, so that instances may share
+   them. */
 size_t instance_kept_length(const Scene *s);
 size_t instance_lent_length(const Scene *s, int starts);
 
-/* An instance with so many numbers; both are zero. Where `lent` is not NULL, `numbers` are those that it keeps. */
+/* Initialise a zeroed instance on zeroed `numbers` of that count. If `lent` is not NULL, `numbers` holds only those
+   that the instance keeps. */
 void instance_lay(Instance *i, const Scene *s, double *numbers, double *lent, int starts);
 
-/* Go on with other numbers of those that are free between two calls, the constants of the scene among them. */
+/* Replace the numbers used only during a call by others, and load the constants of the scene there. */
 void instance_borrow(Instance *i, double *lent, int starts);
 
 Instance *instance_new(const Scene *s);

@@ -117,8 +117,8 @@ static void track_errors(Instance *i)
               fabs(seen[s->monitor_energy] - c[ENERGY_START] - instance_field(i, s->z)[s->work]));
 }
 
-/* Run a program that evaluates the outputs by limits. What is read changes no step: the direction of positions is that
-   of before again. */
+/* Run a program that evaluates the outputs as limits at a singular position. It may change the direction of these
+   limits, which is then restored, so that reading affects no step. */
 static void run_limit(Instance *i, int program)
 {
     const size_t arena = arena_mark(i), size = (size_t)scene_settings_length(i->scene);
@@ -239,7 +239,7 @@ int outputs_read_quickly(Instance *i)
     return instance_diagnostic(i, SEEN_TROUBLE) == 0.0;
 }
 
-/* Values of variables; where outputs among them cannot be computed, those that can. */
+/* Get values of variables; if some outputs cannot be computed, get the others. */
 Outcome outputs_get_many(Instance *i, const int *references, int count, double *values)
 {
     const int first = scene_first_output(i->scene);

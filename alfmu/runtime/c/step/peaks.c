@@ -17,18 +17,18 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Number of equidistant samples in a step beside its beginning. */
+/* Number of equidistant samples in a step besides its start. */
 #define BETWEEN_STEPS 4
 
 /* Number of states, each with its rates, that the polynomial interpolates. */
 #define STATES 3
 
-/* Largest length of a step over that of the previous one for which the state before counts: a polynomial through
-   states so close to each other enlarges their round-off by the square of this. */
+/* Largest ratio of a step to the previous one for which the polynomial uses the state before that one: with states so
+   close together it enlarges their round-off by the square of the ratio. */
 #define LENGTHENED 10.0
 
-/* Distance of a position from that by the mean of both rates [rad, lengths] below which it may be round-off, whose
-   rate in a short step would have any size. */
+/* Distance of a position [rad, lengths] from the one that the mean of both rates gives, up to which the difference may
+   be round-off, which could mean any rate in a short step. */
 #define INDISTINCT 1e-10
 
 size_t peaks_room(const Scene *s)
@@ -72,8 +72,8 @@ static void update_magnitudes(Instance *i, double *magnitudes)
     }
 }
 
-/* Interpolate states and rates at several times by Newton's form with each time twice (Hermite), and return the rate
-   of the polynomial, too; linear in the rate where positions differ from that by less than `indistinct`. */
+/* Interpolate a state and its rate at t: Newton's form with each time twice (Hermite). Take the rate as linear if
+   positions differ by at most `indistinct` from those that follow from it. */
 static void interpolate_states(int states, const double *times, const double *const *q, const double *const *v, int c,
     double indistinct, double t, double *value, double *rate)
 {

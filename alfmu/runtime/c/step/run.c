@@ -176,8 +176,7 @@ Outcome instance_can_step(Instance *i, double start, double h)
     return DONE;
 }
 
-/* Return how many numbers the memory holds from the internal step to past inputs, which steps keep beside the
-   motion. */
+/* Return the length of the memory from the internal step to past inputs, which steps keep besides the motion. */
 static size_t step_memory_length(const Scene *s)
 {
     return (size_t)(s->past + s->past_size - s->dt);
@@ -213,8 +212,8 @@ static Outcome make_communication_step(Instance *i, double start, double h)
     const Scene *s = i->scene;
     Outcome outcome = DONE;
     long made = -1;
-    /* Other integrators than RK4 may need any number of steps, which only the slower way counts. It also takes back
-       no step along which derivatives were propagated. */
+    /* RK4 alone has a known number of steps; only the slower way counts those of others. It also takes back no step
+       along which derivatives were propagated. */
     if (!i->flags.whole || settings_method(i) || s->frictions || s->entries || i->broken
         || !step_fixed_whole(i, start, h, &made))
         outcome = step_over_breaks(i, start, h, made);

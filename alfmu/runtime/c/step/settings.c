@@ -35,8 +35,8 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs of the scene serve the chosen formulation, not only `move`, `close` and
-   `instant_patient`. */
+/* Return whether all programs support the chosen formulation; otherwise only `move`, `close` and `instant_patient` do.
+   */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -160,8 +160,8 @@ int settings_method(const Instance *i)
     return rk4 ? 0 : s->method;
 }
 
-/* Return the tolerance of a step for that of the run: proportional for explicit integrators, and a smaller share if
-   it is loose. */
+/* Return the tolerance of a step for that of the run: proportional for explicit integrators; a smaller share of a loose
+   one. */
 static double step_tolerance(double share, double exponent, double run)
 {
     return share * pow(run, exponent) * (exponent == 1.0 ? pow(fmin(1.0, STEADY / run), LOOSER) : 1.0);
@@ -233,7 +233,7 @@ void settings_in_force(const Instance *i, const double *on, unsigned char *held)
         held[s->friction[k].row] = i->discrete[s->friction[k].slip] == 0.0;
 }
 
-/* Return whether the constraints in force are the usual ones. */
+/* Return whether the constraints in force are those for which the scene was traced. */
 int settings_usual(Instance *i)
 {
     const Scene *s = i->scene;

@@ -70,7 +70,7 @@ Outcome topology_change(Instance *i, const double *on)
         program_run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         tape_copy(i, v, w + s->struck, (size_t)s->n);
-        if (s->timed) /* A prescribed motion that comes into force does work, too. */
+        if (s->timed) /* A prescribed motion that comes into force also does work. */
             energy_add_jump(i, energies);
         else {
             *work += -w[s->lost];

@@ -1,6 +1,6 @@
-/* S4: the direction in which the positions of a limit lie where it is not that of the motion. These positions are some
-   hundredths of a radian away, whatever the speed. Where time is a coordinate, or something else moves much faster than
-   what is singular, the motion would carry all else too far on the way to them. */
+/* S4: the direction along which a limit at a singular position is taken, if it is not the motion's. The positions of a
+   limit are some hundredths of a radian away, at any speed. If time is a coordinate, or if another part moves much
+   faster than the singular one, the motion would displace everything else too far at these positions. */
 
 #include "way.h"
 
@@ -20,13 +20,13 @@
 #include "settings.h"
 #include "velocities.h"
 
-/* The direction (n) among the settings, zero where it is that of the motion. */
+/* Return the direction (n) among the settings; zero if it is the motion's. */
 static double *way_of(Instance *i)
 {
     return instance_field(i, i->scene->k) + scene_way(i->scene);
 }
 
-/* Set way to x, so that its fastest coordinate but time has the rate 1; to zero where nothing moves. */
+/* Set way to x, scaled so that its fastest coordinate except time has the rate 1; to zero if nothing moves. */
 static void set_unit_way(Instance *i, const double *x, double *way)
 {
     const Scene *s = i->scene;
@@ -37,20 +37,20 @@ static void set_unit_way(Instance *i, const double *x, double *way)
         way[c] = size > 0.0 ? x[c] / size : 0.0;
 }
 
-/* Positions of a limit lie along the motion from here on. */
+/* Take limits along the motion from now on. */
 static void set_along(Instance *i)
 {
     memset(way_of(i), 0, (size_t)i->scene->n * sizeof(double));
     instance_field(i, i->scene->k)[SETTINGS_ALONG] = 1.0;
 }
 
-/* Return whether everything moves together, so that there is one direction only; many coordinates count as such. */
+/* Return whether the mechanism has a single motion, hence a single direction; assume it for many coordinates. */
 static int has_single_motion(const Instance *i)
 {
     return i->scene->n - *i->rank <= 1.0 || i->scene->n > DENSE;
 }
 
-/* Margins at a distance along a direction, on both sides of q. */
+/* Compute the margins at a distance along a direction, on both sides of q. */
 static void margins_beside(Instance *i, const double *q, const double *way, double distance, double margins[2])
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
@@ -64,8 +64,8 @@ static void margins_beside(Instance *i, const double *q, const double *way, doub
     arena_release(i, arena);
 }
 
-/* Return by how much a direction leads away from a singular position q of this margin, over the motion of its fastest
-   coordinate; 0 where this is indistinguishable. */
+/* Return how fast the distance from the singular position at q, whose margin is given, grows along a direction,
+   relative to the motion of its fastest coordinate; 0 if the growth is indistinguishable from round-off. */
 static double slope_away(Instance *i, const double *q, const double *way, double margin)
 {
     double margins[2], more;
@@ -74,7 +74,7 @@ static double slope_away(Instance *i, const double *q, const double *way, double
     return more > instance_field(i, i->scene->k)[SETTINGS_NOTHING] ? sqrt(more) / LEAVING : 0.0;
 }
 
-/* Return the same beside a singular position, with a sign. */
+/* Return the change of that distance along a direction, with its sign, at a position q near a singular one. */
 static double slope_beside(Instance *i, const double *q, const double *way, double margin)
 {
     double margins[2];
@@ -82,7 +82,7 @@ static double slope_beside(Instance *i, const double *q, const double *way, doub
     return (margins[1] - margins[0]) / (4.0 * LITTLE * sqrt(margin));
 }
 
-/* Make a direction from a singular position q that of one of the motions that cross there. */
+/* Replace a direction from a singular position q by that of a motion on the branch next to it. */
 static void follow_branch(Instance *i, const double *q, double *way)
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
@@ -119,7 +119,7 @@ static void keep_possible(Instance *i, const double *q, const double *moved, dou
     arena_release(i, arena);
 }
 
-/* The steepest ascent of the distance on these motions. */
+/* Find the direction in which the distance from the singular position increases most. */
 static void climb(Instance *i, const double *q, double margin, double *way)
 {
     const Scene *s = i->scene;
@@ -142,8 +142,8 @@ static void climb(Instance *i, const double *q, double margin, double *way)
     arena_release(i, arena);
 }
 
-/* Let positions of a limit lie in the direction that the one of before has become at q, or in that of the steepest
-   ascent; along the motion where the distance changes in none. */
+/* Choose the direction of limits at q: the possible part of the previous direction, or else the steepest ascent of the
+   distance; along the motion if the distance changes along neither. */
 static void point_way(Instance *i, const double *q)
 {
     const size_t arena = arena_mark(i);
@@ -161,9 +161,9 @@ static void point_way(Instance *i, const double *q)
     arena_release(i, arena);
 }
 
-/* Start at a singular position. What is singular may rest: the direction is then that of the start rates, or of equal
-   rates of the start values. Where time is a coordinate it stands still; the direction is one of those beside, on the
-   branch of the motion. */
+/* Choose the direction at the start, which may be a singular position. If the singular part rests, the direction is
+   that of the start rates, or of equal rates of the start values. If time is a coordinate, it is a direction at fixed
+   time, chosen at a position beside the start on the branch of the motion. */
 void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v)
 {
     const Scene *s = i->scene;
@@ -204,8 +204,8 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
     arena_release(i, arena);
 }
 
-/* Before a step on the branch: the direction is that of the motion where this serves, or the one of before, as long
-   as it serves or the position is too near to tell. */
+/* Choose the direction before a step on the branch: the motion if the distance changes enough along it; otherwise the
+   previous direction while it serves, or while the position is too near to judge. */
 void way_update(Instance *i)
 {
     const Scene *s = i->scene;

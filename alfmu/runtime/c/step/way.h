@@ -1,4 +1,4 @@
-/* Finds the direction in which positions of a limit lie where it is not that of the motion. */
+/* Finds the direction along which a limit at a singular position is taken, if it is not the motion's. */
 
 #ifndef ALFMU_WAY_H
 #define ALFMU_WAY_H
