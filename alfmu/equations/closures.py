@@ -16,7 +16,7 @@ __all__ = ["closures_of", "compliances_of", "held_by", "relations_of", "slid", "
 
 
 def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
-    """Return directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
+    """Return, by joint, the directions that the choice of coordinates closes, so that they need no constraint.
 
     Their residual is identically zero, as for two natural bars that share a point, or a slider without an angle.
     """

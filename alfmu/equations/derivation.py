@@ -132,7 +132,7 @@ def _symbols(m: Mechanism) -> _Symbols:
 
 @dataclass
 class _Closed:
-    """Constraints by the parts of a mechanism that they close."""
+    """Constraints, and the joints and other parts whose directions they close."""
 
     plain: Kinematics
     held: dict[Joint, tuple[str, ...]]
@@ -307,7 +307,7 @@ def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed)
     """Add multipliers, states, declared outputs, and limit stops."""
     read.values += ca.vertsplit(closed.lam)
     for i, row in enumerate(closed.rows):
-        force = "N" if row.unit == "m" else "N.m"  # its product with the row is work
+        force = "N" if row.unit == "m" else "N.m"  # reaction times row is work
         text = f"multiplier of {row.name}, {row.what}"
         read.outputs.append(Variable(f"multiplier[{i + 1}]", force, description=text))
     read.add([state.symbol for state in m.states], _states(m))

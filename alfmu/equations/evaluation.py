@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 Stage = TypeVar("Stage", bound=Equations)
-"""Equations, or what is made of them."""
+"""Equations, or a later stage of them."""
 
 DENSE = 50
 """Number of coordinates up to which matrices are dense arrays; larger ones are sparse."""

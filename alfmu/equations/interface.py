@@ -1,4 +1,4 @@
-"""Variables that every scene has beside those of its mechanism: solver variables, monitors, impacts."""
+"""Variables that every scene has besides those of its mechanism: solver variables, monitors, impacts."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ CHOICES: dict[Choice, dict[str, str]] = {
     "solver.branch": BRANCHES,
     "solver.method": METHODS,
 }
-"""Values of each of them."""
+"""Values of each text variable."""
 
 MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
@@ -137,7 +137,8 @@ MONITORS = (
 
 
 SOLVED = {"monitor.distance", "monitor.singular", REACTION_ERROR}
-"""Monitors that need accelerations, multipliers or pivots: where no output needs them either, none are computed."""
+"""Monitors that need accelerations, multipliers or pivots; these are not computed if no output or monitor needs
+them."""
 
 BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
 """Monitors of the energy balance: without all of them, no work is integrated."""

@@ -135,7 +135,7 @@ def _keeping(equations: Configuration, patterns: Iterable[str]) -> Configuration
 
 
 def _magnitudes(e: Equations) -> dict[str, list[str]]:
-    """Return what can have a peak, with its outputs: each output, and vectors of outputs."""
+    """Return each output, and each vector of outputs, that can have a peak, with its components."""
     found = {v.name: [v.name] for v in e.outputs}
     for name in found.copy():
         base, _, axis = name.rpartition(".")

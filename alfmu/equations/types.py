@@ -1,6 +1,6 @@
 """Equations of a mechanism for numerical use: functions, names, units; no symbols, no declaration.
 
-`alfmu.derive` makes `Equations`; a `Configuration` is what a scene is traced from.
+`alfmu.derive` makes `Equations`; a scene is traced from a `Configuration`.
 """
 
 from __future__ import annotations
@@ -274,7 +274,8 @@ class Equations(_Functions):
     laws(q, v, p)                             laws of time that may jump or diverge, and their first and second rates
     ========================================  ==================================================================
 
-    `alfmu.equations.evaluation` combines those that are evaluated with numbers, and `alfmu.kernel.trace` traces them.
+    `alfmu.equations.evaluation` combines the functions that are evaluated with numbers, and `alfmu.kernel.trace` traces
+    them.
     """
 
     name: str
@@ -308,7 +309,7 @@ class Equations(_Functions):
     frictions: Sequence[Rubbing] = ()
     """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
-    """Names of stored values in p behind the parameters, which `displacements` computes: displacements that locks keep,
+    """Names of stored values in p after the parameters, which `displacements` computes: displacements that locks keep,
     states of joints with dry friction, angles whose turns are counted, and if time is a coordinate, the time at which
     the run began and the numbers of signals."""
     counted: dict[str, int] = field(default_factory=dict)
@@ -344,7 +345,7 @@ class Equations(_Functions):
 
     @classmethod
     def of(cls, equations: Equations, **changes: Any) -> Self:
-        """Return equations at this stage, with what belongs to later ones left out, and with changes."""
+        """Return equations at this stage, with changes; fields of later stages are dropped."""
         if type(equations) is cls and not changes:
             return equations
         given = vars(equations)
@@ -363,7 +364,7 @@ class Equations(_Functions):
 
     @property
     def driven(self) -> int:
-        """Length of u: inputs, and behind them states."""
+        """Length of u: inputs, followed by states."""
         return len(self.inputs) + len(self.states)
 
     @property
@@ -378,7 +379,7 @@ class Equations(_Functions):
 
     @property
     def turns(self) -> bool:
-        """Whether there are Euler parameters, whose pivots are small in turn along a motion."""
+        """Whether there are Euler parameters, each of which has a small pivot somewhere along a motion."""
         return any(c.unit == "1" for c in self.coordinates)
 
     if not TYPE_CHECKING:
@@ -403,7 +404,7 @@ class Configuration(Equations):
     peaks: dict[str, list[str]] = field(default_factory=dict)
     """Peaks requested, and the outputs that each consists of."""
     decision: Decision | None = None
-    """None where the method of integration is not decided yet."""
+    """None if the method of integration is not decided yet."""
     survey: Survey = Survey()
 
 

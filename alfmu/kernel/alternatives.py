@@ -26,18 +26,18 @@ from .trace import Calls, Tracer, spaced
 __all__ = ["CHOSEN", "OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
 
 OWN = Settings.formulation
-"""The formulation of every program but those that serve all of them."""
+"""Formulation of all programs except those that serve every formulation."""
 
 CHOSEN = {name: f"by_{name}" for name in FORMULATIONS if name != OWN}
-"""Names of the numbers by which the runtime tells programs that another formulation is chosen."""
+"""Values by which the runtime selects another formulation in a program, by formulation."""
 
 SYSTEMS = ("baumgarte", "dae")
 """Formulations that solve the dense system (9) of all coordinates and constraints."""
 
 
 BEYOND_SLIPS = ("stiffness", *SYSTEMS)
-"""Formulations without nonholonomic constraints: the first constrains positions alone. A scene omits those after one
-that it omits."""
+"""Formulations without nonholonomic constraints: `stiffness` constrains positions only. A scene with nonholonomic
+constraints omits them."""
 
 
 def formulations(equations: Equations) -> list[str]:
@@ -56,7 +56,7 @@ class Alternatives(Tracer):
     """Traces evaluations of a selected formulation."""
 
     chooses = False
-    """Whether evaluations serve all formulations, not `residual` alone."""
+    """Whether evaluations serve all formulations, not only `residual`."""
 
     def of_all(self, chooses: bool = True) -> Self:
         """Return a tracer for another formulation that shares the functions of this one."""
@@ -75,7 +75,7 @@ class Alternatives(Tracer):
         `names` are those of q, v, a, lam and watch.
         """
         e, scene, watch = self.e, calls.scene, names["watch"]
-        # Phi and C v come from a function that the start needs anyway.
+        # Phi and C v come from a function that the start needs, too.
         residues = ("residue_mass", "residue_matrix", "Phi", "Cv")
         results = spaced([names[x] for x in ("a", "lam", "watch")])
         right = "xi"
@@ -145,7 +145,7 @@ def _system(scene: Scene, M: SX, C: SX, F: SX, xi: SX) -> tuple[SX, SX]:
 
 
 def _solved(scene: Scene, solution: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """Split the solution of (9); no pivot can be too small."""
+    """Split the solution of (9); its watch reports no pivot."""
     n = scene.e.n
     return solution[:n], scene.scale * solution[n:], _at_once(watch, SX(1))
 

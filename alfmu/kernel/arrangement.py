@@ -44,7 +44,7 @@ OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
 """Number of operands by kind."""
 
 _MOST = 15
-"""Largest number of operands of the replacement of an instruction."""
+"""Most operands of the operations that replace an instruction."""
 
 _NEUTRAL = (1.0, -1.0, -0.0)
 """Constants by which an operation reduces to another kind."""
@@ -107,7 +107,7 @@ class Arrangement:
     """A function as runs of equal operations."""
 
     arguments: dict[int, tuple[int, int]]
-    """Argument and entry of each value that is one."""
+    """Argument and entry of each value that is an argument."""
     constants: dict[int, float]
     arrays: Runs
     results: list[tuple[int, int, int]]

@@ -74,6 +74,6 @@ def ordered(e: Traced) -> Traced:
     used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
     functions = {name: e.functions[name] for name in names}
-    # The layout of the memory follows from the number of values that are seen, whether or not a function gives them.
+    # The number of outputs determines the layout of the memory, whether or not a function computes them.
     signatures = {name: e.signatures[name] for name in (*names, "seen") if name in e.signatures}
     return replace(e, functions=functions, signatures=signatures)

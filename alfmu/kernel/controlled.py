@@ -57,7 +57,7 @@ NEWMARK_PASSES = 16
 """Most iterations of Newton's method in the index-3 form, each with new tangents."""
 
 RETURNS = 4
-"""Number of projections of q and v after them."""
+"""Number of projections of q and v after these iterations."""
 
 
 def whole(equations: Traced) -> Traced:
@@ -135,7 +135,7 @@ class _Step:
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
         self.mark, self.name = mark, name or mark
-        """Prefixes of names of functions of stages, and of the end of the step."""
+        """Prefixes of function names: for stages, and for the end of the step."""
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
         self.by_constraints = plan.gaining and not plan.branch and self.e.l > 0 and self.e.n <= DENSE
@@ -212,7 +212,7 @@ class _Step:
         *following, accepted = judged(order, numbers, step, error, ca.if_else)
         fixed = known["fixed"] != 0
         # Steps of fixed length are judged by the convergence of Newton's method alone. On the branch the error is
-        # unknown if the motion does not reach the positions of a limit, which shorter steps do not change.
+        # unknown if the motion does not reach the positions of a limit; shorter steps do not reach them either.
         unknown = 1 - (error < math.inf)
         unjudged = unknown if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + unknown, ca.if_else(accepted, trouble, unjudged))
@@ -301,8 +301,8 @@ class _Explicit(_Step):
 class _Implicit(_Step):
     """Common parts of methods with Newton's method.
 
-    States follow the velocities, as those of masses of 1, and their rates the accelerations: `side` numbers in all.
-    Displacements of these masses are never needed.
+    States are appended to the velocities, as velocities of masses of 1, and their rates to the accelerations: `side`
+    numbers in all. Displacements of these masses are never needed.
     """
 
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
@@ -314,11 +314,11 @@ class _Implicit(_Step):
         tracer.lengths |= dict.fromkeys(alike.split(), self.side)
 
     def inputs(self, i: str) -> str:
-        """Return the name of the inputs at a place, with the states there."""
+        """Return the name of the inputs at a stage, followed by its states."""
         return self.tracer.inputs_name(i)
 
     def at(self, z: SX) -> tuple[SX, SX]:
-        """Return positions and velocities of z, with the states."""
+        """Return positions and velocities of z, each extended for the states."""
         n, layout = self.e.n, self.layout
         return ca.vertcat(z[:n], self.moved), ca.vertcat(z[n : 2 * n], z[layout.states : layout.time])
 
@@ -328,7 +328,7 @@ class _Implicit(_Step):
         return (q[:n], v[:n], v[n:]) if self.e.states else (q, v)
 
     def named(self, names: str, i: str) -> str:
-        """Return names of values with i in them, with that of the states there."""
+        """Return names of values with i appended, and the name of the states there."""
         return spaced([f"{x}{i}" for x in (*names.split(), *self.tracer.states)])
 
     def start(self) -> None:
@@ -395,7 +395,7 @@ class _Collocation(_Implicit):
         return Program(calls.steps, self.plan, rule.name, 1, s, self.count)
 
     def stiff(self, calls: Calls, i: str) -> None:
-        """Compute H, Q, V, by columns, at the place evaluated last."""
+        """Compute H, Q, V, by columns, at the stage evaluated last."""
 
         def found(*known: SX) -> list[SX]:
             return [ca.vec(ca.densify(x)) for x in self.scene.stiffness(*known)]
@@ -403,7 +403,7 @@ class _Collocation(_Implicit):
         calls("stiffness", f"t{i} q{i} v{i} a{i} lam{i} {self.inputs(i)} p k M C", f"H{i} Q{i} V{i}", found)
 
     def _place(self, calls: Calls, i: str) -> None:
-        """Compute time, q and v at a node, and their acceleration; with states and their rates."""
+        """Compute time, q and v at a node, with its states, and the accelerations with the rates of states."""
         number, rule = int(i) - 1, self.rule
 
         def found(z: SX, dt: SX, rates: SX) -> tuple[SX, ...]:

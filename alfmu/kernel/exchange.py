@@ -15,7 +15,7 @@ __all__ = ["ACCELERATIONS", "FADING", "exchanged", "indicators", "obstacle"]
 
 FADING = 0.1
 """Share of the distance to the constraints by which states return in a communication step [1]: errors of an importer
-fade over ten of them. A fifth of this leaves up to twice the error of a run, and twice of it gains nothing."""
+fade over ten of these. A fifth of this share leaves up to twice the error of a run; twice the share gains nothing."""
 
 ACCELERATIONS = "a0"
 """Value of the programs that evaluate outputs; the runtime reads it."""

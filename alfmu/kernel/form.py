@@ -125,11 +125,11 @@ class Plan:
     weighted: bool = False
     """Whether each constraint may have its own penalty."""
     spacing: float = singular.SPACING
-    """Spacing over the step of the positions from which limits are taken on the branch."""
+    """Spacing of the positions from which a limit is taken on the branch, over the step."""
     side: int = singular.PLACES
     """Number of these positions on either side."""
     branch: bool = False
-    """Whether each stage is brought to the branch of the motion, and its limit taken near a singular position."""
+    """Whether each stage is brought to the branch of the motion, and a limit is taken near a singular position."""
     margins: bool = False
     """Whether the margin itself is computed, not only whether it may be small; for weighted plans."""
 

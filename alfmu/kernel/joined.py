@@ -94,4 +94,4 @@ class _Joining:
         for call in calls:
             results = functions[call.function].call([known[each] for each in call.arguments])
             known |= zip(call.results, results, strict=True)
-        return ca.Function(name, arguments, [known[each] for each in outputs])  # repetitions end where it is encoded
+        return ca.Function(name, arguments, [known[each] for each in outputs])  # encoding removes repeated operations

@@ -73,7 +73,7 @@ def _given(steps: Iterable[Step]) -> set[str]:
 
 
 def _alone(parts: Sequence[Steps]) -> bool:
-    """Return whether none of these uses results of another."""
+    """Return whether no part uses results of another part."""
     given = [_given(part) for part in parts]
     return all(
         not set(taken(part)) & set().union(*(x for k, x in enumerate(given) if k != i)) for i, part in enumerate(parts)

@@ -44,7 +44,7 @@ SHORT = 10
 """Number of addresses with a constant step up to which they are listed: this takes about as many words."""
 
 _WORDS = 42
-"""Largest number of words for an instruction: two runs, and the operands of what it and an argument become."""
+"""Most words for an instruction: two runs, with the operands of its operations and of those of an argument."""
 
 LINE, TABLE, BEFORE = range(3)
 """Sources of values from outside an iteration: addresses with a constant step, a table, an earlier iteration."""
@@ -295,7 +295,7 @@ class _Body:
         self.tables: list[list[int]] = []
         """Addresses in all iterations."""
         self.cells: dict[tuple[int, int], int] = {}
-        """Initial values of values from earlier iterations: by operation and iteration, the address."""
+        """Address of the initial value of each operand from an earlier iteration, by operation and iteration."""
         self._slots: dict[tuple[int, int, int] | bytes, int] = {}
         self._numbers: dict[int, int] = {}
 
@@ -349,7 +349,7 @@ class _Body:
         return slot
 
     def _number(self, place: int, operand: int) -> int:
-        """Return one of the numbers of a constant."""
+        """Return an instruction operand that stands for a constant, the same for each use."""
         return self._numbers.setdefault(int(place), int(operand))
 
 

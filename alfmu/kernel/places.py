@@ -58,7 +58,8 @@ class Places:
                     yield j, users, self._made[j, users]
 
     def _choose(self) -> None:
-        """Choose storage: results are read if addressed with a step, but not to become results; the rest is stored."""
+        """Choose storage: operands of loops are read from results with a constant step, unless they become results
+        themselves; all others are stored."""
         writing = self._operations.result[0] >= 0
         self.fetched = self.elsewhere & self._straight & ((self._result[0, self._made] < 0) | writing)
         for j, users, values in self._sequences():
@@ -111,7 +112,7 @@ class Places:
                 yield _Table(int(self._piece[alike].min()), end, length, alike, rows * len(columns) + places)
 
     def _continuations(self) -> dict[int, tuple[int, int, int]]:
-        """Return values of straight code read as if they belonged to a loop: its piece, the column, the row."""
+        """Return the values of straight code that continue those of a loop: the loop's piece, the column and the row."""
         found: dict[int, tuple[int, int, int]] = {}
         taken = set()
         for j, users, values in self._sequences():

@@ -151,7 +151,8 @@ class _Sequence:
                 yield _Candidate(length, period, begin + start, begin + stop + period)
 
     def begun_best(self, repeat: Repeat, end: int) -> Repeat:
-        """Return the repetition with the start at which fewest values pass between periods, if that loses none."""
+        """Return the repetition with the start at which fewest values pass between periods, if it keeps the number of
+        periods."""
         start, period, count = repeat
         spare = end - repeat.end + 1
         middle = start + count // 2 * period
@@ -205,8 +206,8 @@ class _Lines:
         return min(fit, key=cost, default=given)
 
     def _alike(self, way: Repeat) -> bool:
-        """Return whether the same operands are computed in the same iteration, in all iterations: a longer period may
-        include values that only one iteration finds there."""
+        """Return whether an operand that is computed in its own iteration is so in every iteration: in a longer period,
+        a value may be found in the same iteration only once."""
         o, part, begin = self._operations, slice(way.start, way.end), way.passes(0)[:, None]
         made = np.where(o.kind[:, part] == VALUE, o.made[:, part], -1).reshape(2, way.times, way.period)
         here = np.where(made >= begin, made - begin, -1)

@@ -198,9 +198,9 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     """Return kinds and counts of each run, its operands, and the results, as differences: an archive is a quarter
     smaller.
 
-    Addresses from `first`, the first result of an operation, are counted back from the end of the run, those of results
-    from the end of all. The first operands of a run precede the second ones, and each is stored as its difference from
-    the one before.
+    Addresses from `first` on, which are results of operations, count back from the end of the run; those of results
+    count back from the end of all runs. The first operands of a run precede the second ones, and each is stored as its
+    difference from the one before.
     """
 
     begins, heads, at = [], [], 0

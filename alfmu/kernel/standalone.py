@@ -1,10 +1,10 @@
-"""Programs and functions that a scene needs in C alone: the oracle's loops as programs, and functions for the start.
+"""Programs and functions for C only: the oracle's loops as programs, and functions for the start.
 
-The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
-`move` leads to the end of a step, `close` brings it back to the constraints, `instant_patient` and `limit_patient`
-read, `impact` makes the velocity consistent. `move` and `instant_patient` serve every formulation
-(`alfmu.kernel.alternatives`) and, near singular positions, the branch of the motion: numbers that the runtime hands to
-them choose. `instant_quick` reads by as few iterations as a quick step makes, which can go on with what was read.
+A patient tier follows those of `alfmu.kernel.trace`; its loops stop on convergence. `move` makes a step, `close`
+projects its end onto the constraints, `instant_patient` and `limit_patient` evaluate outputs, `impact` makes the
+velocity consistent. The runtime passes numbers to `move` and `instant_patient` that select a formulation
+(`alfmu.kernel.alternatives`) or, near a singular position, the branch of the motion. `instant_quick` evaluates outputs
+by the few iterations of a quick step, which can then reuse the evaluation.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class _Patient(Alternatives):
     # Loops that stop on convergence --------------------------------------------------------------------------------
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """S4: where the motion does not reach the positions of a limit, accelerations are evaluated directly."""
+        """S4: where the motion does not reach the positions of a limit, evaluate accelerations directly."""
         super()._on_branch(calls, i, u, length, kept)
         watch, scene, plan = f"watch{i}", calls.scene, calls.plan
         end, last = calls.inside(), calls.inside()
@@ -315,7 +315,7 @@ class _Patient(Alternatives):
         calls.made += found.made
 
     def evaluated(self, calls: Calls, i: str, u: str, length: str) -> None:
-        """Evaluate on the branch of the motion if `on_branch` is nonzero, for `residual` only."""
+        """If `on_branch` is nonzero, evaluate on the branch of the motion, by `residual` only."""
         if not self.chooses:
             super().evaluated(calls, i, u, length)
             return
@@ -401,7 +401,7 @@ def _results(step: Step) -> tuple[str, ...]:
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:
-    """Yield a call with its inputs at its own time; past ones are moved where they are determined."""
+    """Yield a call with its inputs at its own time; past inputs are moved where they are extrapolated."""
     if not isinstance(step, Call):
         yield step
     elif step.function == "inputs":

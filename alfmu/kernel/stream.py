@@ -65,7 +65,7 @@ UNARY = {
 }
 
 ROLES = ("unary", "binary", "input", "output", "constant", "doubled", "inverse", "cosine", "copysign")
-"""What the C library has to know of an operation of CasADi (`runtime/c/binding/straight.c`)."""
+"""Roles of CasADi's operations, for the C library (`runtime/c/binding/straight.c`)."""
 
 _OF_ROLES = {
     **dict.fromkeys(BINARY, "binary"),
@@ -80,7 +80,7 @@ ROLE = np.array([ROLES.index(_OF_ROLES.get(code, "unary")) for code in range(OPE
 """The role of each operation."""
 
 MOST, SMALL = 60, 25_000
-"""Functions whose instructions are kept, and their largest number of them, some 100 bytes each."""
+"""Number of functions whose instructions are cached, and most instructions of each, some 100 bytes per instruction."""
 
 _KNOWN: OrderedDict[int, tuple[ca.Function, Instructions]] = OrderedDict()
 
@@ -121,7 +121,7 @@ class Instructions:
         """Return the instructions of a symbolic function that calls no other; found once for functions used lately."""
         if f.n_instructions() > SMALL:
             return cls._of(f)
-        found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # the function is kept, so its place stays its own
+        found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # caching the function keeps its id unique
         return found[1]
 
     @classmethod
@@ -160,7 +160,7 @@ def _one_by_one(f: ca.Function) -> NDArray:
 
 
 def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
-    """Return of an instruction its output address, and two numbers for its inputs or its constant."""
+    """Return an instruction's output address, and two numbers for its inputs or its constant."""
     if operation == ca.OP_CONST:
         return [f.instruction_output(k)[0], *struct.unpack("<ii", struct.pack("<d", f.instruction_constant(k)))]
     inputs = f.instruction_input(k)
@@ -174,7 +174,7 @@ _ATOM = 32
 """Length of a serialised instruction in characters."""
 
 _SAMPLE = 3
-"""Number of instructions that are compared with CasADi's calls, to detect a change of the serialised form."""
+"""Number of instructions compared with CasADi's calls, to detect a change of the serialised form."""
 
 
 def _serialised(f: ca.Function) -> NDArray | None:

@@ -34,7 +34,8 @@ MATRICES = ("M", "C", "F", "xi", "D", "L")
 """Values that an evaluation passes on, by their nonzeros: the terms of (4) and (3), and the factors of H."""
 
 SHARES = 6
-"""Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
+"""Passes that share a load among constraints of different compliances; each gains a factor of alpha over the masses and
+over the ratio of compliances."""
 
 _SHARED = 1e-12
 """Largest last change of these shares, over their size."""
@@ -43,7 +44,7 @@ LOADED = 3
 """Passes that share a load among joints for outputs."""
 
 PATIENT_LOADED = 8
-"""The same number near a singular position: each gains HELD_SHARES times the distance squared."""
+"""Passes that share a load near a singular position: each gains HELD_SHARES times the distance squared."""
 
 _LEFT = 2.0**-50
 """Largest last change of the coefficients of multipliers of least norm, over their size."""
@@ -126,7 +127,7 @@ class Watch(NamedTuple):
     near: SX
     """Whether the margin to a singular position may be below `alfmu.method.singular.BRANCH_MARGIN`."""
     margin: SX
-    """That margin; the quick step does not compute it (1)."""
+    """This margin; 1 in the quick step, which does not compute it."""
 
     @classmethod
     def of(cls, vector: SX) -> Watch:
@@ -206,11 +207,11 @@ class Scene:
         return self.e.motion_power(q, v, a, lam / self.scale, u, self.p, t)
 
     def speed(self, q: SX, v: SX, C: SX) -> SX:
-        """Return Phi-dot, the residual of (2), for velocities or for displacements along them."""
+        """Return Phi-dot, the residual of (2), for velocities or for displacements along v."""
         return self.e.Phi_dot(q, v, self.p) if self.e.timed else C @ v
 
     def _own(self, x: SX) -> SX:
-        """Return the entries of dependent coordinates alone."""
+        """Return the entries of coordinates except time."""
         return x[: self.e.dependent] if self.e.dependent else SX(0, 1)
 
     def evaluated(self, t: SX, q: SX, v: SX, u: SX) -> list[SX]:
@@ -219,7 +220,7 @@ class Scene:
         return [*found, self.power(t, q, v, u), watch]
 
     def begun(self, terms: Sequence[SX]) -> list[SX]:
-        """Return these for given M, C, F, xi, without power."""
+        """Return the results of `evaluated` for given M, C, F, xi, without power."""
         D, L = self.factors(self.augmented_mass(*terms[:2]))
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
         watch = Watch(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D))
@@ -246,7 +247,7 @@ class Scene:
         return a, lam, changes[-1]
 
     def _at_rest(self) -> tuple[SX, SX]:
-        """Return a and lam at the start of iterations."""
+        """Return a and lam before the first iteration."""
         return SX(self.e.n, 1), SX(self.e.l, 1)
 
     def nearest(self, plan: Plan, t: SX, q: SX, v: SX, u: SX, a: SX) -> tuple[SX, SX]:
@@ -275,7 +276,7 @@ class Scene:
         return ca.logic_and(ca.logic_not(done), seen.change < method.GAIN**2 * before), seen.change
 
     def softened(self) -> SX:
-        """Return k with smaller penalties, beside which the contribution of masses to H keeps its digits."""
+        """Return k with penalties reduced so far that the contribution of masses to H keeps its digits."""
         settings = self.settings
         typical = ca.exp(settings.masses / ca.fmax(settings.freedom, 1))
         factor = ca.if_else(settings.freedom > 0, ca.fmin(ca.fmax(SOFT / typical, 1), _SOFTEST), 1)
@@ -313,7 +314,7 @@ class Scene:
         return self.beside_states(*found, *(ca.sparsify(x) for x in tangents[5:])) if self.e.states else found
 
     def beside_states(self, H: SX, Q: SX, V: SX, Rx: SX, Gq: SX, Gv: SX, Gx: SX) -> tuple[SX, SX, SX]:
-        """Return these matrices with rows and columns for states, which are no displacements."""
+        """Return H, Q, V extended by rows and columns for states, which have no displacements."""
         n, count, s = self.e.n, len(self.e.states), self.scale
         Q = ca.blockcat([[Q, SX(n, count)], [s * Gq, SX(count, count)]])
         return ca.diagcat(H, s * SX.eye(count)), Q, ca.blockcat([[V, s * Rx], [s * Gv, s * Gx]])
@@ -435,8 +436,8 @@ class Scene:
         return lam + self.scale * ca.if_else(found, d, math.nan)
 
     def _sizes(self, P: SX, C: SX, carried: Sequence[int]) -> SX:
-        """Return the size (l,) of each row of P; rows without loads of joints get one from their columns of C in
-        others.
+        """Return the size (l,) of each row of P; a row without loads of joints gets one from other rows with entries in
+        its columns of C.
 
         The sizes make multipliers of all rows comparable, in any units.
         """
@@ -450,7 +451,7 @@ class Scene:
     def _inverse(self, K: SX) -> method.Solve:
         """Return a solver with a matrix (l, l)."""
         order = (K.sparsity() + K.sparsity().T).amd()
-        K = ca.sparsify(K)  # an entry may vanish, by constants of a joint, on one side of the diagonal alone
+        K = ca.sparsify(K)  # constants of a joint may remove an entry on one side of the diagonal only
         K = ca.project(K, K.sparsity() + K.sparsity().T)[order, order]
         D, L = self._factors_of(K)
         inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
@@ -500,7 +501,7 @@ class Scene:
         return self.margin(D)[1]
 
     def directed(self, v: SX) -> SX:
-        """S4: return the direction of the positions of a limit, where it is not that of the motion."""
+        """S4: return the direction along which limits are taken."""
         return self.way + self.settings.along * v
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
@@ -550,9 +551,9 @@ class Scene:
         return [q + k * spacing * v for k in branch.weights(side)]
 
     def mean(self, margin: SX, here: SX, watch: SX, zone: SX, *found: SX) -> tuple[SX, SX, SX]:
-        """S4: return the limit and the worst watch of its evaluations, and whether it is taken: where it differs from
-        the acceleration here by more than round-off of the latter, it is not that of this motion, which passes the
-        singular position at a distance."""
+        """S4: return the limit and the worst watch of its evaluations, and whether the limit is taken. If it differs
+        from the acceleration here by more than round-off of the latter, it is not the limit of this motion, which
+        passes the singular position at a distance."""
         side, direct = len(found) // 4, Watch.of(watch)
         a, seen = self.mean_of(found[: 2 * side], side), [Watch.of(x) for x in found[2 * side :]]
         lost = branch.direct_error(margin, EPSILON) + ca.sqrt(direct.change / (direct.size + _TINY))
@@ -684,8 +685,9 @@ class Scene:
         """Return the largest error of the constrained state over the tolerance, and the largest `least` over the
         tolerance.
 
-        Errors below the round-off `least` (2 n) are zero; where it exceeds the tolerance, it replaces it. `parts` are
-        the errors of q and v along the motion, `states` are the states, if there are any, and their error.
+        Errors below the round-off `least` (2 n) are zero; where `least` exceeds the tolerance, it replaces the
+        tolerance. `parts` are the errors of q and v along the motion, `states` are the states, if there are any, and
+        their error.
         """
         size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
         floor, over = SX(0), size / allowed
@@ -803,7 +805,7 @@ class Scene:
         return ca.vertcat(*shown, self._largest(C @ a - xi), near, trouble)
 
     def seen_at_rest(self, plan: Plan, z: SX, u: SX) -> SX:
-        """Return these if no output needs accelerations or multipliers."""
+        """Return the values of `seen` if no output needs accelerations or multipliers."""
         readings, *monitors = self._shown(plan, z, u, *self._at_rest(), SX(1))
         return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
 

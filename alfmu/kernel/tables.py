@@ -158,7 +158,7 @@ NUMBERS: dict[str, Number] = {
     },
     "size": lambda t: t.layout.size,
     "exchange": lambda t: t.places[ACCELERATIONS][0] if ACCELERATIONS in t.places and not obstacle(t.e) else -1,
-    # Values that a scene does not pass on share the start, which has room for them.
+    # Values that no program passes on share the start of the workspace, which must be long enough for them.
     "workspace": lambda t: max(
         t.workspace, t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1
     ),
@@ -202,8 +202,7 @@ _FIXED = ("solver.input_order",)
 
 
 def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
-    """Return the values of text variables with descriptions; the integrator is that of the scene, and RK4 beside
-    `auto`."""
+    """Return the values of text variables that a scene supports, with descriptions; `auto` also runs RK4."""
     methods = {"auto": ["rk4", "auto"]}
     method = default_settings(equations).method
     carries = {"solver.formulation": carried(equations), "solver.method": methods.get(method, [method])}
@@ -318,7 +317,7 @@ def identified(scene: bytes, identity: str) -> bytes:
 
 
 def number_of(scene: bytes, name: str) -> int:
-    """A number of NUMBERS in a scene file."""
+    """Return a number of NUMBERS from a scene file."""
     behind_name = HEAD + 4 + struct.unpack_from("<i", scene, HEAD)[0]
     return struct.unpack_from("<i", scene, behind_name + 4 * list(NUMBERS).index(name))[0]
 
@@ -339,7 +338,7 @@ class _Table:
         self.places: dict[str, tuple[int, int]] = {}
         """Addresses and lengths of values in the workspace that programs pass on."""
         self.memory: dict[str, tuple[int, int]] = dict(self.layout.fields)
-        """The same in the memory, in which the workspace follows the fields."""
+        """Addresses and lengths in the memory, where the workspace follows the fields."""
         self.workspace: int = 0
 
     def code(self) -> None:

@@ -15,15 +15,16 @@ far."""
 
 FAR_RATIO = 2.0
 """logarithm of a ratio of pivots [1]: a position near the start whose pivots contributed by masses are larger by this
-is discarded as atypical, as coordinates that hardly describe the motion have larger ones."""
+is discarded as atypical, since coordinates hardly describe the motion there."""
 
 RAISED = 4.0
-"""pivot contributed by masses over the largest mass [1]: a typical one above it may belong to a coordinate that hardly
-tells the motion, as where constraints hold another by a small coefficient, whose pivot is smaller by as much."""
+"""pivot contributed by masses over the largest mass [1]: a typical pivot above it may belong to a coordinate that
+hardly describes the motion; constraints then hold another one by a small coefficient, which makes its pivot too small
+by the same factor."""
 
 COARSE = 1024.0
-"""parts of 1 [1]: the logarithm of a product of pivots is rounded to them, so that round-off does not change the result
-of S1, and all processors give the same."""
+"""number of parts of 1 [1]: logarithms of products of pivots are rounded to such parts, so that the result of S1
+depends neither on round-off nor on the processor."""
 
 PATIENT = 4
 """factor on the limit of multiplier iterations [1]: where the motion may end at a singular position, each iteration
@@ -67,7 +68,7 @@ TOLERANCE = 1e-12
 """gap over the coordinates [1]: an assembly is closed below it; some hundred times round-off."""
 
 ROUGH = 1e-9
-"""gap over the coordinates [1]: an assembly that Gauss-Newton steps cannot close further is accepted below it, as near
+"""gap over the coordinates [1]: below it an assembly is accepted that Gauss-Newton steps cannot close further, as near
 a singular position, where a gap is the square of an angle."""
 
 MOST = 200
@@ -94,8 +95,8 @@ as the guess is then beyond a third of the distance to it, for example if one ba
 off."""
 
 DISTINCT = 0.1
-"""distance between assemblies [m or rad]: nearer ones are the same, computed less exactly; an assembly that is found
-again from this distance is determined by the start values."""
+"""distance between assemblies [m or rad]: closer ones are the same assembly, computed less exactly; if the loops close
+there again from this distance, the start values determine the assembly."""
 
 MISSED = math.pi / 3
 """difference of an angle from its guess [rad]: the start reports angles that differ by more, 60 degrees; guesses from a
@@ -106,19 +107,20 @@ MISSED_LENGTHS = 3.0
 larger ones; a length may be the long travel of a small wheel."""
 
 LEAVING = 0.1
-"""displacement [rad or m]: a direction leads away from a singular start whose margin is no longer indistinguishable at
-this distance."""
+"""displacement [rad or m]: a direction leads away from a singular start if at this distance the margin is
+distinguishable from that of the start."""
 
 BESIDE = 0.03
-"""displacement [rad or m]: where a motion starts at rest in a singular position, its direction is that between two
-positions so far away, which closing the constraints puts on one of the motions that cross there."""
+"""displacement [rad or m]: if a motion starts at rest in a singular position, its direction is that between two
+positions at this distance on either side, once closing the constraints has put them on one of the motions that cross
+there."""
 
 SERVES = 0.25
-"""change of the distance from a singular position over the motion of the fastest coordinate [1]: where it is less along
-the motion, positions of a limit lie in the direction in which the distance changes most instead."""
+"""change of the distance from a singular position over the motion of the fastest coordinate [1]: if it is smaller along
+the motion, limits are taken along the direction in which the distance changes most instead."""
 
 TOO_NEAR = 0.25
-"""margin over BRANCH_MARGIN [1]: nearer to a singular position that direction is that of the step before."""
+"""margin over BRANCH_MARGIN [1]: closer to a singular position, limits keep the direction of the previous step."""
 
 RANKED = 8
 """number of positions [1]: S1 computes the rank of C at this many positions around the start, as the start itself may
@@ -128,8 +130,8 @@ FEW_RANKED = 2
 """number of positions [1]: S1 uses this many, along the motion, if there are many coordinates."""
 
 LATER = 0.1
-"""time [s]: if positions depend on time, those around the start are this much later or earlier, also by a tenth, a
-hundredth and a thousandth, as laws are fast or slow; the start may be singular for any coordinates."""
+"""time [s]: if positions depend on time, those around the start are earlier or later by this, a tenth, a hundredth and
+a thousandth of it, as laws may be fast or slow; the start may be singular for any coordinates."""
 
 MOST_RETURNS = 30
 """most corrections [1]: this many return a displaced position to constraints that hold only to second order, whose gap
@@ -191,8 +193,8 @@ REST = 1e-9
 """rate [rad/s or m/s]: a joint with dry friction is at rest below it; projections leave 1e-15 of velocities near 1."""
 
 SLOW_STEP = 0.02
-"""step [s]: if solver.step_size is longer, the motion is slower, and REST and the least IDLE are less by as much; if it
-is shorter, the motion may be as fast and only more exact."""
+"""step [s]: if solver.step_size is longer, the motion is assumed slower, and REST and the least IDLE are smaller by the
+same factor; a shorter one may only serve accuracy and changes nothing."""
 
 MOVING = 2.0
 """ratio of rates [1]: a joint that others, or a motion, held at rest counts as moving above this multiple of REST, so
@@ -224,8 +226,8 @@ STEADY_SHARE = 1e-9
 """change of a share [1]: the rounds end when all change by less."""
 
 NO_ROOM = 1e-7
-"""margin of a joint to its limit, over the limit [1]: one with less cannot stick, as the next change of its load would
-release it."""
+"""margin of a joint to its limit, over the limit [1]: a joint with less cannot stick, as the next change of its load
+would release it."""
 
 SLIDING_ROUNDS = 3
 """rounds for each joint [1]: joints at rest are checked again this often as one more of them slides."""
@@ -251,7 +253,7 @@ JAM_AHEAD = 5e-5
 """time over solver.step_size [1]: where a step fails, a jam is searched ahead, from an internal step down to this."""
 
 JAM_SHORTER = 4.0
-"""ratio of times [1]: each of them is shorter than the one before by this."""
+"""ratio of times [1]: each time ahead at which a jam is searched is shorter than the previous one by this factor."""
 
 ONE_STEP = 1e-9
 """excess of a step [1]: the rest of a step up to an event is made as one step if it is longer by no more."""
@@ -264,4 +266,4 @@ LEFT_TO_RK4 = 16.0
 many of the shortest steps under error control."""
 
 LAST_DIGITS = 4.0
-"""number of last digits of the time [1]: RK4 also makes a rest that is no longer than that."""
+"""number of last digits of the time [1]: RK4 also makes a rest of a step that is no longer than this."""

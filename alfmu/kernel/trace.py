@@ -269,7 +269,7 @@ class Tracer:
         return Program(calls.steps, plan)
 
     def _here(self, calls: Calls, u: str, redundant: bool) -> None:
-        """Evaluate at the position where limits are taken, too."""
+        """Evaluate at the position of the outputs itself, besides the positions of the limit."""
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
         if redundant:
             (self._bear if self.loaded else self._share)(calls, f"tz qz vz {u}", "al laml")
@@ -337,11 +337,12 @@ class Tracer:
         self._read_along(calls, places, "dt")
 
     def _direct(self, calls: Calls, v: str) -> None:
-        """Compute the direction in which positions of a limit lie."""
+        """Compute the direction along which limits are taken."""
         calls("directed", f"{v} k", "way", calls.scene.directed)
 
     def _read_along(self, calls: Calls, places: Sequence[str], length: str) -> None:
-        """Compute these positions in a known direction; `length` is the base of their spacing."""
+        """Compute the positions of a limit of outputs along a known direction; `length` is the base of their
+        spacing."""
         scene = calls.scene
 
         def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
@@ -375,13 +376,14 @@ class Tracer:
             self._least(calls, lam)
 
     def _bear(self, calls: Calls, known: str, found: str) -> None:
-        """Do so by more passes, which suffice near singular positions."""
+        """Share a load by more passes, which suffice near singular positions."""
         carried = calls.scene.carried
         calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, passes=PATIENT_LOADED))
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether joints share a load that outputs show, so that the least norm of rows alone differs."""
+        """Whether joints share a load that affects outputs, so that the least norm of all rows differs from that of
+        joints."""
         e, x = self.e, symbols(self.e)
         if e.compliances or not (e.changes or e.survey.shared or e.survey.shared is None):
             return False
@@ -484,7 +486,8 @@ class Tracer:
         return plan.gaining
 
     def _approach(self, calls: Calls, i: str, length: str) -> None:
-        """Compute these at a position of known margin, whose direction of positions is known."""
+        """Compute whether a limit has to be taken at a position of known margin, and the spacing, along a known
+        direction."""
         scene, plan = calls.scene, calls.plan
         ways = calls.inside()
 
@@ -498,7 +501,7 @@ class Tracer:
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
-        """Compute these with a spacing doubled until positions are distinguishable; the least one counts metres as
+        """Do so with a spacing doubled until positions are distinguishable; the least spacing counts metres as
         radians."""
         zone, again = f"zone{i}", calls.inside()
         self._approach(again, i, "stretched")
@@ -528,8 +531,8 @@ class Tracer:
         calls("reached", f"{watch} left0", watch, seen)
 
     def _brought(self, calls: Calls, place: str, placed: str, velocity: str) -> None:
-        """S3: compute q0 and v0 on the branch, displaced across the motion alone as in the oracle, from `placed`, the
-        position after a first correction."""
+        """S3: compute q0 and v0 on the branch from `placed`, the position after a first correction, displaced only
+        across the motion, as in the oracle."""
         self.place(calls, placed, "q0")
         calls(f"{calls.scene.kind}_return", f"q0 {place} {velocity} p k", "q0 v0", calls.scene.returned)
         self.place(calls, "q0", "q0")
@@ -550,8 +553,8 @@ class Tracer:
         calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {results}", lambda q, v: settled(q, v, corrections))
 
     def settle_well(self, calls: Calls) -> None:
-        """Do so at the end of a step; on the branch until converged, as corrections gain little near a singular
-        position."""
+        """Settle q and v at the end of a step; on the branch until converged, as corrections gain little near a
+        singular position."""
         if not calls.plan.branch:
             self.settle(calls)
             return
@@ -588,7 +591,7 @@ class Tracer:
             calls.made.append(Loop("more", MOST_GAINS, again.steps))
 
     def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
-        """Do so with dry friction, whose passes are multiplier iterations too."""
+        """Evaluate with dry friction, whose passes are multiplier iterations, too."""
         t, q, v, u, a, lam, power, watch = (
             names.get(x + i, x + i) if x != "u" else names.get("u", "u")
             for x in ("t", "q", "v", "u", "a", "lam", "power", "watch")

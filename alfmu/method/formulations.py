@@ -1,13 +1,11 @@
 """Blajer's augmented-Lagrangian method, and the alternatives it is compared with, in the letters of the paper.
 
 W. Blajer, "Augmented Lagrangian Formulation: Geometrical Interpretation and Application to Systems with Singularities
-and Redundancy", Multibody System Dynamics 8 (2002) 141-159. Equation numbers stand at the lines.
-
-Written with `@`, `.T`, `+` and the `solve` they are handed, so that the same lines run on NumPy arrays (the oracle) and
-can be traced with symbols (the kernel). M (n, n) mass matrix, F = f - d (n,) applied forces less velocity terms,
-C (l, n) constraint matrix of any rank, xi (l,) constraint-induced accelerations, alpha (l, l) diagonal artificial
-masses, a (n,) accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies the inverse of H, the
-augmented mass.
+and Redundancy", Multibody System Dynamics 8 (2002) 141-159. Equation numbers stand at the lines. The functions use `@`,
+`.T`, `+` and the given `solve` only, so that the same lines run on NumPy arrays (the oracle) and can be traced with
+symbols (the kernel). M (n, n) mass matrix, F = f - d (n,) applied forces less velocity terms, C (l, n) constraint
+matrix of any rank, xi (l,) constraint-induced accelerations, alpha (l, l) diagonal artificial masses, a (n,)
+accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies the inverse of H, the augmented mass.
 """
 
 from collections.abc import Callable
@@ -45,18 +43,18 @@ LIGHT = 1e-8
 gain as much, whatever penalty is given."""
 
 GAIN = 2 / 3
-"""Change of a pass over that of the one before [1] above which only round-off is left to gain."""
+"""Ratio of successive changes [1] above which further passes change only round-off."""
 
 SETTLING = 1000
 """Most passes of `minimum_norm` after (8) [1]: the largest number of iterations that a user may set for (8)."""
 
 SETTLED = 1e-10
-"""Relative change of the multipliers [1] up to which a slow pass of `minimum_norm` ends it. A direction that (8) has
-not resolved by then contains round-off alone; one that it has resolved converges as fast here."""
+"""Relative change of the multipliers [1] at which `minimum_norm` ends if it converges slowly. A direction that (8) has
+not resolved by then contains round-off alone; a resolved one converges as fast as in (8)."""
 
 HELD_SHARES = 1e9
-"""Weight of C' lam over that of the loads of joints where they share a load [1]. A pass gains this factor at a regular
-position, and less by the squared distance beside a singular one."""
+"""Weight of C' lam over that of the loads of joints that share a load [1]. At a regular position a pass gains this
+factor; near a singular one it gains the factor times the squared distance."""
 
 EASE = 1e-6
 """Regularisation of the factors in a pass with HELD_SHARES, over the loads of joints [1]. Multipliers that no joint

@@ -135,7 +135,7 @@ def _squared(rule: Collocation) -> list[list[float]]:
 
 
 def return_map(C: Array, alpha: Array, solve: method.Solve, Xv: Array, eye: Array, passes: int) -> tuple[Array, Array]:
-    """Return T, S (n, n), which project displacements off a branch onto it: dq -> T dq, dv -> T dv + S dq.
+    """Return T, S (n, n), which project displacements from a branch back onto it: dq -> T dq, dv -> T dv + S dq.
 
     T projects onto the motions that satisfy the constraints; S corrects v for the rotation of the constraints: with
     xi quadratic in v, (dC) v = -Xv T dq / 2.

@@ -63,9 +63,9 @@ at 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off afte
 (`tests/test_methods.py`)."""
 
 MOST_MOVED = 0.04
-"""displacement of the first position [rad]: it is nearer where the distance falls slowly along the motion, as the limit
-misses what bends within its positions; without the bound a Stewart platform whose distance falls by 0.07 a radian is
-5e-5 m off after two passages, whatever the tolerance, instead of 4e-8 m."""
+"""displacement of the first position [rad]: the position is closer if the distance falls slowly along the motion, as
+the limit misses curvature between its positions; without the bound a Stewart platform whose distance falls by 0.07 a
+radian is 5e-5 m off after two passages, whatever the tolerance, instead of 4e-8 m."""
 
 CONVERGENCE = 7.0
 """distance of the first position over the root of the pivot contributed by masses [1]: each multiplier iteration gains
@@ -84,7 +84,8 @@ INDEPENDENT_MASS = 1e3
 moving dependent coordinates instead."""
 
 JUDGED = 1e-6
-"""margin [1]: nearer to a singular position the acceleration there judges no limit, as round-off may be most of it."""
+"""margin [1]: closer to a singular position the acceleration there cannot check a limit, as it may be mostly
+round-off."""
 
 READ_DISTANCE = 0.03
 """distance of the first position where reactions are evaluated [rad]: reactions lose digits with its fourth power, so
@@ -169,16 +170,17 @@ READ_MEAN = weights(LONG_PLACES)
 def first_position(
     least: Array, rate: Array, moved: Array, nothing: Array, choose: Callable[[Any, Any, Any], Any]
 ) -> Array:
-    """S4: return the distance of the first position of a limit, where a spacing moves a coordinate by `moved` and
-    changes the distance by `rate`: the least one, or a nearer one that moves less, at which (8) still converges."""
+    """S4: return the distance of the first position of a limit, if a spacing moves a coordinate by `moved` and changes
+    the distance by `rate`. It is the least distance, or a smaller one with less displacement at which (8) still
+    converges."""
     floor = CONVERGENCE * (nothing / NOISE_FLOOR) ** 0.5
     near = choose(MOST_MOVED * rate < least * moved, MOST_MOVED * rate / (moved + TINY), least)
     return choose(rate > 0, choose(near < floor, floor, near), least)
 
 
 def farthest(least: Array, larger: Callable[[Any, Any], Any]) -> Array:
-    """S4: return the largest displacement of the first position: beyond it the distance hardly falls along the motion,
-    as of a lever far shorter than its body, and the limit is not that of this position."""
+    """S4: return the largest displacement of the first position. Beyond it the distance hardly falls along the motion,
+    as for a lever far shorter than its body, and the limit does not belong to this position."""
     return larger(FARTHEST, 4 * least)
 
 
@@ -209,13 +211,14 @@ def fewer(values: dict[int, Array]) -> dict[int, Array]:
 def direct_error(margin: Array, eps: Array) -> Array:
     """Return the relative round-off of reactions at this margin: eps over the fourth power of the distance.
 
-    It is a bound for accelerations, too, which lose digits with the third power, and less where (8) converges slowly.
+    It also bounds the error of accelerations, which lose digits with the third power, and fewer if (8) converges
+    slowly.
     """
     return eps / (margin * margin + TINY)
 
 
 def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Sequence[Array]) -> Array:
-    """Return the error of reactions evaluated at this margin, of which masses are no part.
+    """Return the error of reactions evaluated at this margin; the masses do not contribute to it.
 
     `off` are relative errors of positions, velocities and accelerations by residuals of constraints; `forces` are the
     largest F, C' lam, residual of (4), M a, and twice the kinetic energy over the length.
@@ -239,10 +242,11 @@ def limit_error(change: Array, before: Array, largest: Array, magnified: Array, 
 
 
 def with_pole(values: dict[int, NDArray], use_pole: bool = True) -> tuple[NDArray, bool, float]:
-    """S4: return reactions (l,) from those before and after, whether a pole is near, and by how much it magnifies
-    round-off.
+    """S4: return the limit of reactions (l,) from values before and after, whether a pole is near, and by how much the
+    pole magnifies round-off.
 
-    Near a pole this is the value here; at the pole itself, or with `use_pole` false, it is the finite part.
+    Near a pole the limit is the value at the position itself; at the pole, or with `use_pole` false, it is the finite
+    part.
     """
     limit, first, second = pole(values)
     largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)

@@ -389,7 +389,7 @@ def explicit(
     its last rate there, since the next step begins there.
     """
     first = rate(t, y) if first is None else first
-    others: list[State] = []  # rates less the first one, so that large weights of opposite sign lose no digits
+    others: list[State] = []  # differences from the first rate, so that large weights of opposite sign lose no digits
     for node, weights in zip(method.nodes[1:], method.stages, strict=True):
         place = combined(weights[1:], others, node * first)
         others.append(rate(t + node * dt, y + dt * place) - first)
@@ -406,10 +406,10 @@ def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
     """Return weights of the rates for bounds of the error that a kink within a step causes.
 
     For a collocation method the rate at the start comes first. Estimates of high order miss most of this error: the
-    embedded methods have weights of 1e-4 in their first stages, a filter treats it as stiff, and any single estimate
-    vanishes for some position of the kink. Each bound is the residual of one rate from a polynomial of second degree,
-    times the weight of that rate if it is above 1. Their maximum is at least two thirds of the error of a jump or kink
-    anywhere in the step.
+    embedded methods have weights of 1e-4 in their first stages, a filter damps it like a stiff component, and any
+    single estimate vanishes for some position of the kink. Each bound is the residual of one rate from a polynomial of
+    second degree, times the weight of that rate if it is above 1. Their maximum is at least two thirds of the error of
+    a jump or kink anywhere in the step.
     """
     nodes, weights = method.nodes, method.matrix[-1] if isinstance(method, Collocation) else method.weights
     if isinstance(method, Collocation):
@@ -452,8 +452,9 @@ def collocation_error(
 ) -> State:
     """Return an error estimate of a step from its rates, the one at the start first, damped in stiff directions.
 
-    `solve(s, r)` returns (I - s J)^-1 r with J the tangent at the start of the step. It is applied twice: once bounds
-    stiff components, but counts an offset of stiff springs, over s, as an error of velocities, which the step damps.
+    `solve(s, r)` returns (I - s J)^-1 r with J the tangent at the start of the step. It is applied twice: a single
+    application bounds stiff components, but counts an offset of stiff springs, divided by s, as an error of velocities,
+    which the step damps.
     """
     s = method.gamma * dt
     return solve(s, solve(s, dt * (method.gamma * first + combined(method.errors, k))))  # (IV.8.20), (IV.8.21)

@@ -31,7 +31,7 @@ __all__ = ["Batch", "Members"]
 _LOGGER = logging.getLogger("alfmu")
 
 LEAST = 64
-"""Members of a thread at least: with fewer, lanes are often empty."""
+"""Least number of members per thread: with fewer, lanes are often empty."""
 
 Members = ArrayLike | slice | None
 """Members of a batch: a mask (count,) of Booleans, their numbers in any order, a slice, or None for all."""
@@ -41,7 +41,7 @@ _Mask = NDArray[np.bool_]
 
 
 class _Part:
-    """Consecutive members of a batch, which one thread at a time works on."""
+    """Consecutive members of a batch, processed by one thread at a time."""
 
     def __init__(self, scene: Scene, own: slice):
         self.scene, self.own, self.lock = scene, own, Lock()

@@ -45,7 +45,7 @@ class Platform:
     """Target name for zig."""
     suffix: str
     fmi3: str
-    """Folder in an FMU of FMI 3; the name here is that of FMI 2."""
+    """Folder in an FMU of FMI 3; the key in `PLATFORMS` is that of FMI 2."""
     wheel: str
     """Platform tag of a wheel: the systems on which the target runs."""
 
@@ -63,7 +63,7 @@ WEB = "wasm32"
 """The runtime for a page in a browser, as WebAssembly, which is no platform of FMUs."""
 
 COMPONENT = "wasm32-wasip2"
-"""The runtime for FMUs as a component of WebAssembly, as the draft FMI-LS-WASM asks; also its folder in an FMU."""
+"""The runtime for FMUs as a WebAssembly component, as specified in the draft FMI-LS-WASM; also its folder in an FMU."""
 
 _MACHINES = {
     ("linux", "x86_64"): "linux64",
@@ -89,26 +89,28 @@ _OFTEN = {
     "linear.c",
     "tangent.c",
 }
-"""Files that run in every step, without tangents, which would slow a run with derivatives three to six times."""
+"""Files that run in every step, and those of derivatives, without which a run with derivatives takes three to six times
+as long."""
 
 _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
 """Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this
 way, and as fast. Vectorised loops are explicit in the sources."""
 
 _LANES = ("-O2", "-fno-trapping-math")
-"""Of what works in lanes: its loops have as many passes as there are lanes, and are replaced by vectors."""
+"""Optimisation of files that work in lanes: their loops have one pass per lane, and the compiler replaces them by
+vectors."""
 
 _SMALLER = ("-mllvm", "-inline-threshold=0")
 """Prevents inlining in Clang, as used by zig: the library is 2 % smaller."""
 
 _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomit-frame-pointer")
-"""Omits unwind tables, which nothing uses: a tenth of the library."""
+"""Omits unwind tables, which are not used: a tenth of the library."""
 
 _WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
-"""The C library of Windows formats numbers correctly; a second one would add a tenth."""
+"""The C library of Windows formats numbers correctly; MinGW's own would add a tenth."""
 
 FOLDERS = ("core", "start", "derivatives", "step", "fmi", "binding")
-"""Folders of the C files, from the bottom up: each calls only functions of itself and of those before it."""
+"""Folders of the C files, from the bottom up: each calls only functions of its own and of previous folders."""
 
 _LIBRARY = "library.c"
 """The only file of `binding` and `fmi` in a page."""
@@ -117,7 +119,7 @@ _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=mall
 """Flags for a library called from a page, which also allocates memory in it."""
 
 _REPLACED = ("files.c", "fmi2.c", "fmi3.c")
-"""Files that a component has not: those of the folder `wasm` are there instead, and include one of them."""
+"""Files that a component does not contain: files of the folder `wasm` replace them, and include one of them."""
 
 _TYPES = {
     **{f"float{n}": f"f{n}" for n in (32, 64)},

@@ -41,7 +41,7 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
             f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    # The C follows from the scene: it is written, and its functions traced, only where it has to be compiled.
+    # A scene determines its C, which is written, and its functions traced, only if it has to be compiled.
     digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
     digest.update(scene[HEAD:])
     name = f"kernel_{digest.hexdigest()[:32]}"
@@ -50,7 +50,8 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
 
 def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
     """Return the library of a scene's C from the cache, or build it."""
-    # A level in CC counts. On long straight-line code the higher one takes twice the time and gains nothing.
+    # An optimisation level in CC applies. On long straight-line code the higher one takes twice the time and gains
+    # nothing.
     usual = "-O2" if len(files) == 1 else "-O1"
     level = [x for x in command if x.startswith("-O")] or [usual]
     flags = [*level, *FLAGS, "-include", _BASELINE.name]

@@ -11,7 +11,7 @@ _PAGE, _HEAD = 65536, 8
 """Bytes of a page of memory, and of the header of modules and components."""
 
 _MODULE, _MEMORY, _DATA, _COUNT = 1, 5, 11, 12
-"""Sections: a module in a component; of a module, its memory, its data, and how many pieces of data there are."""
+"""Section numbers: a module in a component; in a module its memory, its data, and its number of data segments."""
 
 
 def with_scene(component: bytes, scene: bytes) -> bytes:

@@ -1,8 +1,8 @@
 """From a mechanism to a loaded scene: derive, configure, survey, trace, load.
 
 `Mechanism` - derive -> `Equations` - decided, surveyed -> `Configuration` - trace -> `Traced` - loaded -> `Scene`. No
-stage changes what it is given, and each keeps its results: runs of one mechanism that differ in numbers alone share
-them. One arrow points back: `survey` starts the runtime before the programs of a scene are traced.
+stage changes its input, and each caches its results: runs of one mechanism share them if only numbers differ. One
+dependency points back: `survey` starts the runtime before the programs of a scene are traced.
 """
 
 from __future__ import annotations
@@ -49,24 +49,26 @@ __all__ = [
 
 
 UNRUBBED = ("trapezoidal", "generalized_alpha")
-"""Methods of the index-3 form, whose multipliers are those of positions: dry friction takes those of accelerations."""
+"""Methods of the index-3 form: their multipliers are of position level, but dry friction needs those of
+accelerations."""
 
 STIFF = 20.0
-"""Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
-stability limits explicit steps to some 4 over the one, accuracy all steps to 0.3 over the other, and an implicit step
-costs two or three explicit ones."""
+"""Ratio of the fastest small motion to the slowest lasting one, above which a scene is stiff if the fastest does not
+last: stability limits explicit steps to some 4 over the former, accuracy limits all steps to 0.3 over the latter, and
+an implicit step costs two or three explicit ones."""
 
 LASTS = 30.0
-"""Time constants in a run up to which a small motion lasts; one with more is gone after a tenth of it."""
+"""A small motion lasts if a run has at most this many of its time constants; with more it has decayed in a tenth of the
+run."""
 
 MOST_SCENES = 16
-"""Scenes that are kept for equations which differ from theirs in numbers alone; large ones take too much memory."""
+"""Number of cached scenes, shared by equations that differ in numbers only; large scenes are not cached."""
 
 _DECISIONS = 1000
-"""Choices of the method of integration that are kept of a mechanism, the latest."""
+"""Number of cached decisions on the integrator for a mechanism, the latest."""
 
 _TRACED = ("method", "input_order")
-"""Settings that a scene is traced with."""
+"""Settings that are fixed by tracing."""
 
 _KEPT: OrderedDict[tuple[str, str], Equations] = OrderedDict()
 
@@ -76,11 +78,11 @@ _SCENES: OrderedDict[tuple[object, ...], tuple[object, Traced]] = OrderedDict()
 
 
 def derive(mechanism: Mechanism) -> Equations:
-    """All equations of a mechanism, with names, units and every joint reaction; derived once as long as nothing of its
-    declaration changes.
+    """Return all equations of a mechanism, with names, units and every joint reaction; derived again only if the
+    declaration has changed.
 
-    Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
-    coordinate can close, an expression with a foreign symbol.
+    Raises DeclarationError if the declaration has no equations: a body without a position, a joint that no coordinate
+    can close, an expression with a foreign symbol.
     """
     with getting_ready():
         key = content(mechanism)
@@ -93,10 +95,10 @@ def derive(mechanism: Mechanism) -> Equations:
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Configuration:
-    """The same equations with other defaults for parameters, start values, inputs and solver variables; made once for
-    the same values.
+    """Return the same equations with other defaults for parameters, start values, inputs and solver variables, cached
+    by these values.
 
-    Raises InputError where a name is unknown or a value out of bounds.
+    Raises InputError if a name is unknown or a value out of bounds.
     """
     return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), _key(values))
 
@@ -142,7 +144,7 @@ def chosen(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
 ) -> Equations:
-    """The equations with these defaults and outputs alone, the same for the same: they are traced once."""
+    """Return the equations with these defaults and outputs only, cached, so that they are traced once."""
     if not values:
         return ready(equations, {}, outputs, freeze, DEFAULT)[0]
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
@@ -151,7 +153,7 @@ def chosen(
 
 
 def decided(equations: Equations) -> Configuration:
-    """The configuration of equations with their decision, and with the functions that its method needs."""
+    """Return the configuration of equations with its integrator decided, and with the functions that this needs."""
     e = configured(equations)
     decision, stiffens = _decide(e)
     e = with_tangents(e) if decision.method in RULES or stiffens else e
@@ -159,12 +161,12 @@ def decided(equations: Equations) -> Configuration:
 
 
 def decision_of(equations: Equations) -> Decision:
-    """The method of integration of equations with their defaults."""
+    """Return the integrator for equations with their defaults."""
     return _decide(equations)[0]
 
 
 def _decide(equations: Equations) -> tuple[Decision, bool]:
-    """The decision, and whether a run may go over to implicit steps on the way."""
+    """Return the decision, and whether a run may change to implicit steps."""
     formulation, known = default_settings(equations).formulation, formulations(equations)
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
@@ -190,13 +192,13 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
 
 
 def _known(equations: Equations) -> Decision | None:
-    """The decision of a configuration, if there is one."""
+    """Return the decision of a configuration, if there is one."""
     return equations.decision if isinstance(equations, Configuration) else None
 
 
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
-    """Whether `auto` may go over to implicit steps on the way: contacts are stiff once they touch, and other values of
-    its parameters make a damper stiff, or what has states."""
+    """Return whether `auto` may change to implicit steps during a run: contacts become stiff when they touch, and other
+    parameter values can make dampers or states stiff."""
     automatic = chosen == "explicit" and default_settings(equations).method == "auto"
     if not automatic or equations.n > DENSE:
         return False
@@ -205,7 +207,7 @@ def _may_stiffen(equations: Equations, chosen: str) -> bool:
 
 
 def _automatic(equations: Equations) -> Decision:
-    """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
+    """Return the integrator that `auto` selects by the eigenvalues of small motions at the start, and the reason."""
     if equations.n > DENSE:
         return Decision("explicit", f"explicit: more than {DENSE} coordinates")
     probe = Probe.of(equations)
@@ -227,7 +229,7 @@ def _automatic(equations: Equations) -> Decision:
 
 
 def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decision:
-    """The method that `auto` stands for where these values are set, and why."""
+    """Return the integrator that `auto` selects for these values, and the reason."""
 
     def choose() -> Decision:
         e = with_defaults(equations, {**values, "solver.method": "auto"})
@@ -240,7 +242,8 @@ def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decisi
 
 
 def _surveyed(equations: Configuration, found: Survey) -> Configuration:
-    """A configuration with its survey; descriptions of outputs say where redundant constraints share a load."""
+    """Return a configuration with its survey, and with a note in the descriptions of outputs that depend on shared
+    loads."""
     if equations.survey.shared is not None:
         return replace(equations, survey=found)
     note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
@@ -253,14 +256,14 @@ def _surveyed(equations: Configuration, found: Survey) -> Configuration:
 
 
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Traced:
-    """Equations with what the chosen kernel runs, traced once, or by the cache; InputError where there is no such
-    kernel. `alfmu.kernel.controlled.whole` has all steps of the programs.
+    """Return traced equations for the chosen kernel, cached; raise InputError if there is no such kernel.
+    `alfmu.kernel.controlled.whole` adds the steps of programs from the cache.
 
-    The oracle starts and keeps its values as `vm` does, so that it takes the same.
+    The oracle uses the equations of `vm`, as it starts and stores values in the same way.
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    constants()  # so that results from others are forgotten
+    constants()  # drops results for other constants
     e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
@@ -274,12 +277,12 @@ def _interpreted(equations: Equations) -> Traced:
     with getting_ready():
         if not isinstance(equations, Traced):
             return _started(equations)
-        decided(equations)  # which refuses settings that this scene has not
+        decided(equations)  # refuses settings that this scene does not support
         return replace(equations, library=None) if equations.library else equations
 
 
 def _started(equations: Equations) -> Traced:
-    """Equations traced; with the heads of their programs alone where the cache knows them."""
+    """Return traced equations; if the cache knows them, their programs have no steps."""
     made: list[Traced] = []
 
     def start() -> Start:
@@ -298,7 +301,8 @@ def _started(equations: Equations) -> Traced:
 
 
 def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced:
-    """A configuration traced; those of the same functions that differ in numbers alone share what is traced."""
+    """Return a traced configuration; configurations of the same functions that differ only in numbers share the
+    result."""
     e, settings = configuration, default_settings(configuration)
     rule = explicit_rule("explicit", settings.relative_tolerance)
     key = (
@@ -313,7 +317,7 @@ def _traced(configuration: Configuration, declared: Mapping[str, Any]) -> Traced
     )
 
     def trace() -> tuple[object, Traced]:
-        # The functions are kept, so that no others get their place.
+        # Caching the functions keeps their id unique.
         return declared, traced(e, controlled.programs)
 
     if e.n > DENSE:
@@ -332,10 +336,10 @@ def ready(
     freeze: Sequence[str] | None,
     kernel: str,
 ) -> tuple[Traced, dict[str, float | str]]:
-    """The equations traced for a run with these values, and those of them that are left to set on an instance.
+    """Return the equations traced for a run with these values, and the values that remain to be set on an instance.
 
-    What a scene is traced with is in it: outputs, frozen parameters, the method of integration. All else is a number
-    of the instance, so that other numbers take the same scene.
+    Outputs, frozen parameters and the integrator are fixed by tracing. All other values are numbers of the instance, so
+    that the same scene serves other numbers.
     """
     constants()
     own = dict(values)
@@ -356,7 +360,7 @@ def ready(
 
 
 def retraced(equations: Equations, settings: Settings) -> Traced:
-    """Equations traced with the method of integration and the order of inputs that settings ask for."""
+    """Return equations traced for the integrator and the order of inputs of these settings."""
     e, before = equations, default_settings(equations)
     wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
     if isinstance(e, Traced) and not wanted:
@@ -372,13 +376,13 @@ def retraced(equations: Equations, settings: Settings) -> Traced:
 
 
 def with_brakes(equations: Traced) -> Traced:
-    """A scene traced again for its kernel, in which redundant constraints brake the motion."""
+    """Return a scene traced again for its kernel, for redundant constraints that brake the motion."""
     e = untraced(equations)
     return prepared(replace(e, survey=replace(e.survey, brakes=True)), _kernel(equations))
 
 
 def _kernel(equations: Equations) -> str:
-    """The kernel that equations are prepared for."""
+    """Return the kernel for which equations are prepared."""
     return "compiled" if isinstance(equations, Traced) and equations.library else DEFAULT
 
 
@@ -387,13 +391,13 @@ def _kernel(equations: Equations) -> str:
 
 @once
 def packed(equations: Traced) -> bytes:
-    """The scene file of traced equations, written once."""
+    """Return the scene file of traced equations, written once."""
     return stored_scene(equations, lambda: tables.packed(complete(equations)))
 
 
 @once
 def loaded(equations: Traced) -> Scene:
-    """The scene of traced equations, packed and loaded once for all their instances."""
+    """Return the scene of traced equations, packed and loaded once for all its instances."""
     scene = Scene(packed(equations), installed())
     if equations.library:
         scene.compiled_by(equations.library)

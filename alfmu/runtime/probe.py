@@ -1,4 +1,5 @@
-"""Survey of a scene at its start, before it is traced or while it runs: freedoms, shared loads, iterations."""
+"""Survey of a scene at its start, before it is traced or while it runs: degrees of freedom, shared loads,
+iterations."""
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ which a small perpendicular share does not change."""
 
 
 COUNTED_ROWS = ("in force", "all", "without friction")
-"""Sets of constraints for degrees of freedom, as `Counted_rows` in alfmu.h; "without friction" excludes constraints in
-force of joints that stick by dry friction."""
+"""Sets of constraints for degrees of freedom, as `Counted_rows` in core/instance.h; "without friction" excludes
+constraints in force of joints that stick by dry friction."""
 
 
 def mobility(unit: Unit, n: int, rows: str = "in force") -> tuple[int, Mobility, NDArray[np.float64]]:
@@ -125,7 +126,7 @@ class Probe:
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
         """Return the probe; None if the mechanism cannot be assembled from its default values at this time [s]."""
         e = equations
-        # The scene reserves space for constraints that would brake, which are searched for among few coordinates only.
+        # Reserve space for constraints that would brake; these are searched for only if there are few coordinates.
         room = Configuration.of(e)
         room = replace(room, survey=replace(room.survey, brakes=e.n <= DENSE))
         unit = Unit(Scene(packed_start(room), installed()))

@@ -22,7 +22,7 @@ __all__ = ["installed", "library", "there"]
 def installed() -> CDLL:
     """Return the library that runs scenes on this machine.
 
-    Raises LibraryError if there is none, or if it was built from other sources than those of the package.
+    Raises LibraryError if there is none, or if it was not built from the sources of the package.
     """
     try:
         found = binding.library()

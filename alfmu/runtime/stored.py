@@ -46,19 +46,18 @@ _ROOMS = ("equations", "kernel", "method", "model", "runtime")
 """Rooms whose code scenes depend on."""
 
 _DECIDING = ("runtime.pipeline", "runtime.probe")
-"""Modules of `runtime` whose constants scenes depend on, beside those of the other rooms."""
+"""Modules of `runtime` with constants on which scenes depend, besides those of the other rooms."""
 
 _APART = ("equations.changes", "model.gallery", "model.sources")
-"""Modules whose constants are in no scene, and which are loaded where they are needed."""
+"""Modules with constants on which no scene depends; they are loaded on demand."""
 
 _LATER = ("functions", "signatures", "kept")
-"""Fields of equations without influence on a fingerprint: functions are added one by one, the others follow
-from them."""
+"""Fields of equations that do not affect a fingerprint: functions are added one by one, the others are derived."""
 
 _FIELDS = [field.name for field in fields(Configuration) if field.name not in _LATER]
 
 _SHARED = 200
-"""Digests that are known, with what they are of: some four sets of equations."""
+"""Number of cached digests of fields and functions, for some four sets of equations."""
 
 _DIGESTS: OrderedDict[int, tuple[Any, str]] = OrderedDict()
 
@@ -86,7 +85,7 @@ class Start:
         return cls(e.decision or Decision(""), e.survey, programs, seen, "tangents" in e.signatures)
 
     def written(self) -> bytes:
-        """Return it as bytes; see `read`."""
+        """Return the start as bytes; see `read`."""
         programs = {name: [asdict(p.plan), *_head(p)[1:]] for name, p in self.programs.items()}
         return json.dumps({**asdict(self), "programs": programs}).encode()
 
@@ -172,7 +171,7 @@ def fingerprint(equations: Equations) -> str | None:
 
 
 def _digest(value: Any) -> str:
-    """Return a digest of a field or a function; found once for what cannot change and many equations may share."""
+    """Return a digest of a field or a function; cached if it cannot change and many equations may share it."""
 
     def made() -> tuple[Any, str]:
         text = value.serialize() if hasattr(value, "serialize") else value_text(value)
@@ -183,7 +182,7 @@ def _digest(value: Any) -> str:
 
 
 def constants() -> str:
-    """Return a digest of the constants that scenes depend on; if they have changed, objects forget their results."""
+    """Return a digest of the constants on which scenes depend; if one has changed, drop all cached results."""
     known = _constants()
     values = [space[name] for space, name in known.places]
     inside = chain.from_iterable(value.values() for value in values if type(value) is dict)
@@ -199,7 +198,7 @@ def constants() -> str:
 
 @dataclass
 class _Constants:
-    """The places of constants in modules, and the values and digest of the last reading."""
+    """Places of constants in modules, and their values and digest when last read."""
 
     places: list[tuple[dict[str, Any], str]]
     values: list[Any]
@@ -218,7 +217,7 @@ def _constants() -> _Constants:
 
 
 def _is_constant(space: dict[str, Any], name: str) -> bool:
-    """Return whether a name of a module stands for numbers or texts."""
+    """Return whether a name of a module is a constant: numbers, texts, or a collection of them."""
     value = space[name]
     plain = isinstance(value, int | float | str | tuple) or type(value) is dict
     return name.isupper() and (plain or (is_dataclass(value) and not isinstance(value, type)))
@@ -227,7 +226,7 @@ def _is_constant(space: dict[str, Any], name: str) -> bool:
 def _text(value: Any) -> str:
     try:
         return value_text(value)
-    except TypeError:  # a table of functions, which are code
+    except TypeError:  # a table of functions, which count as code
         return type(value).__name__
 
 

@@ -22,7 +22,7 @@ _NO_MEMORY = -2
 """An additional outcome: out of memory."""
 
 TAPE = 32e6
-"""Size of a tape in bytes; parts of longer runs are repeated for the adjoints.
+"""Size of a tape in bytes; longer runs are repeated in parts for the adjoints.
 
 Measured on the five-bar over 20 s: a gradient takes 3.8 to 4.6 times a run with 16 MB; with 256 MB the allocation of
 memory costs as much as repeating the run.
