@@ -123,7 +123,7 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
 def slips_of(
     m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Return velocities that non-holonomic rows keep at zero (zero in other rows), and their rows of C, by the rates
+    """Return velocities that nonholonomic rows keep at zero (zero in other rows), and their rows of C by the rates
     `own`."""
     rows = []
     for closure, direction in closures:

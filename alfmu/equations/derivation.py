@@ -111,7 +111,7 @@ class _Symbols:
     frictions: list[Friction]
     """Dry frictions that have a lock."""
     kept: list[tuple[str, ca.SX]]
-    """Values stored beside those of locks, by name: when a run began, numbers of signals."""
+    """Values stored besides those of locks, by name: the time when a run began, numbers of signals."""
 
 
 def _symbols(m: Mechanism) -> _Symbols:
@@ -163,7 +163,7 @@ class _Terms:
     T: ca.SX
     V: ca.SX
     f_applied: ca.SX
-    """Generalised forces of efforts, without those of the potential."""
+    """Generalised forces of efforts, without forces of the potential."""
     efforts: ca.SX
     slipping: ca.SX
     """Rows of C without a constraint on positions, of relations that slip."""

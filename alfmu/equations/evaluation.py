@@ -36,7 +36,7 @@ MANY = 100
 """Number of coordinates from which they may be eliminated in the order of declaration."""
 
 MORE = 1.1
-"""Largest work of a factorisation in the order of declaration, over that of least fill, for which it is used."""
+"""Elimination in the order of declaration is used if its work exceeds that of least fill by at most this factor."""
 
 ARGUMENTS = {
     name: letters.split()

@@ -137,7 +137,7 @@ MONITORS = (
 
 
 SOLVED = {"monitor.distance", "monitor.singular", REACTION_ERROR}
-"""Monitors that need accelerations, multipliers or pivots; these are not computed if no output or monitor needs
+"""Monitors that need accelerations, multipliers or pivots, which are computed only if an output or monitor needs
 them."""
 
 BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}

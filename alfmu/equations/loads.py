@@ -49,14 +49,14 @@ def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> t
 
 
 def is_guided(m: Mechanism, body: Body) -> bool:
-    """Return whether a joint with the ground keeps the angle of a body."""
+    """Return whether a joint with the ground prevents rotation of a body."""
     joints = (j for j in m.joints if j.kind in ("prismatic", "weld"))
     return any({j.first.body, j.second.body} == {m.ground, body} for j in joints)
 
 
 def potential_of(m: Mechanism, kinematics: Kinematics) -> ca.SX:
-    """Return potential energy of gravity, springs and the user's terms, without the weight of bodies placed by joints
-    in space."""
+    """Return potential energy of gravity, springs and the user's terms, without gravity of bodies placed by spatial
+    joints."""
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))

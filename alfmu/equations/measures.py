@@ -25,7 +25,7 @@ class Displacements(Protocol):
 def measures(
     m: Mechanism, places: Displacements, q: ca.SX, v: ca.SX, a: ca.SX
 ) -> tuple[list[ca.SX], list[Variable], dict[str, ca.SX]]:
-    """Return values and outputs of what a mechanism measures, and the angles of hinges in the plane by output."""
+    """Return values and variables of the requested measures, and the angles of hinges in the plane by output."""
     values: list[ca.SX] = []
     outputs: list[Variable] = []
     angles: dict[str, ca.SX] = {}

@@ -49,9 +49,9 @@ def starting_at(
 ) -> Stage:
     """Return the same equations that start at rest at q (n,), with start values and guesses adapted.
 
-    States, by name, start at the given values. With other parameters they start nearby, as far as guesses and start
-    values lead. Traced programs stay valid. `kept` are the values of `Equations.held`, which guesses contain if laws of
-    time and signals prescribe motion.
+    States, by name, start at the given values. With other parameters they start nearby, by the adapted guesses and
+    start values. Traced programs stay valid. `kept` are the values of `Equations.held`, which guesses contain if laws
+    of time and signals prescribe motion.
     """
     e, x = equations, symbols(equations)
     p = [v.start for v in e.parameters] + (list(kept) or [0.0] * len(e.held))

@@ -56,7 +56,7 @@ class Variable(Brief):
     instant: bool = False
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
     nominal: float | None = None
-    """Order of magnitude, if one is declared."""
+    """Declared order of magnitude; None if there is none."""
     readiness: float = 1.0
     """Weight of the change of a coordinate in the assembly: larger for one without a guess."""
     of_step: bool = False
@@ -175,7 +175,7 @@ class Survey:
     shared: tuple[str, ...] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None if unknown."""
     brakes: bool = False
-    """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
+    """Whether redundant constraints become independent near the start and brake the motion (S5 of docs/singular.md)."""
     uneven: bool = False
     """Whether constraints have different units, so that each has its own penalty."""
 
@@ -289,7 +289,7 @@ class Equations(_Functions):
     outputs: Sequence[Variable]
     rows: Sequence[Row]
     wrapped: dict[str, int]
-    """Outputs that are angles known up to whole turns only, and the start value they begin near (-1: none)."""
+    """Outputs that are angles known only up to whole turns, and the start value near which each begins (-1: none)."""
     works: bool
     """Whether inputs, dampers or loads do work; otherwise energy is conserved."""
     stop_time: float

@@ -29,7 +29,7 @@ OWN = Settings.formulation
 """Formulation of all programs except those that serve every formulation."""
 
 CHOSEN = {name: f"by_{name}" for name in FORMULATIONS if name != OWN}
-"""Values by which the runtime selects another formulation in a program, by formulation."""
+"""Flags with which the runtime selects another formulation, by its name."""
 
 SYSTEMS = ("baumgarte", "dae")
 """Formulations that solve the dense system (9) of all coordinates and constraints."""
@@ -72,7 +72,7 @@ class Alternatives(Tracer):
     def once(self, calls: Calls, names: Mapping[str, str], formulation: str) -> None:
         """Compute a, lam and watch by a formulation without iterations, after an evaluation by `residual`.
 
-        `names` are those of q, v, a, lam and watch.
+        `names` maps q, v, a, lam and watch to names of values.
         """
         e, scene, watch = self.e, calls.scene, names["watch"]
         # Phi and C v come from a function that the start needs, too.
@@ -121,7 +121,7 @@ def _penalty(scene: Scene, C: SX, F: SX, D: SX, L: SX, xi: SX, watch: SX) -> tup
 
 
 def _stiffness(scene: Scene, M: SX, C: SX, F: SX, Phi: SX, stabilisation: SX, watch: SX) -> tuple[SX, SX, SX]:
-    """Solve (5) with the stiffness omega^2 alpha; the watched pivots are those of M."""
+    """Solve (5) with the stiffness omega^2 alpha; the watch reports pivots of M."""
     D, L = scene.factors(M)
     a, lam = method.stiffness(F, C, Phi, stabilisation[1] ** 2 * scene.weights, scene.solver(D, L))
     return a, lam, _at_once(watch, ca.mmin(ca.densify(D)))

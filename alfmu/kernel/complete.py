@@ -1,4 +1,4 @@
-"""All programs and functions of a scene file: those of the tiers and those for C alone, joined where they run often."""
+"""Programs and functions of a scene file: the tiers, and programs for C only, joined if they run often."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def smallest(equations: Traced) -> Traced:
     """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
     programs whose loops stop on convergence.
 
-    What fixed numbers of iterations cannot do fails. Programs for singular positions are inside where `solver.branch`
-    continues there.
+    A step that needs more iterations fails. Programs for singular positions are included if `solver.branch` continues
+    there.
     """
     with getting_ready():
         own = standalone(whole(equations))

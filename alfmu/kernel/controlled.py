@@ -61,7 +61,7 @@ RETURNS = 4
 
 
 def whole(equations: Traced) -> Traced:
-    """Return traced equations with the steps of their programs; those of a scene from the cache are traced now."""
+    """Return traced equations whose programs have steps; a scene from the cache is traced now to find them."""
     return equations if "seen" in equations.functions else _whole(equations)
 
 
@@ -108,7 +108,7 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         step = _Explicit(tracer, on_branch, mark, "beside")
         programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
         if isinstance(rule, Collocation):
-            # A position that is regular by its constraints can seem singular because of masses.
+            # The masses can make a position seem singular although its constraints are regular.
             programs["regular"] = _Explicit(tracer, gaining, mark, "regular").program(wanted, "beside")
     if default_settings(tracer.e).method == "auto":
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT5_SHORT, "short")
@@ -235,8 +235,7 @@ class _Explicit(_Step):
     """A step of an explicit method with projection."""
 
     def program(self, rule: Explicit, allowed: str = "") -> Program:
-        """Return the program of a step; `allowed` names the setting of its tolerance over that of the method, if
-        different."""
+        """Return the program of a step; `allowed` names a setting: its tolerance over that of the method."""
         n, layout, calls, scene = self.e.n, self.layout, self.calls, self.scene
         z, dt = map(scene.symbol, ("z", "step"))
         self.begin()
@@ -307,7 +306,7 @@ class _Implicit(_Step):
 
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         super().__init__(tracer, plan, mark, name)
-        self.by_constraints = False  # an implicit step uses margins, and iterates as long as necessary, too
+        self.by_constraints = False  # an implicit step uses margins, and may need any number of iterations
         self.moved = SX(len(self.e.states), 1)
         self.side = self.e.n + len(self.e.states)
         alike = "guess dq dv change w after_w dx rates_of begun"
@@ -339,8 +338,7 @@ class _Implicit(_Step):
         self.evaluate(self.calls, "0")
 
     def evaluate(self, calls: Calls, i: str) -> None:
-        """Compute a, lam, power and watch of a place, with the inputs at its time; a is extended by the rates of
-        states."""
+        """Compute a, lam, power and watch at a stage, with inputs at its time; a is extended by the rates of states."""
         u = self.tracer.inputs(calls, i)
         self.tracer.evaluation(calls, i, {"u": u})
         if self.e.states:
@@ -348,7 +346,7 @@ class _Implicit(_Step):
             calls("rates_of", f"a{i} xdot{i}", f"rates_of{i}", ca.vertcat)
 
     def rates_of(self, i: str) -> str:
-        """Return the name of the accelerations of a place, extended by the rates of states."""
+        """Return the name of the accelerations at a stage, extended by the rates of states."""
         return f"rates_of{i}" if self.e.states else f"a{i}"
 
     def factor(self, calls: Calls, weights: str, parts: Sequence[str], to: str, count: int) -> None:
@@ -368,8 +366,7 @@ class _Collocation(_Implicit):
         tracer.lengths |= dict.fromkeys(("history", "rates", "changes"), self.count)
 
     def program(self, allowed: str = "") -> Program:
-        """Return the program of a step; `allowed` names the setting of its tolerance over that of the method, if
-        different."""
+        """Return the program of a step; `allowed` names a setting: its tolerance over that of the method."""
         side, rule, calls, s = self.side, self.rule, self.calls, len(self.nodes)
         self.allowed = getattr(self.scene.settings, allowed) if allowed else SX(1)
         self.begin()
@@ -501,7 +498,7 @@ class _Collocation(_Implicit):
         self.project()
         calls(f"{self.mark}_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
         if self.kinked:
-            # The tolerance of an explicit step is that of the scene's own integrator, or that of an alternative to it.
+            # The tolerance of an explicit step is the scene's own, or that of an explicit alternative.
             explicit = scene.settings.beside if self.mark == "method" else SX(1)
             self.judge_kinks(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], explicit)
 
@@ -564,8 +561,7 @@ class _Newmark(_Implicit):
         calls("pass", "z step rows Phi dq change force k passes", "change force go size passes", self._passed)
 
     def _passed(self, z: SX, dt: SX, C: SX, Phi: SX, dq: SX, change: SX, lam: SX, passes: SX) -> tuple[SX, ...]:
-        """Return the change of accelerations, multipliers, whether to continue, the size of the change,
-        and iterations."""
+        """Return changes of accelerations, multipliers, whether to continue, the size of the change, iterations."""
         n, l, layout = self.e.n, self.e.l, self.layout
         _, by_a = implicit.changes(self.rule, dt)
         size = ca.mmax(ca.fabs(dq[:n]) / ca.fmax(ca.fabs(z[:n]), 1))
@@ -613,7 +609,7 @@ class _Newmark(_Implicit):
         self.tracer._supply(calls, "0", {"u": self.inputs("0")})
         self.tracer._supplied(calls, "0")
         calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
-        # Of all accelerations that satisfy the constraints, the nearest in the metric of M.
+        # Choose the accelerations that satisfy the constraints and are nearest in the metric of M.
         rates = ""
         if self.e.states:
             rates = "xdot1"

@@ -72,7 +72,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Loop:
-    """Steps that run while a number is not zero, up to a fixed number of times, or up to a value."""
+    """Steps that repeat while a number is not zero, at most a fixed number of times, or as often as a value says."""
 
     number: str
     most: int | str
@@ -164,7 +164,7 @@ class Traced(Configuration):
     """A configuration with its programs; `functions` includes those that the programs call."""
 
     kernel: dict[str, Program] = field(default_factory=dict)
-    """The programs by name; of a scene from the cache without steps, which `controlled.whole` traces."""
+    """The programs by name; programs from the cache have no steps until `controlled.whole` traces them."""
     breaks: list[int] = field(default_factory=list)
     """Levels of the functions that change their sign at jumps and kinks (`kernel.breaks`)."""
     library: Path | None = None

@@ -1,4 +1,5 @@
-"""Join calls of a program into long functions, in which what calls repeat is computed once (`stream.Instructions`)."""
+"""Join calls of a program into long functions, in which repeated operations are computed once
+(`stream.Instructions`)."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ LONGEST = 40000
 def joined(equations: Traced, programs: Iterable[str], handed: Iterable[str] = ()) -> Traced:
     """Return the equations with calls of these programs joined as far as choices, loops and routines allow.
 
-    `handed` are values that they pass to other programs, beside the fields of the memory.
+    `handed` are values that they pass to other programs, besides the fields of the memory.
     """
     e = equations
     joining, fields = _Joining(e), {*Layout(e).fields, *handed}

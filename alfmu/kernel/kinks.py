@@ -21,7 +21,7 @@ _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
 """Operations with a kink or a jump at equal operands."""
 
 _SIGNED = {ca.OP_FABS: 0, ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1}
-"""Operations with one at a zero of an operand, and the number of the operand."""
+"""Operations with a kink or jump at a zero of an operand, and the number of that operand."""
 
 
 def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
@@ -75,9 +75,9 @@ JUMPS = {
     ca.OP_FMOD: "remainders",
     ca.OP_REMAINDER: "remainders",
 }
-"""Operations that may jump, in words; maxima, minima and absolute values only have kinks."""
+"""Descriptions of operations that may jump; maxima, minima and absolute values only have kinks."""
 
 
 def jumps(f: ca.Function) -> list[str]:
-    """Return, in words, the operations of a function without calls that may jump."""
+    """Return descriptions of the operations that may jump in a function without calls."""
     return sorted({JUMPS[code] for code in Instructions.of(f).code.tolist() if code in JUMPS})

@@ -53,7 +53,7 @@ def _inside(step: Step, after: Collection[str]) -> Step:
 
 
 def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
-    """Return the length and count of the shortest repetition from the first step that occurs more than `FEW` times."""
+    """Return length and count of the shortest repetition from the first step on that occurs more than `FEW` times."""
     for period in range(1, len(steps) // (FEW + 1) + 1):
         count = 1
         while shapes[count * period : (count + 1) * period] == shapes[:period]:

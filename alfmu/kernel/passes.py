@@ -27,8 +27,8 @@ LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
 """Numbers of other elements of a function: a loop; an operation in all iterations of a loop; copies of values."""
 
 BEHIND = 2**40
-"""Offset of provisional addresses: below -BEHIND are constants of a function, from BEHIND on values behind the scene's
-constants, whose number is known once all functions are."""
+"""Offset of provisional addresses: a function's constants are below -BEHIND; values from BEHIND on follow the scene's
+constants, whose number is known only after all functions are encoded."""
 
 NARROW = 2**16
 """Range of operands of 16 bits, and of operations in a run of them."""
@@ -95,7 +95,7 @@ class Code:
     """Number of values that the operations compute."""
     constants: tuple[bytes, ...]
     looped: bool
-    """Whether there are loops, which use 32 bits."""
+    """Whether the code has loops; their operands have 32 bits."""
 
     @property
     def stepped(self) -> bool:
@@ -103,7 +103,8 @@ class Code:
         return self.looped or bool(((self.results[:, 3] < 0) & (self.results[:, 4] != 0)).any())
 
     def placed(self, places: NDArray, constants: NDArray, count: int) -> NDArray:
-        """Return final addresses in a scene with this number of constants, given those of the function's."""
+        """Return final addresses in a scene with `count` constants, `places` being those of the function's
+        constants."""
         found = np.where(places >= BEHIND // 2, places - BEHIND + count, places)
         own = places < -BEHIND // 2
         found[own] = constants[places[own] + BEHIND]
@@ -325,7 +326,7 @@ class _Body:
         return Instructions(found[0], found[1:3], np.array([np.zeros_like(found[3]), found[3]]), constants)
 
     def _leaf(self, j: int, column: int, kind: int) -> tuple[int, int]:
-        """Return a constant, or the source of an operand in each iteration."""
+        """Return an operation and its operand: a constant, or the source of the values in all iterations."""
         piece = self._piece
         places = self._found[j, column :: piece.period]
         if kind == CONSTANT and (places == places[0]).all():

@@ -27,7 +27,7 @@ LONGEST = 2500
 """Largest number of operations in the body of a loop; compile time grows faster than linearly with it."""
 
 _WINDOWS = (4, 16, 64, 256, 1024)
-"""Lengths of windows that are compared to find candidates, so that some exceed repetition within a period."""
+"""Lengths of windows compared to find candidates; long ones are not misled by repetition within a period."""
 
 _NEAR = 24
 """Largest distance between operations that is part of a window's key."""
@@ -42,7 +42,7 @@ _NONE = np.iinfo(np.int64).max
 """Marks a missing step."""
 
 _LINE = 8
-"""Number of table entries as long as the C of an operation."""
+"""Number of table entries whose C text is as long as that of an operation."""
 
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """An odd constant without pattern, for hashes."""
@@ -115,7 +115,7 @@ class _Sequence:
         o = operations
         self.values = o.kind == VALUE
         self.distance = np.where(self.values, np.arange(len(o)) - o.operand, 0)
-        """Distance from an operation back to that of its operand."""
+        """Distance from an operation back to the operation of its operand."""
         self.token = np.zeros(len(o), np.uint64)
         for part in (o.code, *o.kind, *o.argument, o.result[0]):
             distinct, number = np.unique(part, return_inverse=True)
@@ -224,7 +224,7 @@ class _Lines:
         steps = numbers[:, 1:] - numbers[:, :-1]  # between iterations
 
         def even(steps: NDArray, ends: bool) -> NDArray:
-            """Return the steps; _NONE if they vary."""
+            """Return the step of each index; _NONE if it varies."""
             steps = steps if ends or repeat.times < FEWEST else steps[:, 1:-1]
             first = steps[:, 0]
             return np.where((steps == first[:, None]).all(axis=1), first, _NONE)
@@ -249,7 +249,7 @@ def _power(exponent: int) -> np.uint64:
 
 
 def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
-    """Yield (period, start, end) of ranges whose hashes recur, each a period after its last occurrence."""
+    """Yield (period, start, end) of ranges in which every hash last occurred one period before."""
     order = np.argsort(hashed, kind="stable")
     again = np.flatnonzero(hashed[order[1:]] == hashed[order[:-1]])
     back = np.zeros(len(hashed), int)

@@ -126,7 +126,7 @@ _TINY = 1e-300
 
 
 def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, rubbed: SX) -> tuple[SX, SX, SX]:
-    """Return a and watch, NaN if no friction was found, and the power including that of friction."""
+    """Return a and watch, which are NaN if no friction was found, and the power including friction."""
     frictions = scene.e.frictions
     found = ca.logic_and(rubbed[0] <= method.JAM_SETTLED**2, rubbed[1] > 0)
     rates = scene.e.sliding(q, v, scene.p)

@@ -227,7 +227,7 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
 
 
 def _in_rows(counts: NDArray, first: NDArray, steps: NDArray) -> NDArray:
-    """Return rows of numbers one after the other, each with its count, its first number and its step."""
+    """Return consecutive arithmetic sequences, each given by its count, first number and step."""
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     return np.repeat(first, counts) + np.repeat(steps, counts) * within
 

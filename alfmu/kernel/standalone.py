@@ -50,7 +50,7 @@ def passed(equations: Traced) -> dict[str, int]:
 
 
 def standalone(equations: Traced) -> Traced:
-    """Return traced equations with the programs and functions that a native FMU needs beside those of the kernel."""
+    """Return traced equations with the programs and functions that a native FMU needs besides those of the kernel."""
     e = equations
     tracer = _Patient(e)
     kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
@@ -171,7 +171,7 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def onward(self, step: Program) -> Program:
-        """Return the step from an instant whose outputs were evaluated, with its first evaluation taken from there."""
+        """Return the step for a start at which outputs were evaluated; READ replaces its first evaluation."""
         first = next(k for k, x in enumerate(step.steps) if "rate1" in _results(x))
         steps = renamed(step.steps, dict(zip(("a1", "power1", "watch1"), READ, strict=True)))
         begin = [x for x in steps[:first] if {"v1", "step"} & {*_results(x)}]
@@ -234,8 +234,8 @@ class _Patient(Alternatives):
         return Program(calls.steps)
 
     def pivots(self, plan: Plan) -> None:
-        """S1: trace pivots of H over their scales, its diagonal, the weights of C in each column, the largest mass over
-        its scale."""
+        """S1: trace a function of the pivots of H over their scales, the diagonal of H, the sum of weights of C in each
+        column, and the largest mass over its scale."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -342,7 +342,7 @@ class _Patient(Alternatives):
         self.repeat(calls, "more", most, again)
 
     def doubles(self, plan: Plan) -> bool:
-        """Return True: no tier follows this one."""
+        """Return True, as no tier follows."""
         return True
 
     def _read_places(self, calls: Calls, places: Sequence[str]) -> None:

@@ -77,7 +77,7 @@ OPERATIONS = 256
 """Limit of the numbers of CasADi's operations."""
 
 ROLE = np.array([ROLES.index(_OF_ROLES.get(code, "unary")) for code in range(OPERATIONS)], np.int32)
-"""The role of each operation."""
+"""The role of each operation of CasADi, as an index of ROLES."""
 
 MOST, SMALL = 60, 25_000
 """Number of functions whose instructions are cached, and most instructions of each, some 100 bytes per instruction."""
@@ -118,7 +118,7 @@ class Instructions:
 
     @classmethod
     def of(cls, f: ca.Function) -> Instructions:
-        """Return the instructions of a symbolic function that calls no other; found once for functions used lately."""
+        """Return the instructions of a symbolic function that calls no other; cached for recently used functions."""
         if f.n_instructions() > SMALL:
             return cls._of(f)
         found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # caching the function keeps its id unique

@@ -38,7 +38,7 @@ SHARES = 6
 over the ratio of compliances."""
 
 _SHARED = 1e-12
-"""Largest last change of these shares, over their size."""
+"""Largest last change of the shares, over their size, at which the passes have converged."""
 
 LOADED = 3
 """Passes that share a load among joints for outputs."""
@@ -47,7 +47,7 @@ PATIENT_LOADED = 8
 """Passes that share a load near a singular position: each gains HELD_SHARES times the distance squared."""
 
 _LEFT = 2.0**-50
-"""Largest last change of the coefficients of multipliers of least norm, over their size."""
+"""Largest last change of the coefficients of multipliers of least norm, over their size, at convergence."""
 
 LEFT_BY_FEW = 1e-3
 """Error of accelerations that few multiplier iterations may leave, over the relative tolerance of a step."""
@@ -75,10 +75,10 @@ ROUND_OFF = 8 * EPSILON
 """Round-off of a constraint, over its coordinates."""
 
 _PROBES = 5
-"""Number of positions at which entries of H are compared."""
+"""Number of positions at which entries of H are compared, to find constant ones."""
 
 _SAME = 1e-13
-"""Largest relative difference of entries that are the same there."""
+"""Largest relative difference of an entry of H that counts as constant."""
 
 
 def lengths_of(equations: Configuration) -> dict[str, int]:
@@ -144,13 +144,13 @@ class Scene:
         self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
         self._symbols: dict[str, SX] = {}
         self._factorisations: dict[tuple[int, ...], ca.Function] = {}
-        """Factorisations by the sparsity of the matrix."""
+        """Factorisations of H, by sparsity."""
         e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
         self.settings = SceneSettings(*ca.vertsplit(self.k[: len(SETTINGS)]))
         self.scale = 1 / self.settings.alpha
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances), e.n * bool(e.l)]).tolist()
         own, units, self.inverse_scales, self.stiffnesses, self.way = (self.k[a:b] for a, b in pairwise(ends))
-        if not weighted:  # a single penalty means a single unit
+        if not weighted:  # a single penalty applies to a single unit
             own, units = SX.ones(e.l), self.k[ends[1]]
         self.inverse_units = units
         self.held = own > 0 if weighted else own
@@ -188,7 +188,7 @@ class Scene:
 
     @staticmethod
     def _handed(terms: Sequence[SX], D: SX, L: SX) -> list[SX]:
-        """Return MATRICES with dense vectors."""
+        """Return the values of MATRICES, with dense vectors."""
         M, C, F, xi = terms
         return [M, C, ca.densify(F), ca.densify(xi), ca.densify(D), L]
 
@@ -358,7 +358,7 @@ class Scene:
         return ca.if_else(left[0], math.nan, lam + rubbing if self.e.frictions else lam)
 
     def _apart(self, lam: SX) -> tuple[SX, SX]:
-        """Split lam into that of constraints in force, and that of sliding joints with dry friction."""
+        """Split lam into multipliers of constraints in force, and of sliding joints with dry friction."""
         if not self.e.frictions:
             return lam, SX(self.e.l, 1)
         own = SX(self.e.l, 1)
@@ -367,7 +367,7 @@ class Scene:
         return lam - own, own
 
     def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX, before: SX) -> tuple[SX, SX, SX, SX]:
-        """Make one more pass: return z, its lam, whether another one is needed, and its change (squared)."""
+        """Make one more pass: return z, its lam, whether another pass is needed, and its change (squared)."""
         lam, rubbing = self._apart(lam)
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
@@ -451,7 +451,7 @@ class Scene:
     def _inverse(self, K: SX) -> method.Solve:
         """Return a solver with a matrix (l, l)."""
         order = (K.sparsity() + K.sparsity().T).amd()
-        K = ca.sparsify(K)  # constants of a joint may remove an entry on one side of the diagonal only
+        K = ca.sparsify(K)  # an entry may be zero on one side of the diagonal only, because of a joint's constants
         K = ca.project(K, K.sparsity() + K.sparsity().T)[order, order]
         D, L = self._factors_of(K)
         inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
@@ -509,7 +509,7 @@ class Scene:
         return ca.fmax(share * dt, ca.sqrt(_TOLD * self.settings.nothing) / self._fastest(v))
 
     def _fastest(self, v: SX) -> SX:
-        """Return the largest rate of a coordinate [1/s], with lengths over that of the mechanism."""
+        """Return the largest rate of a coordinate [1/s]; lengths are divided by the mechanism's."""
         units = [c.unit for c in self.e.coordinates[: self.e.dependent]]
         sizes = [
             x * self.settings.inverse_length if u == "m" else x for u, x in zip(units, ca.vertsplit(v), strict=False)
@@ -517,8 +517,8 @@ class Scene:
         return ca.fmax(ca.mmax(ca.fabs(ca.vertcat(*sizes))), _TINY)
 
     def probed(self, q: SX) -> tuple[SX, ...]:
-        """Return the margin at q, whether a limit may have to be taken there, a zero spacing; and q after a correction
-        (10), which shares most of the computation."""
+        """Return the margin at q, whether a limit may have to be taken there, a zero spacing, and q after a correction
+        (10), which shares most of this computation."""
         here = self.margin_at(q)
         farthest = branch.LIMIT_ZONE * self.settings.least_distance
         near = 1 - (ca.sqrt(here) >= farthest)
@@ -587,8 +587,8 @@ class Scene:
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """Return a, lam and watch from those at the positions and those here; whether lam has a limit (1) or a pole
-        (2).
+        """Return a, lam and watch from their values at the positions and here, and whether lam has a limit (1) or a
+        pole (2).
 
         Limits are used if they are more accurate than the values here: `singular.with_pole`. The error of reactions
         here may follow these values; the last result is then that of the reactions returned.
@@ -796,7 +796,7 @@ class Scene:
         *,
         limit: float | None = None,
     ) -> SX:
-        """Return outputs, monitors, and `memory.SEEN`; `limit` is that of `unconverged`."""
+        """Return outputs, monitors, and `memory.SEEN`; `limit` is an argument of `unconverged`."""
         seen, near = Watch.of(watch), SX(0)
         shown = self._shown(plan, z, u, a, lam, seen.margin, singular, lost)
         trouble = self.unconverged(plan, [seen], limit) + 1 - (seen.pivot > 0)
@@ -828,7 +828,8 @@ class Scene:
         return shown
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
-        """Return computed angles moved by whole turns to the values nearest to those at the start of `near`."""
+        """Return computed angles, shifted by whole turns to those nearest to the values at the start of the state
+        `near`."""
         e = self.e
         if not e.wrapped:
             return SX(0, 1)
@@ -859,7 +860,7 @@ class Scene:
         return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * self._squares(x))
 
     def _squares(self, x: SX) -> SX:
-        """Return the sum of squares of coordinates or velocities, lengths over that of the mechanism."""
+        """Return the sum of squares of coordinates or velocities; lengths are divided by the mechanism's."""
         lengths = [i for i, c in enumerate(self.e.coordinates) if c.unit == "m"]
         others = [i for i, c in enumerate(self.e.coordinates) if c.unit != "m"]
         return ca.sumsqr(x[others]) + self.settings.inverse_length**2 * ca.sumsqr(x[lengths])
@@ -893,7 +894,7 @@ class Scene:
         return M, C, D, self.solver(D, L)
 
     def augmented_mass(self, M: SX, C: SX) -> SX:
-        """Return H, with constant entries as functions of the parameters alone."""
+        """Return H; its constant entries depend on the parameters only."""
         H = method.augmented_mass(M, C, self.weights)
         for place, value in self._steady.items():
             H[place] = value

@@ -10,8 +10,7 @@ ASIDE = (-0.7, -0.1, 0.1, 0.7)
 one of the positions to be regular where the start is singular, and have two sizes, as one may be singular too."""
 
 LITTLE = 1e-4
-"""displacement of lengths [m]: enough to detect which coefficients of C are constant, and small enough to open no loop
-far."""
+"""displacement of lengths [m]: enough to detect which coefficients of C are constant, while loops open little."""
 
 FAR_RATIO = 2.0
 """logarithm of a ratio of pivots [1]: a position near the start whose pivots contributed by masses are larger by this
@@ -104,7 +103,7 @@ drawing are closer."""
 
 MISSED_LENGTHS = 3.0
 """difference of a length from its guess over the larger of the guess and the mechanism's length [1]: the start reports
-larger ones; a length may be the long travel of a small wheel."""
+larger differences; the bound is wide, as a length may be the long travel of a small wheel."""
 
 LEAVING = 0.1
 """displacement [rad or m]: a direction leads away from a singular start if at this distance the margin is
@@ -177,7 +176,7 @@ MOST_PATIENCE = 1600
 """number of steps [1]: the interval doubles after each such test without success, up to this."""
 
 STAYS_CAREFUL = 8
-"""number of attempts [1]: this many are made with careful iterations after one that needed them."""
+"""number of attempts [1]: once an attempt needed careful iterations, this many following ones use them, too."""
 
 UNSEEN = 16
 """number of attempts [1]: after this many without careful iterations one is made with them, to measure round-off."""
@@ -250,13 +249,13 @@ AT_ONCE = 8
 """number of events [1]: after this many at one instant no continuation exists."""
 
 JAM_AHEAD = 5e-5
-"""time over solver.step_size [1]: where a step fails, a jam is searched ahead, from an internal step down to this."""
+"""time over solver.step_size [1]: after a failed step, a jam is searched ahead, from an internal step down to this."""
 
 JAM_SHORTER = 4.0
 """ratio of times [1]: each time ahead at which a jam is searched is shorter than the previous one by this factor."""
 
 ONE_STEP = 1e-9
-"""excess of a step [1]: the rest of a step up to an event is made as one step if it is longer by no more."""
+"""share of a step [1]: the rest of a step up to an event is made as one step if it is longer by no more than this."""
 
 EARLIEST = 0.05
 """time over solver.step_size [1]: earlier instants are distinguished by the last digits of this time."""

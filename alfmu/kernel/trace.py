@@ -57,7 +57,8 @@ def traced(
     configuration: Configuration,
     controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
 ) -> Traced:
-    """Return the equations with the functions of the kernel.
+    """Return the equations with the traced functions and programs of the kernel. `controlled` traces the integrator of
+    the scene (`alfmu.kernel.controlled.programs`).
 
     `controlled` traces the integrator of the scene (`alfmu.kernel.controlled.programs`).
     """
@@ -118,7 +119,7 @@ class Tracer:
         self._scenes: dict[bool, Scene] = {}
 
     def scene(self, weighted: bool) -> Scene:
-        """Return the method in symbols, with a penalty for each constraint or one for all."""
+        """Return the symbolic method, with one penalty for each constraint if `weighted`, otherwise one for all."""
         if weighted not in self._scenes:
             self._scenes[weighted] = Scene(self.e, weighted, self.lengths)
         return self._scenes[weighted]
@@ -161,7 +162,7 @@ class Tracer:
         return ca.vertcat(z[: 2 * n], z[layout.work : layout.time])
 
     def parted(self, rest: SX) -> tuple[SX, ...]:
-        """Split the integrated values beside q and v into work and states."""
+        """Split the integrated values other than q and v into work and states."""
         return (rest[0], rest[1:]) if self.e.states else (rest[0],)
 
     def correct(self, calls: Calls) -> None:
@@ -212,8 +213,7 @@ class Tracer:
 
     @cached_property
     def kinks(self) -> ca.Function:
-        """Return kinks(t, q, v, u, p): functions that change their sign at kinks of the rates of the motion or of
-        states."""
+        """Return kinks(t, q, v, u, p): functions that change sign at kinks of the rates of velocities or states."""
         x = symbols(self.e)
         found = kinks_of_rates(self.e, x)
         self.lengths["kinks"] = found.numel()
@@ -325,7 +325,7 @@ class Tracer:
             self._supply(calls, i, {"u": u})
 
     def _beside(self, calls: Calls, place: str, j: str, u: str) -> None:
-        """Evaluate at a position from which a limit is taken; j is part of the names of its results, u the name of the
+        """Evaluate at a position from which a limit is taken; j is part of the names of results, u the name of the
         inputs."""
         self.place(calls, place, "placed")
         self._brought(calls, place, "placed", "vz")
@@ -341,8 +341,7 @@ class Tracer:
         calls("directed", f"{v} k", "way", calls.scene.directed)
 
     def _read_along(self, calls: Calls, places: Sequence[str], length: str) -> None:
-        """Compute the positions of a limit of outputs along a known direction; `length` is the base of their
-        spacing."""
+        """Compute the positions of a limit of outputs along a known direction; `length` is the base of the spacing."""
         scene = calls.scene
 
         def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
@@ -355,7 +354,7 @@ class Tracer:
         calls("read_places", known, spaced(places), scene.read_places)
 
     def _margins(self, calls: Calls, places: str, first: int = 0) -> None:
-        """Compute the margins at positions, numbered from the first."""
+        """Compute the margins at positions; their names are numbered from `first`."""
         for i, place in enumerate(places.split(), first):
             calls("margin_at", f"{place} p k", f"margin{i}", calls.scene.margin_at)
 
@@ -456,8 +455,8 @@ class Tracer:
         return self.e.timed and self.e.works
 
     def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "", whole: bool = False) -> None:
-        """Compute power of prescribed motion, after an evaluation with these names; if `whole`, also that of friction
-        when the power of the evaluation is not used."""
+        """Compute power of prescribed motion after an evaluation with these names; with `whole`, include friction, if
+        the evaluation's own power is not used."""
         if self.supplies:
             scene, rubs = calls.scene, whole and bool(self.e.frictions)
             t, q, v, a, lam = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam"))
@@ -466,7 +465,7 @@ class Tracer:
             calls("rubbing_supply" if rubs else "supply", known, to or f"supplied{i}", supply)
 
     def _supplied(self, calls: Calls, i: str) -> None:
-        """Compute the total power."""
+        """Add the power of prescribed motion to the power of an evaluation."""
         if self.supplies:
             calls("supplied", f"power{i} supplied{i}", f"power{i}", lambda power, supplied: power + supplied)
 
@@ -486,8 +485,7 @@ class Tracer:
         return plan.gaining
 
     def _approach(self, calls: Calls, i: str, length: str) -> None:
-        """Compute whether a limit has to be taken at a position of known margin, and the spacing, along a known
-        direction."""
+        """Compute whether a limit is taken at a position of known margin, and the spacing, along a known direction."""
         scene, plan = calls.scene, calls.plan
         ways = calls.inside()
 
@@ -517,7 +515,7 @@ class Tracer:
         calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
 
     def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
-        """Make calls, and repeat `again` until the named number is zero."""
+        """Make calls that repeat `again` while the named number is not zero."""
         calls("begin", "k", number, lambda: SX(1))
         calls.made.append(Loop(number, most, again.steps))
 
@@ -621,7 +619,7 @@ class Calls:
         return Calls(self._tracer, self.plan)
 
     def choice(self, number: str, nonzero: Calls, zero: Calls | None = None) -> None:
-        """Add a choice: calls if a number is not zero, and calls if it is."""
+        """Add a choice between two lists of calls: the first runs if a number is not zero, the second if it is zero."""
         self.made.append(Choice(number, nonzero.steps, zero.steps if zero else ()))
 
     def __call__(self, name: str, arguments: str, results: str, function: Callable[..., SX | Sequence[SX]]) -> None:

@@ -39,8 +39,8 @@ CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
 LIGHT = 1e-8
-"""Largest mass over the largest penalty [1] with which multipliers of least norm are found. The bound makes every pass
-gain as much, whatever penalty is given."""
+"""Largest mass over the largest penalty [1] in the search for multipliers of least norm: masses are scaled down to it,
+so that a pass gains as much with any given penalty."""
 
 GAIN = 2 / 3
 """Ratio of successive changes [1] above which further passes change only round-off."""
@@ -53,8 +53,8 @@ SETTLED = 1e-10
 not resolved by then contains round-off alone; a resolved one converges as fast as in (8)."""
 
 HELD_SHARES = 1e9
-"""Weight of C' lam over that of the loads of joints that share a load [1]. At a regular position a pass gains this
-factor; near a singular one it gains the factor times the squared distance."""
+"""Weight of C' lam over the weight of the loads of joints that share a load [1]. At a regular position a pass gains
+this factor; near a singular one it gains the factor times the squared distance."""
 
 EASE = 1e-6
 """Regularisation of the factors in a pass with HELD_SHARES, over the loads of joints [1]. Multipliers that no joint

@@ -76,8 +76,8 @@ DOUBLINGS = 20
 grown up to a million times."""
 
 LIMIT_ZONE = 0.5
-"""distance to the singular position over that of the first position [1]: closer stages take the limit, whose positions
-are then on both sides of the singular one."""
+"""distance to the singular position over the distance of the first position [1]: closer stages take the limit, whose
+positions are then on both sides of the singular one."""
 
 INDEPENDENT_MASS = 1e3
 """mass added to independent coordinates over that of the motion [1]: large enough that a stage reaches the branch by
@@ -122,7 +122,7 @@ runs of four-bars, as links turn by more than their ends move."""
 
 BENT_LOSS = 10.0
 """error of reactions at a regular position over the relative error of accelerations [1]: it was 1 to 12 in runs with
-penalties of 100 masses, as directions of constraints may nearly be parallel there."""
+penalties of 100 masses, as constraint directions may be nearly parallel at regular positions, too."""
 
 NEAR_LOSS = 0.05
 """error of reactions near a singular position over round-off of the loads and the fourth power of the distance [1]: in
@@ -140,8 +140,8 @@ POLE_SEEN = 1e-6
 1e-8."""
 
 POLE_ZERO = 1e-7
-"""distance of a pole over that of the first position [1]: below it the position counts as the pole itself; round-off
-leaves 1e-9."""
+"""distance of a pole over the distance of the first position [1]: below it the position counts as the pole itself;
+round-off leaves 1e-9."""
 
 FROZEN = 1e-6
 """motion at fixed time over the whole motion [1]: below it a mechanism has only its prescribed motion, along which no

@@ -79,7 +79,7 @@ class Collocation:
     matrix: tuple[tuple[float, ...], ...]
     """Weights of the rates at the nodes in the state at each node."""
     errors: tuple[float, ...]
-    """Weights of the rates at the nodes in the estimate, beside gamma for the one at the start."""
+    """Weights of the rates at the nodes in the estimate; gamma is that of the rate at the start."""
 
     @property
     def name(self) -> str:
@@ -461,7 +461,8 @@ def collocation_error(
 
 
 def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
-    """Extrapolate the rates to the next step, `ratio` times as long, by the polynomial through those of the last."""
+    """Extrapolate the rates to the next step, `ratio` times as long, by the polynomial through the rates of the last
+    step."""
     nodes = method.nodes
     guesses = []
     for node in nodes:

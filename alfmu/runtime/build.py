@@ -89,8 +89,7 @@ _OFTEN = {
     "linear.c",
     "tangent.c",
 }
-"""Files that run in every step, and those of derivatives, without which a run with derivatives takes three to six times
-as long."""
+"""Files that run in every step, and those of derivatives, which otherwise take three to six times as long."""
 
 _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
 """Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this

@@ -15,7 +15,7 @@ _MODULE, _MEMORY, _DATA, _COUNT = 1, 5, 11, 12
 
 
 def with_scene(component: bytes, scene: bytes) -> bytes:
-    """Return a component whose initial memory is extended by the size of the scene and the scene."""
+    """Return a component whose initial memory is extended by the scene and, before it, its size."""
     made = component[:_HEAD]
     for kind, content in _sections(component):
         held = dict(_sections(content)) if kind == _MODULE else {}

@@ -43,7 +43,8 @@ _NAMED = 5
 _LOGGER = logging.getLogger("alfmu")
 
 _FREE = 1e-7
-"""Rate of a start value, or of a coordinate, over that of a motion [1]: below it the motion does not change it."""
+"""Ratio of the rate of a start value or coordinate to that of a motion [1] below which the motion does not change
+it."""
 
 _COUNTED = (
     *("patient_steps", "reads", "quick_reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),

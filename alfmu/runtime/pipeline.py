@@ -49,8 +49,7 @@ __all__ = [
 
 
 UNRUBBED = ("trapezoidal", "generalized_alpha")
-"""Methods of the index-3 form: their multipliers are of position level, but dry friction needs those of
-accelerations."""
+"""Methods of the index-3 form, whose multipliers are of position level; dry friction needs those of accelerations."""
 
 STIFF = 20.0
 """Ratio of the fastest small motion to the slowest lasting one, above which a scene is stiff if the fastest does not

@@ -1,5 +1,4 @@
-"""Survey of a scene at its start, before it is traced or while it runs: degrees of freedom, shared loads,
-iterations."""
+"""Survey of a scene at its start, before it is traced or during a run: freedoms, shared loads, iterations."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ _SHARED = 1e-7
 """Change of an output per unit of a shared load, below which it is zero."""
 
 _STRAIN = 1e6
-"""Load shared by redundant constraints, large compared with others: friction follows from the magnitude of a load,
-which a small perpendicular share does not change."""
+"""Load [N, N.m] shared by redundant constraints in tests, large compared with others: friction follows from the
+magnitude of a load, to which a small perpendicular share contributes nothing."""
 
 
 COUNTED_ROWS = ("in force", "all", "without friction")

@@ -122,7 +122,7 @@ class Sweeps:
 
     @property
     def counters(self) -> Counters:
-        """Counters of the run, as those of the instance."""
+        """Counters of the run, as in the instance."""
         return self.unit.counters
 
     def _no_memory(self) -> AlfmuError:

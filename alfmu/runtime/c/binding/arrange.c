@@ -1,5 +1,4 @@
-/* Orders the operations of a function for the interpreter, for `alfmu.kernel.arrangement`. Running a scene does not
-   need it. */
+/* Orders the operations of a function for the interpreter, for `alfmu.kernel.arrangement`. No scene needs it to run. */
 
 #include "arrange.h"
 
@@ -86,8 +85,8 @@ static void sort(const Kind_run *run, int *order, int *beside, int count)
     }
 }
 
-/* List the users of each result, from ends[i] to ends[i + 1] of an array, and count the operands that each operation
-   waits for. */
+/* List the users of each result, from ends[i] to ends[i + 1] of an array; count the operands each operation waits for.
+   */
 static int *users_of(Room *room, const Operations *o, int values, int *ends, int *missing)
 {
     int *maker = arrange_integers(room, (size_t)values, -1), *users = NULL, total = 0;
@@ -125,8 +124,8 @@ static int *users_of(Room *room, const Operations *o, int values, int *ends, int
     return users;
 }
 
-/* Compute two urgencies of each operation, as negative numbers: the least number of changes of kind after it, and the
-   cycles of the longest chain that waits for it. */
+/* Compute two priorities of each operation, negative so that the least comes first: the least number of changes of kind
+   after it, and the cycles of the longest chain that depends on it. */
 static void urgency(Room *room, const Operations *o, const int *users, const int *ends, const int *missing,
     int *changes, int *chains)
 {

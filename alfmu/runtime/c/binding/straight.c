@@ -210,7 +210,7 @@ static int64_t address_of(int at, int64_t behind)
     return at < 0 ? -1 - at - behind : at + behind;
 }
 
-/* Order the constants that arranging uses by the numbers that it gave them. */
+/* Sort the constants that arranging uses by their new numbers. */
 static int in_order(const int *values, int count, int *order)
 {
     int found = 0;

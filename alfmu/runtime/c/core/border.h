@@ -1,6 +1,5 @@
 /* The floating-point environment of a host, which may have unmasked traps or changed the rounding mode: during a call
-   nothing traps, and results are the same for every host. If the host changed nothing, a call only reads two registers.
-   */
+   nothing traps, and results are the same for every host. If the host changed nothing, a call reads two registers. */
 
 #ifndef ALFMU_BORDER_H
 #define ALFMU_BORDER_H

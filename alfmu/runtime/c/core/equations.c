@@ -9,7 +9,7 @@
 #include "record.h"
 #include "scene.h"
 
-/* Expand the nonzeros of a matrix into the first rows of a dense matrix of `rows` rows. */
+/* Expand the nonzeros of a matrix into a dense one, whose columns are `rows` long. */
 void pattern_spread(const Pattern *pattern, const double *values, double *dense, int rows)
 {
     for (int c = 0; c < pattern->columns; c++) {
@@ -72,8 +72,7 @@ void energy_record(Instance *i, const double *v, double *into)
     function_call_recorded(i, s->energy, x, y);
 }
 
-/* Add the change of energy in an instant to the work; `energies` holds those before it, then room for those after it.
-   */
+/* Add the change of energy in an instant to the work; `energies` has those before it, then room for those after. */
 void energy_add_jump(Instance *i, double *energies)
 {
     double *q = instance_field(i, i->scene->z), *work = q + i->scene->work;

@@ -2,7 +2,7 @@
 
    Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene
    comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
-   alfmu/kernel/memory.py, and on the workspace behind it. */
+   alfmu/kernel/memory.py, and on the workspace after it. */
 
 #ifndef ALFMU_INSTANCE_H
 #define ALFMU_INSTANCE_H
@@ -104,24 +104,23 @@ typedef struct Instance {
     /* Memory besides `numbers`. */
     double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
     Flags flags_before;
-    double *breaks;  /* times about which a law jumps or bends in this step: just before, just after */
-    int broken;      /* number of such times */
+    double *breaks;  /* times at which a law jumps or bends in this step, in pairs: just before, just after */
+    int broken;      /* number of pairs in `breaks` */
     double *read_at; /* q, v and inputs at the last reading of outputs */
     int onward;      /* whether the workspace holds the evaluation there, with which a quick step begins */
-    /* evaluations that steps took over from outputs but the tally counts, since the motion began */
+    /* evaluations in the tally that steps took over from outputs, since the motion began */
     long shared;
     int within; /* whether the next step continues a communication step */
     int crossings; /* jumps crossed by the shortest steps since the last longer one */
     long left;  /* internal steps that this communication step may still take */
     double stop; /* time [s] beyond which the host does not step; INFINITY if it gave none */
-    int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
+    int iterations; /* iterations of the last multiplier iteration, 0 if none has run */
     /* called now and then within a run in one call, or NULL; the run ends if it returns zero */
     int (*go_on)(struct Instance *i);
     void *run;                        /* argument of `go_on` */
     long looks;                       /* counts internal steps; `go_on` is called every LOOK of them */
     int ended;                        /* whether `go_on` has ended the run */
-    /* called instead of running a program, or a function on arrays, if instances run together (batch.c); otherwise NULL
-       */
+    /* called instead of running a program, or a function on arrays, if instances run together (batch.c), or NULL */
     void (*wait)(struct Instance *i, int which, const double *const *x, double *const *y);
     void *place; /* argument of `wait` */
     size_t used, room; /* of scratch */

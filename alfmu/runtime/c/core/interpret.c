@@ -1,6 +1,5 @@
 /* Runs the functions and programs of a scene. A function works on the registers of an instance: the constants of the
-   scene, then the arguments, then the result of each operation. The loader has checked every place, so nothing is
-   checked here. */
+   scene, then the arguments, then the result of each operation. The loader has checked every place. */
 
 #include "interpret.h"
 
@@ -404,8 +403,8 @@ const Word *routine_run(Instance *i, const Word *at)
     }
 }
 
-/* Return whether a loop continues after `times` passes. `at`: place of its condition; most passes, or below zero their
-   place. */
+/* Return whether a loop continues after `times` passes. `at` has the place of its condition, then the most passes, or
+   -1 less the place of that number. */
 static inline int goes_on(Instance *i, const Word *at, int times)
 {
     const double most = at[1] >= 0 ? (double)at[1] : i->m[-1 - at[1]];

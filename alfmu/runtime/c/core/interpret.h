@@ -8,7 +8,6 @@
 
 #include "internal_begin.h"
 
-/* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values);
 
 /* Call a function of the scene on arrays. */

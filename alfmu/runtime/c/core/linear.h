@@ -17,8 +17,8 @@ typedef struct {
     size_t entries;
 } Envelope;
 
-/* a = U S V': on return the columns of a (rows x columns) are those of U times s, largest first; v is columns x
-   columns. */
+/* Compute the singular values s, largest first, of a = U S V'. The columns of a (rows x columns) become those of U
+   times s; v is columns x columns. */
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s);
 
 size_t linear_least_norm_work(int rows, int columns);

@@ -198,7 +198,7 @@ void tape_sum(Instance *i, const double *to, int terms, const double *const *fro
     }
 }
 
-/* Copy the latest factors to `kept`, behind the numbers of the newest entry; return their index. */
+/* Copy the latest factors to `kept`, after the numbers of the newest entry; return their index. */
 static size_t keep_factors(Tape *t, double *kept, const double *factors, const double *order, size_t size)
 {
     memcpy(kept, factors, size * size * sizeof *kept);

@@ -56,8 +56,7 @@ struct Tape {
 };
 typedef struct Tape Tape;
 
-/* Words of a correction. Numbers: arguments of the closure (and the constraints), weights of rows, of columns, x, lam;
-   part. */
+/* Words of a correction. Numbers: arguments of closure (and constraints), weights of rows and columns, x, lam; part. */
 enum { PLACE_Q, PLACE_P, PLACE_STARTS, PLACE_V, PLACE_RATES, PLACE_COUNT };
 
 #if HAS_DERIVATIVES

@@ -1,6 +1,6 @@
 /* Loads a scene from its file, and checks everything in it once, so that nothing has to be checked while it runs.
 
-   A file is `ALFMU\r\n\x1a`, the version, the length of the whole, a check sum of what follows it, an identity, and
+   A file is `ALFMU\r\n\x1a`, the version, the length of the whole, a check sum of all bytes after it, an identity, and
    the body; all numbers are little-endian. */
 
 #include "scene.h"

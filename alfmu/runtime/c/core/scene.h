@@ -1,5 +1,5 @@
 /* A scene: the equations of a mechanism as functions and programs, its variables and its sizes, as a scene file holds
-   them. Brackets behind a pointer say how many values it points to; alfmu/fmi/constants.py reads them. */
+   them. Brackets after a pointer give the number of its values; alfmu/fmi/constants.py reads them. */
 
 #ifndef ALFMU_SCENE_H
 #define ALFMU_SCENE_H
@@ -23,7 +23,7 @@ typedef struct {
     Type type;
     Kind kind;
     double start, minimum, maximum;
-    int instant; /* whether it follows inputs at once */
+    int instant; /* whether an output depends on inputs without delay */
 } Variable;
 
 /* A text variable and its possible values. */
@@ -34,7 +34,7 @@ typedef struct {
 
 typedef struct {
     const char *name, *direction, *unit;
-    double size; /* for a unit of displacement; 0 where the coefficients tell */
+    double size; /* value per unit of displacement; 0: determined from the coefficients */
 } Row;
 
 typedef struct {
@@ -117,7 +117,7 @@ typedef struct {
 typedef struct {
     const char *name;
     char guid[40];
-    unsigned body; /* check sum of the file after its head; machine code names it */
+    unsigned body; /* check sum of the file without its head, as written in machine code */
 #define NUMBER(name) int name;
     SCENE_NUMBERS(NUMBER)
 #undef NUMBER

@@ -30,7 +30,7 @@ static int operand_count(int64_t kind)
     return counts[kind];
 }
 
-/* Return whether an operand is known in each pass; each pass adds `more` values. */
+/* Return whether an operand is known in each pass of a loop; each pass adds `more` values. */
 static int are_within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
 {
     const int64_t last = first + (passes - 1) * step;

@@ -33,7 +33,7 @@ typedef struct Gradient {
     Tape *tape;
     Flat *flats;         /* [functions] each is made when first needed */
     int functions;
-    size_t places;       /* count of numbers of the instance that have derivatives */
+    size_t places;       /* number of places of the instance that have derivatives */
     int blocks;          /* blocks of LANES directions */
     Lanes *tangents;     /* [blocks * places] */
     Lanes *lane_registers;

@@ -11,8 +11,7 @@
 #include "record.h"
 #include "scene.h"
 
-/* The polynomial of a driving input is linear in these numbers: values of the input, coefficients, points of its
-   history. */
+/* The polynomial of a driving input is linear in these numbers: the input's values, coefficients, history. */
 #define OF_INPUT 3
 #define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
 

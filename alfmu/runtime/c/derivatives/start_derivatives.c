@@ -345,8 +345,7 @@ void rated_adjoints(Gradient *g, const Entry *e)
     arena_release(i, arena);
 }
 
-/* A frozen rank, read from the tape: roots of penalties over the root of the largest, and b, v and sizes of
-   tape_holding. */
+/* A frozen rank, read from the tape: roots of relative penalties, and b, v and sizes of tape_holding. */
 typedef struct {
     int32_t places[3];
     int32_t matrix;

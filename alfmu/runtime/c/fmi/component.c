@@ -412,7 +412,7 @@ Status component_write(Component *c, void *state, void *bytes, size_t size, cons
     return STATUS_OK;
 }
 
-/* Copy the bytes, which are checked when they are restored. */
+/* Copy a state from bytes of the host; they are checked when the state is restored. */
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
 {
     State *made;

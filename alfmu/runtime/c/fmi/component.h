@@ -49,7 +49,7 @@ typedef struct {
     void *host;
     State *before, *after; /* states around a step with intermediate updates */
     unsigned logged; /* categories that are logged, as bits */
-    int has_time;    /* whether time is a variable, numbered after those of the scene */
+    int has_time;    /* whether time is a variable, whose number follows those of the scene */
     int exchanges;   /* whether the instance is for Model Exchange */
 } Component;
 

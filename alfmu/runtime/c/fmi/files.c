@@ -96,7 +96,6 @@ static int look_into(struct dl_phdr_info *info, size_t size, void *sought)
 
 #endif
 
-/* Find the resources folder from the path of this library, which is in binaries/<platform>. */
 void files_own_resources(char *path)
 {
     char *end = path;

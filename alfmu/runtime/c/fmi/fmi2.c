@@ -13,7 +13,7 @@
 #include "instance.h"
 #include "model_exchange.h"
 
-/* Arguments of FMI beside the component. */
+/* FMI's arguments besides the component. */
 typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;

@@ -12,7 +12,7 @@
 #include "instance.h"
 #include "model_exchange.h"
 
-/* Arguments of FMI beside the component. */
+/* FMI's arguments besides the component. */
 typedef struct {
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;

@@ -24,8 +24,7 @@ typedef struct {
 #define CO_SIMULATION "it is for co-simulation alone"
 
 #if HAS_MODEL_EXCHANGE
-/* Make a new component one of Model Exchange; return NULL, and the reason in `why`, if its scene is for co-simulation
-   only. */
+/* Make a new component one of Model Exchange; NULL, and the reason in `why`, if its scene is for co-simulation only. */
 Component *exchange_instance(Component *c, char *why, size_t why_size);
 
 /* Complete initialisation, and enter event mode. */

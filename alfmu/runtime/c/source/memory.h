@@ -1,5 +1,4 @@
-/* Memory of instances from a static arena. Each block follows its length, which is negative while the block is in use.
-   */
+/* Memory of instances from a static arena. Each block follows its length, which is negative while it is in use. */
 
 #ifndef ALFMU_MEMORY_H
 #define ALFMU_MEMORY_H

@@ -1,4 +1,4 @@
-/* NAME.h: the mechanism behind functions of plain C. */
+/* NAME.h: a mechanism as functions of plain C. */
 
 #include "begin.h"
 #include "instance.h"

@@ -93,8 +93,7 @@ static int find_changed_side(const Scene *s, const Loops *loops, const double *f
     return most;
 }
 
-/* Warn if another assembly is about as near to the guess, or if a length has the other sign than its guess; return
-   DONE. */
+/* Warn if another assembly is about as near to the guess, or if a length has the other sign than its guess. */
 static Outcome warn_of_other_assembly(
     Instance *i, Loops *loops, const double *guess, const double *q, const Another *another)
 {

@@ -48,8 +48,7 @@ static int fits_in_degrees(
     return fits;
 }
 
-/* Warn of guesses far from which the loops closed, or of angles that seem to be in degrees, unless there is a warning.
-   */
+/* If there is no warning, warn of guesses far from which the loops closed; angles in degrees replace any warning. */
 void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q)
 {
     const Scene *s = i->scene;
@@ -103,8 +102,7 @@ static void evaluate_limits(Instance *i, const double *q, double *beyond, double
     arena_release(i, arena);
 }
 
-/* Return by how much q exceeds a limit more than allowed, for the worst limit; lengths are divided by the mechanism's.
-   */
+/* Return the largest excess of q over a limit beyond the allowed excess; lengths are divided by the mechanism's. */
 static double find_worst_limit(Instance *i, const double *q, const double *allowed, int *worst)
 {
     const Scene *s = i->scene;

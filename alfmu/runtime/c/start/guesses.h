@@ -1,5 +1,4 @@
-/* Start values that the assembly missed or that were given in degrees, and assemblies that exceed the limits of stops.
-   */
+/* Start values that the assembly missed or that were given in degrees, and assemblies beyond the limits of stops. */
 
 #ifndef ALFMU_GUESSES_H
 #define ALFMU_GUESSES_H

@@ -86,8 +86,7 @@ int rank_at(Instance *i, const double *q, const unsigned char *held)
     return rank;
 }
 
-/* Compute the correction of least norm by which a rank is judged; for few coordinates it includes motions that C hardly
-   holds. */
+/* Compute the correction of least norm that judges a rank; for few coordinates it includes motions C hardly holds. */
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
 {
     const Scene *s = i->scene;
@@ -475,8 +474,7 @@ void rank_calibrate(Instance *i, const double *q, const double *v, const unsigne
         found[a] = multiply_pivots(i, places + a * n, (int)*i->freedom);
         together[a] = found[a].all;
     }
-    /* A coordinate that cannot describe the motion makes the product far larger, a singular position may make it
-       smaller. */
+    /* A coordinate that cannot describe the motion makes the product far larger, a singular position smaller. */
     sort_numbers(together, count);
     *i->regular = median(together, count) + log(REGULAR_PRODUCT);
     calibrate_margin(i, found, count);

@@ -16,8 +16,7 @@
 #include "scene.h"
 #include "scene_sizes.h"
 
-/* Find velocities that keep the loops closed and have the given start rates, nearest to the guess v; `left` is the
-   residue. */
+/* Find velocities that keep the loops closed and have the start rates, nearest to v; `left` is the residue. */
 static void solve_rates(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
 {
     const Scene *s = i->scene;
@@ -110,8 +109,7 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* Find a direction of motion at fixed time: that of the start rates, or of equal rates of the start values; zero if
-   there is none. */
+/* Find a direction of motion at fixed time: that of the start rates, or of equal rates of the start values; or zero. */
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;

@@ -15,8 +15,7 @@
 /* Shortest step, in units of the last digit of the time. */
 #define LEAST_DIGITS 16
 
-/* Most jumps that steps of the least length cross one after the other; a step AWAY_FROM_IT times as long ends the
-   sequence. */
+/* Most jumps that steps of the least length cross in sequence, which a step AWAY_FROM_IT times as long ends. */
 #define CROSSINGS 4
 #define AWAY_FROM_IT 1e3
 
@@ -269,7 +268,7 @@ static int cross_jump_by_rk4(Instance *i)
     return 1;
 }
 
-/* Take steps of the integrator up to `end`, or `tries` tries. Return 0 if a step could not be judged. */
+/* Take steps of the integrator up to `end`, at most `tries` attempts. Return 0 if a step could not be judged. */
 int step_adaptive(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;

@@ -121,7 +121,7 @@ static int narrow_bracket(Instance *i, int which, double low, double high, doubl
         double t = b.low + (b.high - b.low) * (pass % 3 == 2 ? 0.5 : b.at_low / (b.at_low - b.at_high));
         t = fmin(fmax(t, b.low + near), b.high - near); /* A NaN becomes the lower bound. */
         if (pass == MOST_PASSES)
-            return 1; /* No finite function changes its sign here. */
+            return 1; /* No sign change of finite numbers remains. */
         shrink_bracket(i, which, t, &b);
         t += b.low > low_before ? near : -near;
         if (t > b.low && t < b.high)
@@ -147,8 +147,7 @@ static double evaluate_cubic(Cubic c, double x)
     return c.value + x * (c.slope + x * (c.square + x * c.cube));
 }
 
-/* Return the time of an extremum close to zero, or beyond zero, after a time; return a negative number if there is
-   none. */
+/* Return the time of an extremum close to zero, or beyond zero, after a time; a negative number if there is none. */
 static double find_turn(Cubic c, double after, double end)
 {
     const double root = sqrt(fmax(c.square * c.square - 3 * c.cube * c.slope, 0.0));

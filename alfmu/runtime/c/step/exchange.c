@@ -29,7 +29,7 @@
 #include "topology.h"
 
 /* Distance of states from the constraints after a step, in units of their nominal values, above which an event corrects
-   them: methods of first order exceed it, methods with error control do not. */
+   them. Steps of first-order methods exceed it, steps with error control do not. */
 #define FAR_AWAY 1e-3
 
 /* Length of an interval that is searched for the next event, in internal steps, and the number of intervals after which

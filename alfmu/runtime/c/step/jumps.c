@@ -174,8 +174,8 @@ Outcome laws_checked(Instance *i, double end)
     return outcome == DONE ? check_laws(i, from, end) : outcome;
 }
 
-/* Check that the laws are finite at the start, and report one that is not in place of a failed start. Positions are
-   those of the start, or the guess if the start failed. */
+/* Check that the laws are finite at the start; report a law that is not, instead of a failed start. Positions are those
+   of the start, or the guess if the start failed. */
 Outcome laws_begun(Instance *i, Outcome outcome)
 {
     const Scene *s = i->scene;

@@ -80,8 +80,7 @@ static size_t scratch_length(const Scene *s, int starts)
     return room;
 }
 
-/* Set the pointers of an instance to the numbers that it keeps between calls, and return their count; `numbers` may be
-   NULL. */
+/* Set the pointers of an instance to the `numbers` that it keeps between calls, unless NULL; return their count. */
 static size_t layout_kept(Instance *i, double *numbers)
 {
     const Scene *s = i->scene;

@@ -13,8 +13,8 @@
 /* Return how many numbers an instance of a scene has, if it finds its start itself (`starts`) or only makes steps. */
 size_t instance_length(const Scene *s, int starts);
 
-/* Return how many of these it keeps between calls, and how many it uses only during a call, so that instances may share
-   them. */
+/* Return how many of these it keeps between calls, and how many it uses only during calls, which instances may share.
+   */
 size_t instance_kept_length(const Scene *s);
 size_t instance_lent_length(const Scene *s, int starts);
 

@@ -212,8 +212,8 @@ static Outcome make_communication_step(Instance *i, double start, double h)
     const Scene *s = i->scene;
     Outcome outcome = DONE;
     long made = -1;
-    /* RK4 alone has a known number of steps; only the slower way counts those of others. It also takes back no step
-       along which derivatives were propagated. */
+    /* Steps of other integrators than RK4 are counted only in the slower way, which also takes back no step along which
+       derivatives were propagated. */
     if (!i->flags.whole || settings_method(i) || s->frictions || s->entries || i->broken
         || !step_fixed_whole(i, start, h, &made))
         outcome = step_over_breaks(i, start, h, made);

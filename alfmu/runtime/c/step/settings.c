@@ -35,8 +35,7 @@ int settings_project(const Instance *i)
     return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
 }
 
-/* Return whether all programs support the chosen formulation; otherwise only `move`, `close` and `instant_patient` do.
-   */
+/* Return whether all programs support the chosen formulation, not only `move`, `close` and `instant_patient`. */
 int settings_all_serve(const Instance *i)
 {
     return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
@@ -120,7 +119,7 @@ void settings_upload_arguments(Instance *i)
         i->workspace[s->within] = i->within;
 }
 
-/* Pass penalties, units and load shares of the constraints to the kernel; redundant constraints stay as they are. */
+/* Pass penalties, units and load shares of the constraints to the kernel; no rank is frozen. */
 void settings_set_penalties(Instance *i)
 {
     const Scene *s = i->scene;
@@ -151,7 +150,7 @@ int settings_continue(const Instance *i)
 }
 
 /* Return the integrator: 0 RK4, 1 the scene's integrator with error control, 2 the same with fixed steps. The
-   integrator behind `auto` supports one formulation only and follows the branch through singular positions. */
+   integrator that `auto` selects supports one formulation only and follows the branch through singular positions. */
 int settings_method(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -160,8 +159,7 @@ int settings_method(const Instance *i)
     return rk4 ? 0 : s->method;
 }
 
-/* Return the tolerance of a step for that of the run: proportional for explicit integrators; a smaller share of a loose
-   one. */
+/* Return the tolerance of a step from that of the run: proportional for explicit integrators, less above STEADY. */
 static double step_tolerance(double share, double exponent, double run)
 {
     return share * pow(run, exponent) * (exponent == 1.0 ? pow(fmin(1.0, STEADY / run), LOOSER) : 1.0);
