@@ -34,7 +34,7 @@ __all__ = [
     "variables_of",
 ]
 
-assert isinstance(Settings.penalty, float)  # the default is one for all rows
+assert isinstance(Settings.penalty, float)  # a single penalty for all rows is the default
 SOLVER_VARIABLES = (
     Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
     Variable("solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"),

@@ -76,7 +76,7 @@ def relative_bodies(m: Mechanism) -> list[SpatialBody]:
 
 
 def check_points(m: Mechanism) -> None:
-    """Raise DeclarationError if coordinates move a point of a joint that places a body: it would do work there."""
+    """Raise DeclarationError if coordinates move a point of a joint that places a body: the joint would do work."""
     own = stack([c.q for c in m.coordinates])
     for joint in (each for each in m.spatial_joints if each.coordinates is not None and m.coordinates):
         for marker in (joint.first, joint.second):

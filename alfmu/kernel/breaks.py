@@ -30,7 +30,7 @@ _FALLING = {ca.OP_EXP: 0, ca.OP_INV: 0, ca.OP_DIV: 1, ca.OP_SQRT: 0, ca.OP_POW: 
 _ALL = (*_COMPARED, *_SIGNED, *_WHOLE, *_DIVIDED, *_BELLS, ca.OP_SQ)
 
 _LETTERS = {"dynamics": "qvupt", "constraints": "qvp"}
-"""Arguments of functions that combine equations; those of others are in `ARGUMENTS`."""
+"""Arguments of functions that combine equations; `ARGUMENTS` has those of the others."""
 
 
 def breaks(e: Configuration) -> tuple[ca.Function, list[int]] | None:

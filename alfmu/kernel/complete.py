@@ -54,8 +54,8 @@ def _complete(equations: Traced) -> Traced:
 
 
 def smallest(equations: Traced) -> Traced:
-    """Return traced equations with the programs and functions of the smallest scene: calls of shared functions, and no
-    programs whose loops stop on convergence.
+    """Return traced equations with the programs and functions of the smallest scene: its programs call shared
+    functions, and none has loops that stop on convergence.
 
     A step that needs more iterations fails. Programs for singular positions are included if `solver.branch` continues
     there.

@@ -561,7 +561,7 @@ class _Newmark(_Implicit):
         calls("pass", "z step rows Phi dq change force k passes", "change force go size passes", self._passed)
 
     def _passed(self, z: SX, dt: SX, C: SX, Phi: SX, dq: SX, change: SX, lam: SX, passes: SX) -> tuple[SX, ...]:
-        """Return changes of accelerations, multipliers, whether to continue, the size of the change, iterations."""
+        """Return accelerations, multipliers, whether to continue, the size of the change, the number of iterations."""
         n, l, layout = self.e.n, self.e.l, self.layout
         _, by_a = implicit.changes(self.rule, dt)
         size = ca.mmax(ca.fabs(dq[:n]) / ca.fmax(ca.fabs(z[:n]), 1))

@@ -112,7 +112,7 @@ class Places:
                 yield _Table(int(self._piece[alike].min()), end, length, alike, rows * len(columns) + places)
 
     def _continuations(self) -> dict[int, tuple[int, int, int]]:
-        """Return the values of straight code that continue those of a loop: the loop's piece, the column and the row."""
+        """Return the values of straight code that continue those of a loop, with the loop's piece, column and row."""
         found: dict[int, tuple[int, int, int]] = {}
         taken = set()
         for j, users, values in self._sequences():

@@ -107,7 +107,7 @@ def beginning(equations: Configuration) -> Traced:
 
 
 _APART = ("instant", "limit", "reach")
-"""Programs at a communication point."""
+"""Programs that run at a communication point."""
 
 READ = ("read_a", "read_power", "read_watch")
 """Values that `instant_quick` passes to `onward` and `short_onward`: the first evaluation of a quick or short step at
@@ -261,7 +261,7 @@ class _Patient(Alternatives):
             moved = u + (t - slopes[0]) * slopes[1:]
             return moved if past is None else ca.if_else(slopes[1:] < ca.inf, moved, past)
 
-        # The call traces the function under its name; programs call it before they use inputs.
+        # This call traces the function; programs then call it by its name before they use inputs.
         Calls(self)("inputs_at", spaced("u slopes t", "inputs" * bool(self.order)), "inputs", there)
         return replace(program, steps=rewritten(program.steps, _inputs_moved))
 

@@ -180,7 +180,7 @@ _SAMPLE = 3
 def _serialised(f: ca.Function) -> NDArray | None:
     """Return the instructions from the serialised function, some fifty times faster; None if its form has changed.
 
-    Four integers encode each instruction, two characters each byte, the lower half first.
+    Four integers encode each instruction; two characters encode each byte, its lower half first.
     """
     count = f.n_instructions()
     if not count:

@@ -505,7 +505,8 @@ class Scene:
         return self.way + self.settings.along * v
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
-        """S4: return the spacing [s] of positions along v; a step may be too short to distinguish them."""
+        """S4: return the spacing [s] of positions along v: a share of the step, or more if they are
+        indistinguishable."""
         return ca.fmax(share * dt, ca.sqrt(_TOLD * self.settings.nothing) / self._fastest(v))
 
     def _fastest(self, v: SX) -> SX:
@@ -563,7 +564,7 @@ class Scene:
         return ca.if_else(zone, a, here), ca.if_else(zone, _worst(seen, seen[0].near, seen[0].margin), watch), zone
 
     def mean_of(self, values: Sequence[SX], side: int) -> SX:
-        """S4: return the limit of a number."""
+        """S4: return the limit of a quantity from its values at the positions."""
         return branch.mean(dict(zip(branch.weights(side), values, strict=True)))
 
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
@@ -675,7 +676,7 @@ class Scene:
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
     def along(self, q: SX, *parts: SX) -> tuple[SX, ...]:
-        """Return displacements or velocities projected onto the constraints."""
+        """Return displacements or velocities at q projected onto the constraints."""
         _, C, _, solve = self._augmented(q)
         return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
 

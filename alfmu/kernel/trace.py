@@ -157,7 +157,7 @@ class Tracer:
         return ["x"] * bool(self.e.states)
 
     def begun(self, z: SX) -> SX:
-        """Return q, v, work and states: the integrated values."""
+        """Return the integrated values: q, v, work and states."""
         n, layout = self.e.n, self.layout
         return ca.vertcat(z[: 2 * n], z[layout.work : layout.time])
 
@@ -499,7 +499,7 @@ class Tracer:
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
-        """Do so with a spacing doubled until positions are distinguishable; the least spacing counts metres as
+        """Compute the same, with a spacing doubled until positions are distinguishable; the least one counts metres as
         radians."""
         zone, again = f"zone{i}", calls.inside()
         self._approach(again, i, "stretched")

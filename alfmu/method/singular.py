@@ -185,7 +185,7 @@ def farthest(least: Array, larger: Callable[[Any, Any], Any]) -> Array:
 
 
 def curvature(before: Array, here: Array, after: Array) -> Array:
-    """S2: return the squared spacing [rad^2], from margins, which are parabolas over the distance."""
+    """S2: return the squared length [rad^2] of the spacing from margins, which are parabolas over the distance."""
     return (before + after) / 2 - here
 
 
@@ -221,7 +221,7 @@ def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Seque
     """Return the error of reactions evaluated at this margin; the masses do not contribute to it.
 
     `off` are relative errors of positions, velocities and accelerations by residuals of constraints; `forces` are the
-    largest F, C' lam, residual of (4), M a, and twice the kinetic energy over the length.
+    largest F, C' lam, residual of (4), M a, and twice the kinetic energy over the mechanism's length.
     """
     F, carried, imbalance, inertia, of_speed = forces
     loads = (F * F + carried * carried) ** 0.5

@@ -534,8 +534,8 @@ SPLIT = 2.0
 """Number of steps left up to an end below which they are made equal."""
 
 NOISE = 8.0
-"""Error attributed to round-off, over one sample of it; errors below it are ignored. At a factor of 4, steps of the
-flyball governor by an explicit method collapse at 1e-12."""
+"""Error attributed to round-off, as a multiple of one sample of it; errors below it are ignored. At a multiple of 4,
+steps of the flyball governor by an explicit method collapse at 1e-12."""
 
 SHORTEST = 1e-12
 """Step [s] below which a run fails."""
@@ -550,7 +550,7 @@ PROPORTIONAL = 0.4
 """Exponent of the previous error over the tolerance, with opposite sign."""
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
-"""Bounds of a step over the one before."""
+"""Bounds of the ratio of a step to the previous one."""
 
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Lower bounds of the current and of the previous error over the tolerance."""

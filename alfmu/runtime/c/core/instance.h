@@ -99,7 +99,7 @@ typedef struct Instance {
     double *given;         /* penalty of each constraint if `flags.given` is set */
     double *counts;        /* [COUNTED] */
     double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
-    double *projection;    /* whether steps end with projections (10); below zero: as the formulation does */
+    double *projection;    /* whether steps end with projections (10); below zero, the formulation decides */
     double *m;
     /* Memory besides `numbers`. */
     double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
@@ -108,7 +108,7 @@ typedef struct Instance {
     int broken;      /* number of pairs in `breaks` */
     double *read_at; /* q, v and inputs at the last reading of outputs */
     int onward;      /* whether the workspace holds the evaluation there, with which a quick step begins */
-    /* evaluations in the tally that steps took over from outputs, since the motion began */
+    /* evaluations in the tally that were not made, most of them taken over from outputs, since the motion began */
     long shared;
     int within; /* whether the next step continues a communication step */
     int crossings; /* jumps crossed by the shortest steps since the last longer one */

@@ -429,7 +429,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at += 2 + f->inputs + f->outputs;
             break;
         }
-        case CHOICE_CODE: { /* place of a number; length of the code if it is not zero, if it is */
+        case CHOICE_CODE: { /* place of a number; lengths of the code for a nonzero and for a zero number */
             const Word *ways = at + 4;
             if (m[at[1]] != 0.0)
                 run_code(i, ways, ways + at[2]);

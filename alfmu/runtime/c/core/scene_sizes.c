@@ -22,7 +22,7 @@ int scene_way(const Scene *s)
     return SETTINGS + 2 * s->l + s->n + s->compliances;
 }
 
-/* Return the place, among the settings, of the constraint weights for redundant constraints with friction. */
+/* Return the place, among the settings, of the matrix that replaces penalties if redundant constraints brake. */
 int scene_matrix(const Scene *s)
 {
     return scene_way(s) + (s->l ? s->n : 0);

@@ -24,7 +24,7 @@ static Lanes *tangents_of(const Gradient *g, int direction, const double *number
     return g->tangents + (size_t)(direction / LANES) * g->places + (size_t)tape_place_of(g->instance, number);
 }
 
-/* Set the tangents before a step; one that continues a communication step continues its tangents. */
+/* Initialise the tangents before a communication step; an internal step that continues one continues its tangents. */
 Outcome jacobian_begin(Instance *i)
 {
     const Scene *s = i->scene;

@@ -241,7 +241,7 @@ static State *save_into(Component *c, State *state);
 static void ask_early_return(Component *c, double point, double step, long made)
 {
     Instance *i = c->instance;
-    if (made < 2) /* The only step so far is this single step. */
+    if (made < 2) /* The only step so far was a single one. */
         return;
     c->after = save_into(c, c->after);
     if (!c->after)

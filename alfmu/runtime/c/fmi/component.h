@@ -57,7 +57,7 @@ extern const char *const category_names[CATEGORIES];
 
 int component_phase(const Component *c);
 
-/* Return a new component, followed by memory of `host` bytes; NULL, and the reason in `why`, if this fails. */
+/* Return a new component with a zeroed host of `host` bytes; NULL, and the reason in `why`, if this fails. */
 Component *component_new(
     const char *name, const char *guid, const char *resources, size_t host, char *why, size_t why_size);
 
@@ -79,7 +79,7 @@ Status component_initialized(Component *c, const char *call);
 Status component_terminated(Component *c, const char *call);
 Status component_reset(Component *c, const char *call);
 
-/* `early` is NULL if the host does not accept an early return. */
+/* `early` is NULL in FMI 2, which has no early return. */
 Status component_step(Component *c, double point, double step, int *early, const char *call);
 
 Status component_save(Component *c, void **state, const char *call);

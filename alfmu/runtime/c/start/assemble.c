@@ -174,7 +174,7 @@ static Outcome close_positions(Instance *i, Loops *loops, const double *guess, d
     step = loops_follow(i, loops, q);
     moved = loops_close(i, loops, q) ? loops_way(i, loops, guess, q, &most) : INFINITY;
     direct = moved <= 1.5 * step + 1e-6;
-    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* without weights this is the distance */
+    size = fmax(moved, coordinates_apart(s, loops->units, guess, q)); /* the distance without weights */
     if (direct && (size <= AWAY || s->n > DENSE))
         return DONE;
     /* The correction is long or failed: look for an assembly nearer to the guess. */

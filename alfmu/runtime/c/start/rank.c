@@ -102,8 +102,8 @@ void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
     arena_release(i, arena);
 }
 
-/* S1: return the degrees of freedom at regular positions near q, set `here` to those at q itself and `place` to a
-   position of the largest rank. */
+/* S1: return the degrees of freedom at regular positions near q, in `here` those at q, in `place` one of these
+   positions. */
 static int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
 {
     const Scene *s = i->scene;
@@ -172,8 +172,7 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
     return s->n - rank;
 }
 
-/* S5: compute combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at
-   q. */
+/* S5: find combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes. */
 static void combine_rows(Instance *i, const double *q, double *combinations, double *sizes)
 {
     const Scene *s = i->scene;

@@ -75,7 +75,7 @@ static int try_short_step(Instance *i)
     int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
     if (near)
-        i->shared += s->short_cost; /* The tally counts evaluations that the short step took over from the outputs. */
+        i->shared += s->short_cost; /* No short step is made here, but the tally counts its evaluations. */
     else {
         i->workspace[s->onward] = onward;
         program_run(i, s->short_step);

@@ -95,7 +95,7 @@ static size_t layout_kept(Instance *i, double *numbers)
         + (s->break_count ? 2 * MOST_BREAKS : 0);
 }
 
-/* Set its pointers to the numbers that it uses only during a call, and return their count. */
+/* Set the pointers of an instance to the numbers that it uses only during calls, unless NULL; return their count. */
 static size_t layout_lent(Instance *i, double *numbers, int starts)
 {
     const Scene *s = i->scene;

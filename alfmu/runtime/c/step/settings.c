@@ -231,7 +231,7 @@ void settings_in_force(const Instance *i, const double *on, unsigned char *held)
         held[s->friction[k].row] = i->discrete[s->friction[k].slip] == 0.0;
 }
 
-/* Return whether the constraints in force are those for which the scene was traced. */
+/* Return whether the constraints in force are those with all Boolean inputs off and no joint sticking. */
 int settings_usual(Instance *i)
 {
     const Scene *s = i->scene;

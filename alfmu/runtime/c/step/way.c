@@ -82,7 +82,7 @@ static double slope_beside(Instance *i, const double *q, const double *way, doub
     return (margins[1] - margins[0]) / (4.0 * LITTLE * sqrt(margin));
 }
 
-/* Replace a direction from a singular position q by that of a motion on the branch next to it. */
+/* Replace a direction from a singular position q by that of one of the motions that cross there. */
 static void follow_branch(Instance *i, const double *q, double *way)
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
