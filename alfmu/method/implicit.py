@@ -96,8 +96,7 @@ def corrected(
     ]
 
 
-# Collocation by accelerations alone; the kernel stores a tangent as H, Q, V of `stiffness`
-# -----------------------------
+# Collocation by accelerations alone; the kernel stores a tangent as H, Q, V of `stiffness` ----------------------------
 
 
 def stiffness(H: Array, C: Array, alpha: Array, Rq: Array, Rv: Array, Xq: Array, Xv: Array) -> tuple[Array, ...]:
