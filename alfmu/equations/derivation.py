@@ -530,7 +530,7 @@ def _between_points(m: Mechanism) -> list[Body]:
 
 
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
-    """Return an expression with angles before a run has counted their turns."""
+    """Return an expression with its angles as they are before a run has counted turns."""
     nears = [body.near for body in _between_points(m)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 

@@ -121,7 +121,7 @@ class Arrangement:
 def arranged(instructions: Instructions) -> Arrangement:
     """Arrange the operations of a function that calls no other."""
     code, count = instructions.code, len(instructions)
-    # The sign of a number is the number's own, so copying it is no operation.
+    # Copying a number's own sign is no operation.
     same = (code == ca.OP_COPYSIGN) & (instructions.operands[0] == instructions.operands[1])
     origin = np.where(same, instructions.operands[0], np.arange(count))
     operands = np.where(instructions.operands < 0, -1, origin[instructions.operands]).astype(np.int32, "C")

@@ -100,7 +100,7 @@ def programs(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     else:
         return {}
     if tracer.e.l:
-        # Implicit methods take no limits at singular positions: an explicit one passes them.
+        # Implicit methods take no limits; an explicit method passes singular positions.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
         wanted = explicit_one or explicit_at(tolerance)
         wanted = wanted if name in FIXED else rule_beside(wanted)

@@ -103,7 +103,7 @@ class _Code:
         return body.text()
 
     def _operand(self, body: _Body, letter: str, which: int, entries: Numbers) -> str:
-        """Return an expression that is valid in the rest of an iteration."""
+        """Return an operand as an expression, which may be used until the end of the iteration."""
         if letter == "v":
             return f"v{entries[0]}"
         if letter == "c":

@@ -211,7 +211,7 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     kinds, counts = np.array(heads, np.int64).reshape(-1, 2).T
     each = _OPERANDS[kinds]
     ends = first + np.cumsum(counts * np.where(kinds == _PAIR, 2, 1))
-    lengths = np.repeat(counts, each)  # of the operands of each run by their places
+    lengths = np.repeat(counts, each)  # length of each sequence: the operands of a run at one place
     first_of_place = _in_rows(each, np.array(begins, np.int64), np.ones_like(each))
     places = words[_in_rows(lengths, first_of_place, np.repeat(each, each))]
 

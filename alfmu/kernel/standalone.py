@@ -115,7 +115,7 @@ this instant."""
 
 
 class _Patient(Alternatives):
-    """Programs with loops that stop on convergence; `most` is a number of the instance."""
+    """Traces programs with loops that stop on convergence; the instance stores their limit, `most`."""
 
     def __init__(self, equations: Configuration):
         super().__init__(equations)

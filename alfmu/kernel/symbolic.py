@@ -747,7 +747,8 @@ class Scene:
         z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
         evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", SX(0, 1))))
-        # Error control also sees the error of iterations; few of them are judged by their rate of convergence, too.
+        # Under error control, the error of iterations is part of the estimate; few iterations are also judged by their
+        # rate of convergence.
         fixed = known["pace"][PACE.index("fixed")] != 0 if "pace" in known else SX(1)
         limit = ca.if_else(
             fixed, self.settings.tolerance, ca.fmax(self.settings.tolerance, LEFT_BY_FEW * self.settings.relative)

@@ -6,8 +6,8 @@
 import math
 
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
-"""displacement along the motion [rad or m]: S1 calibrates at these distances from the start; they are large enough for
-one of the positions to be regular where the start is singular, and have two sizes, as one may be singular too."""
+"""displacement along the motion [rad or m]: S1 calibrates at these distances from the start; if the start is singular,
+they are large enough for one of the positions to be regular, and of two sizes, as one position may be singular, too."""
 
 LITTLE = 1e-4
 """displacement of lengths [m]: enough to detect which coefficients of C are constant, while loops open little."""
@@ -57,7 +57,7 @@ LOOSE = 1e-12
 correction, and directions constrained by less than some 1e-6 of the others are released."""
 
 GAINED = 0.9
-"""ratio of residuals [1]: a correction is repeated while the last one left less than this share."""
+"""ratio of residuals [1]: a correction is repeated while a pass leaves less than this share of the residual."""
 
 DEPENDENT = 1e-10
 """pivot of C C' over its largest entry [1]: a row with a smaller pivot depends on others, if there are many

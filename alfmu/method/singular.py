@@ -220,8 +220,8 @@ def direct_error(margin: Array, eps: Array) -> Array:
 def reading_error(margin: Array, eps: float, off: Sequence[Array], forces: Sequence[Array]) -> Array:
     """Return the error of reactions evaluated at this margin; the masses do not contribute to it.
 
-    `off` are relative errors of positions, velocities and accelerations by residuals of constraints; `forces` are the
-    largest F, C' lam, residual of (4), M a, and twice the kinetic energy over the mechanism's length.
+    `off` are relative errors of positions, velocities and accelerations, from residuals of constraints; `forces` are
+    the largest of F, C' lam, residual of (4), M a, and twice the kinetic energy over the mechanism's length.
     """
     F, carried, imbalance, inertia, of_speed = forces
     loads = (F * F + carried * carried) ** 0.5

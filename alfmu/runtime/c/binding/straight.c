@@ -124,7 +124,7 @@ static int is_leaf(const Straight *s, int64_t k)
     return role_of(s, k) == INPUT_ROLE || role_of(s, k) == CONSTANT_ROLE;
 }
 
-/* Return the number of an operand; giving a number its own sign is no operation. */
+/* Return the number of an operand; copying a number's own sign is no operation. */
 static int operand_number(const Straight *s, int64_t k)
 {
     if (role_of(s, k) == COPYSIGN_ROLE && s->first[k] == s->second[k])

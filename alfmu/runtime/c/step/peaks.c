@@ -27,8 +27,8 @@
    close together it enlarges their round-off by the square of the ratio. */
 #define LENGTHENED 10.0
 
-/* Distance of a position [rad, lengths] from the one that the mean of both rates gives, up to which the difference may
-   be round-off, which could mean any rate in a short step. */
+/* Distance of a position [rad, lengths] from the one that follows from the mean of both rates, up to which it may be
+   round-off. In a short step such a distance would give the polynomial any rate. */
 #define INDISTINCT 1e-10
 
 size_t peaks_room(const Scene *s)

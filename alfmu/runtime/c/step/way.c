@@ -74,7 +74,7 @@ static double slope_away(Instance *i, const double *q, const double *way, double
     return more > instance_field(i, i->scene->k)[SETTINGS_NOTHING] ? sqrt(more) / LEAVING : 0.0;
 }
 
-/* Return the change of that distance along a direction, with its sign, at a position q near a singular one. */
+/* Return how fast the distance changes along a direction, with its sign, at a position q near a singular one. */
 static double slope_beside(Instance *i, const double *q, const double *way, double margin)
 {
     double margins[2];
