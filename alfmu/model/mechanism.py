@@ -53,7 +53,7 @@ QUICK = 100
 """Largest number of coordinates for which a notebook draws a mechanism: this takes a second at most."""
 
 DRAWN = ("", "revolute", "cylindrical", "prismatic", "spherical")
-"""Kinds of joints that pictures can show for a mechanism at the general level; the first is none."""
+"""Kinds of joints that pictures can show for a mechanism at the general level; "" is the end of a bar."""
 _Form = TypeVar("_Form", str, bytes)
 
 
