@@ -4,8 +4,8 @@
     wanted   ->         voltage ->          motor_speed ->      torque ->
     measured ->  output speed   -> torque   load_speed  -> motor_torque, load_torque   -> angle, speed
 
-A motor without inertia takes the speed of its load and returns a torque: it is connected to a mechanism directly. One
-with a rotor takes the load torque and returns its speed, as a gearbox with elastic shafts requires.
+A motor without inertia takes the speed of its load and returns a torque: it is connected to a mechanism directly. A
+motor with a rotor takes the load torque and returns its speed, as a gearbox with elastic shafts requires.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class About:
         return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it as data for JSON."""
+        """Return the information as data for JSON."""
         m, e, size = self.mechanism, self.equations, self.mobility
         counted = cost(prepared(e))
         return {

@@ -41,10 +41,10 @@ NOTHING = 1e-12
 """The same ratio, below which a singular value counts as zero."""
 
 OBLIQUE = 1.5
-"""Growth of unit displacements by the basis, along or across the motion, above which it is replaced."""
+"""Factor by which the basis stretches a unit displacement, along or across the motion, above which it is replaced."""
 
 NEWTON = 12
-"""Most corrections that close the constraints at an evaluation."""
+"""Largest number of Newton corrections that close the constraints at an evaluation."""
 
 CLOSED = 1e-11
 """Largest constraint residual [m, rad] of a placement."""
@@ -319,7 +319,7 @@ class Reference:
         return _outputs(self.motion, times)
 
     def readable(self, times: NDArray) -> NDArray:
-        """Return at which times (k,) reactions can be judged: not near singular positions."""
+        """Return whether reactions can be judged at each time (k,): they cannot near singular positions."""
         known = [t for t in times if self.motion.knows(t)]
         near = [self.motion.model.narrowness(self.motion.at(t)[0]) < READABLE for t in known]
         return np.array([not x for x in near] + [False] * (len(times) - len(known)))

@@ -31,7 +31,7 @@ USUAL = ("final", "min", "max", "mean")
 """Measures for a pattern that names outputs alone."""
 
 INNER = ("multiplier[[]*", "monitor.*")
-"""Outputs that are stored on request only."""
+"""Patterns of outputs that are stored on request only."""
 
 MOST_COLUMNS = 4000
 """Largest number of measures of a run."""
