@@ -190,9 +190,8 @@ def convert(
     """Write a mechanism as MJCF (`.xml`), URDF (`.urdf`) or SDF (`.sdf`) and return the path.
 
     Bodies, joints, loops, limits, springs, dampers, friction and inputs have their values at the start given by
-    `parameters` and defaults; docs/howto/convert.md lists the abilities of each format. Raises InputError with
-    everything that the format cannot represent, and warns of omitted rates and inputs at the start, such as rates in
-    URDF.
+    `parameters` and defaults; docs/howto/convert.md lists the abilities of each format. Raises InputError with all that
+    the format cannot represent, and warns of omitted rates and inputs at the start.
     """
     from .formats.writers import FORMS, written
 

@@ -171,8 +171,7 @@ def run_phases(dt: float, starts: Sequence[Phase]) -> list[Run]:
 
 
 def crank_run(exact: NDArray) -> tuple[float, int]:
-    """Run the slider-crank of equal links in natural coordinates; return the largest error [rad] at multiples of 0.05 s
-    and the number of evaluations."""
+    """Run the slider-crank in natural coordinates; return the largest error [rad] every 0.05 s, and evaluations."""
     given = {"l1": ROD, "l2": ROD, "start.angle": CRANK_START[0], "start.angular_velocity": CRANK_START[1]}
     given |= {"solver.step_size": CRANK_STEP, "g": GRAVITY}
     equations = scene("slider_crank", coordinates="natural")

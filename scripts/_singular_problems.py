@@ -217,8 +217,7 @@ Part = tuple[float, float, tuple, tuple]
 is the x axis of the body's frame."""
 
 Geometry = Callable[[Any, Sequence[Any]], tuple[list[Part], list[tuple]]]
-"""Function of a library (NumPy or Exact) and coordinates s that returns the parts in the order of bodies, and the
-points."""
+"""Function of NumPy or Exact and coordinates s; returns the parts in the order of bodies, and the points."""
 
 
 @dataclass
@@ -583,8 +582,7 @@ def bennett() -> Made:
 
 
 CHAIN = (-1.496949669220263, -0.7467775023718601), (1.2122781438213286, 9.41908626253452)
-"""Start of the chain [rad, rad/s], found by integrating backwards from 0 with 2 and -3 rad/s, which both loops reach at
-0.5 s."""
+"""Start of the chain [rad, rad/s], integrated backwards from 0 with 2 and -3 rad/s, which both loops reach at 0.5 s."""
 
 
 def parallelogram_chain() -> Made:

@@ -145,8 +145,7 @@ def reading(instance: alfmu.Instance) -> Call:
 
 
 def stepping(instance: AnyInstance, dt: float = SHORT, steps: int = 1, once: bool = False) -> Call:
-    """Return a communication step of `steps` internal steps of dt [s]; every lap begins at the instance's present
-    state."""
+    """Return a communication step of `steps` internal steps of dt [s]; laps begin at the instance's present state."""
     return Call(clocked(partial(instance.step, steps * dt), partial(instance.restore, instance.save())), steps, once)
 
 
@@ -274,7 +273,7 @@ def spread_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def single_steps(equations: alfmu.Equations, dt: float, effort: Effort) -> tuple[NDArray, str | None]:
-    """Return the time [us] of each step of dt [s] from the start, the least of all passes, and the reason of an early
+    """Return the time [us] of each step of dt [s] from the start, least of all passes, and the reason of an early
     end."""
     instance = alfmu.Instance(equations)
     instance.set("solver.step_size", dt)
@@ -480,8 +479,7 @@ def gradient_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def differentiating(runs: Runs) -> dict[str, Call]:
-    """Return calls of a run, of a run with the gradient of its end by all numbers, and of a run with forward
-    derivatives."""
+    """Return calls of a run, a run with the gradient of its end by all numbers, and one with forward derivatives."""
     unit, last = runs.unit, [runs.columns(None)[0]]
 
     def gradient() -> None:
@@ -516,8 +514,7 @@ SPENT = ("operations", "vm step [us]", "compiled step [us]")
 
 
 def scale_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Return the rows of scale.csv, one for each N-four-bar, built in separate processes, the first of which
-    compiles."""
+    """Return the rows of scale.csv, one for each N-four-bar; separate processes build it, the first one compiles."""
     cases = [(c, loops) for loops in effort.loops for c in effort.coordinates]
     builds: dict[tuple[str, int], list[tuple[Row, Laps]]] = {case: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="alfmu_") as cache:

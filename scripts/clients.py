@@ -55,8 +55,7 @@ LINKS = {
     "gearbox.motor_torque": "motor.load",
     "gearbox.load_torque": "load.torque",
 }
-"""Values of unconnected inputs and parameters. Connected signals start at zero, as fmpy sets them to zero in the first
-step."""
+"""Connections of the spindle. Their signals start at zero, as fmpy sets them to zero in the first step."""
 
 
 def write_files(folder: Path) -> dict[str, list[float]]:

@@ -38,8 +38,8 @@ STRONGEST = 1e3
 """Largest input [N, N.m]."""
 
 KINDS = ("right", "warned", "ended", "refused", "silent", "traceback")
-"""Outcomes: right to 1e-3; wrong with a warning; an error during the run; an error at its start; wrong without a
-warning; an exception that is not alfmu's. The last two are bad."""
+"""Outcomes: right; wrong with a warning; an error in the run, at its start; bad ones: wrong and silent, foreign
+error."""
 
 
 def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:

@@ -34,8 +34,8 @@ BRANCH, OPEN, CLOSE = 0.05, 1e-3, 0.1
 its branch, has opened its loops, or is inaccurate."""
 
 LIMIT, LONG, BRIEF = 30.0, 300.0, 0.2
-"""Limits of processor time [s] of a code for a problem, and for the row of 1000 loops; shorter runs than the last
-number are repeated."""
+"""Limits of processor time [s] for a problem, and for the row of 1000 loops; runs below the last number are
+repeated."""
 
 QUICK = ("particle", "five_bar", "kite"), ("alfmu", "SciPy")
 OWN = [name for name in CODES if name.startswith("alfmu")]
@@ -135,8 +135,7 @@ def _said(error: Exception) -> str:
 
 
 def spent(pid: int) -> float:
-    """Return the processor time of a process [s] on Linux, else 0; a limit by `resource` would make the clock of the
-    process coarse."""
+    """Return the processor time of a process [s], 0 if unknown; a limit by `resource` would make its clock coarse."""
     try:
         numbers = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
@@ -171,12 +170,9 @@ def apart(name: str, code: str, limit: float) -> list[Row]:
 
 
 def class_row(name: str) -> Row:
-    """Return whether forces have a pole or a limit at the singular position, and what alfmu reports 1e-4 rad from
-    it."""
+    """Return the kind of the forces at the singular position, and the kind that alfmu reports 1e-4 rad from it."""
     problem, motion = loaded(name), PROBLEMS[name]()[1]
-    problem.runs[0].q = [motion.singular] * len(
-        problem.bodies
-    )  # guesses of the assembly
+    problem.runs[0].q = [motion.singular] * len(problem.bodies)  # guesses of the assembly
     e = alfmu.derive(declared(problem))
     i = alfmu.Instance(e)
     parameters = CATALOGUE.get(name, ("", {}, {}))[2]

@@ -82,8 +82,7 @@ def swept(runs: int, workers: int, folder: Path) -> tuple[float, float]:
 
 
 def watched(cases: Iterable[int], most: dict[str, float]) -> Iterator[int]:
-    """Yield the numbers of finished cases, and record the peak memory [MB] of this process and its children (on
-    Linux)."""
+    """Yield finished cases, and record the peak memory [MB] of this process and its children (on Linux)."""
     for case in cases:
         if case % 1000 == 0:
             pid = os.getpid()

@@ -153,8 +153,7 @@ def _started(equations: Any, given: Mapping[str, float]) -> Any:
 
 
 def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
-    """Run a linkage from its exactly singular start over 5 s with steps of dt [s]; return the error [rad] of its
-    angle."""
+    """Run a linkage from its singular start over 5 s with steps of dt [s]; return the error [rad] of its angle."""
     import _passages as study
 
     import alfmu
@@ -212,8 +211,7 @@ def _crank(exact: Any) -> Found:
 
 
 def _read(_: Any, torque: float) -> Found:
-    """Return the error [N] of the four-bar's reactions at B, 1e-6 to 0.02 rad from its singular position, without
-    poles."""
+    """Return the error [N] of the four-bar's finite reactions at B, 1e-6 to 0.02 rad from its singular position."""
     import _passages as study
     import numpy as np
 
@@ -289,8 +287,7 @@ def _regular(_: Any, name: str, stop: float) -> Found:
 
 
 def _prescribed(_: Any) -> Found:
-    """Run a four-bar whose crank follows a law from its exactly singular start over 4 s; return the error [N m] of the
-    torque."""
+    """Run a four-bar with a crank law from its singular start over 4 s; return the error [N m] of the torque."""
     import casadi as ca
     import numpy as np
 
@@ -314,8 +311,7 @@ def _prescribed(_: Any) -> Found:
 
 
 def _beside(_: Any, name: str) -> Found:
-    """Run a parallelogram of the tests, on a shaking base or with a rotor, from rest in line; return the error
-    [rad]."""
+    """Run a parallelogram of the tests, on a shaking base or with a rotor, from rest; return the error [rad]."""
     sys.path.insert(0, str(ROOT / "tests"))
     import test_moving_base as moving
 
@@ -473,8 +469,7 @@ def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequ
 
 
 def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str]) -> str:
-    """Return the effect of a change as text for the page: largest ratios of errors and evaluations, with their
-    cases."""
+    """Return the effect of a change as text: the largest ratios of errors and evaluations, with their cases."""
     if all(x == usual[case] for case, x in found.items()):
         return SAME
     stopped = [case for case, x in found.items() if isinstance(x, str) and not isinstance(usual[case], str)]

@@ -1,5 +1,4 @@
-"""Bundle the parts of three.js that films in space use into one file, `alfmu/view/vendor/three.min.js`, with its
-licence.
+"""Bundle the used parts of three.js into one file, `alfmu/view/vendor/three.min.js`, with its licence.
 
     python scripts/vendor_three.py            write both files
     python scripts/vendor_three.py --check    exit with 1 where they differ from what would be written

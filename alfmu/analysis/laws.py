@@ -24,8 +24,7 @@ is 1e-15, and a nanometre per second is negligible."""
 
 @dataclass(frozen=True)
 class Driving:
-    """An input of a linearisation: an input of the mechanism, or a derivative of a signal that is not an input
-    itself."""
+    """An input of a linearisation: an input of the mechanism, or a derivative of a signal that is no input."""
 
     name: str
     unit: str

@@ -364,8 +364,8 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
 
 
 def save(found: Sequence[Linearization], path: str | Path) -> None:
-    """Write linearisations as `.json` (a single one as an object, several as a list) or as `.mat`, several along a
-    third dimension.
+    """Write linearisations as `.json` (one object, or a list of several) or as `.mat` (several along a third
+    dimension).
 
     Raises InputError for another suffix, else WriteError.
     """

@@ -56,8 +56,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
 
     A Python file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a
     `Mechanism` object. MJCF (`.xml`), SDF and URDF files are read as `alfmu.imported` does, with the same options.
-    Raises InputError if there is no such name, file, declaration or option, or if a file contains something that cannot
-    be mapped.
+    Raises InputError if there is no such name, file, declaration or option, or if part of a file cannot be mapped.
     """
     if isinstance(mechanism, Mechanism):
         if chosen:

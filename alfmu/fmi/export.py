@@ -279,7 +279,7 @@ def _plain(equations: Traced, path: Path) -> Path:
 
 
 def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:
-    """Return the interfaces of a native FMU, from "me" and "cs"; raise ExportError if one that the recipe asks for is
+    """Return the interfaces of a native FMU, from "me" and "cs"; raise ExportError if the wanted ones are
     impossible."""
     why = obstacle(complete(equations)) if recipe.interface != "cs" else ""
     if why and recipe.interface:

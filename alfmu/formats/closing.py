@@ -49,8 +49,7 @@ _MOST = 200
 """Most corrections: some ten suffice; near a singular position each gains a factor of two."""
 
 _TRIES = 48
-"""Number of positions around the given one from which a nearer closed position is searched if the first is far or
-missing."""
+"""Number of other starting positions for the search of a closed position if the first one is far or missing."""
 
 _FAR = 0.5
 """Distance [rad, mechanism's size] above which a nearer position is searched."""
@@ -158,8 +157,7 @@ class Loops:
         return x, float(np.abs(gaps).max(initial=0.0))
 
     def _near(self, x: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the weighted nearest closed position, starting from a closed position and moving towards the given
-        values."""
+        """Return the nearest closed position by weights, moving from a closed position towards the given values."""
         best, left = x, self._followed(x, self._ready, low, high)[1]
         for _ in range(_CORRECTIONS):
             along = _motions(self.at(best)[1])
@@ -177,8 +175,7 @@ class Loops:
         return float(np.linalg.norm((x - self._start) / self._ready))
 
     def _closest(self, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the nearest closed position found from the given one and, if it is far away, from other starting
-        positions."""
+        """Return the nearest closed position found from the given one and, if that is far, from other positions."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:

@@ -42,8 +42,7 @@ _PARALLEL = 1e-14
 """Entry of a rotation matrix up to which frames are parallel: round-off of some successive rotations."""
 
 _RATE = 200.0
-"""Natural frequency [rad/s] of the inertia carried by a joint on its end stop: an impact lasts some 15 ms, which steps
-of 1 ms resolve."""
+"""Natural frequency [rad/s] of a joint's load on its end stop: steps of 1 ms resolve the impact of some 15 ms."""
 
 _SAG, _SAG_M = 0.01, 1e-3
 """Largest static penetration [rad, m] of an end stop under the weight that the joint carries."""
@@ -111,8 +110,7 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
 
 
 class _Declaring:
-    """One pass of the declaration: with guesses for all coordinates, or with independent coordinates at closed
-    loops."""
+    """One pass: it declares guesses for all coordinates, or independent coordinates at closed loops."""
 
     def __init__(
         self,

@@ -431,8 +431,7 @@ class _Describing:
         self.linkage.couplings.append(coupling)
 
     def _polynomial(self, name: str, expression: Any) -> bool:
-        """Convert a constraint to a displacement that is a polynomial in another one; return False if it has another
-        form."""
+        """Convert a constraint to a polynomial of one displacement in another; return False if it is not one."""
         x = self.fixed(expression)
         places = [(s, *self.along.get(key_of(s), ("", None))) for s in ca.symvar(x)]
         for (q, kind, joint), (by, other, leader) in (places, places[::-1]) if len(places) == 2 else ():

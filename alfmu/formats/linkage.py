@@ -26,8 +26,7 @@ ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
 LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
-"""Kinds of elements that a user may leave out although they affect the motion; `free` stands for resistance in free
-joints."""
+"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -251,8 +250,7 @@ class Linkage:
         self.warned.setdefault(what, []).extend(nodes)
 
     def pass_over(self, node: Node, left: Mapping[str, str], *harmless: str) -> None:
-        """Record children without effect, and plugins, as ignored; other children that are never read are refused in
-        the end."""
+        """Record children without effect, and plugins, as ignored; other unread children are refused in the end."""
         for child in node.all(*left):
             self.leave(left[child.tag], child)
         self.warn("plugins, which are programs", *node.all("plugin"))
@@ -266,8 +264,7 @@ class Linkage:
 
     @contextmanager
     def trying(self, node: Node | None = None) -> Iterator[None]:
-        """Store the refusal of an element, so that all refusals are reported together; its unread parts are not
-        checked."""
+        """Store the refusal of an element, to report all together; unread parts of the element are not checked."""
         try:
             yield
         except LeftOut:
@@ -340,7 +337,7 @@ class Linkage:
         """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
 
         A diagonal entry is the inertia carried by a joint; the magnitude of its momentum is the carried mass times its
-        lever arm.
+        arm.
         """
         twists, paths, columns = self.twists
         M, momenta = np.diag([j.armature for j in columns for _ in columns[j]]), np.zeros((3, len(twists)))

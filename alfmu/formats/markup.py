@@ -301,8 +301,7 @@ def content_of(path: Path, largest: int) -> bytes:
 
 
 def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Path:
-    """Return the path of a file that an element names: it must be in one of the folders `where`, and inside an
-    `allowed` folder."""
+    """Return the path of a file that an element names: in a folder of `where`, inside an `allowed` folder."""
     paths = [(folder / name).resolve() for folder in where]
     inside = [path for path in paths if any(path.is_relative_to(folder) for folder in allowed)]
     if Path(name).is_absolute() or not inside:

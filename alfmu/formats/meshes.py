@@ -74,9 +74,8 @@ def hull(points: Array) -> Array:
 def solid(corners: Array, signed: bool) -> Inertial:
     """Return mass, centre and inertia of triangles (n, 3, 3) as a solid of unit density.
 
-    The solid is the sum of the pyramids between a point and each triangle, with the sign of the triangle's orientation
-    if `signed`; both agree for convex meshes. The point is the centroid of the surface, and for the inertia the centre
-    of mass.
+    The solid is the sum of pyramids between a point and each triangle, with the sign of the triangle's orientation if
+    `signed`; both agree for convex meshes. The point is the centroid of the surface, then the centre of mass.
     """
 
     def volumes(at: Array) -> Array:

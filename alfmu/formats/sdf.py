@@ -86,8 +86,7 @@ class File:
             self._model()
 
     def _included(self, includes: Includes, node: Node) -> list[Node]:
-        """Return the model that an <include> names, with the name and the pose of the <include>; nothing for
-        scenery."""
+        """Return the model that an <include> names, with the include's own name and pose; nothing for scenery."""
         found: list[Node] = []
         with self.linkage.trying(node):
             uri = Children(node).text("uri")
@@ -411,8 +410,7 @@ class File:
 
 
 def merge(outer: Node, inner: Node) -> None:
-    """Move links, joints and frames of a nested model into the outer one, with the name of the nested model as
-    prefix."""
+    """Move links, joints and frames of a nested model into the outer one, prefixed with the nested model's name."""
     outer.children.remove(inner)
     for each in inner.all("model"):
         merge(inner, each)
@@ -512,7 +510,7 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
 
 
 def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
-    """Return limits, damping, stiffness, rest position and friction of an axis; the first element is the limit of the
+    """Return limits, damping, stiffness, rest position and friction of an axis; element 0 is the limit of the
     effort."""
     limits = -math.inf, math.inf
     for child in axis.all("limit"):

@@ -122,10 +122,9 @@ def fit(
     `data` is a table (CSV or a `Result`) with a column `time` [s], which begins at the start of the run; columns with
     names of outputs are measurements (NaN for missing ones), those with names of inputs drive the run. `columns` are
     the measurements to use, None for all but monitors. `vary` names parameters and start values, or maps them to first
-    guesses. `bounds` has bounds of some numbers; others have those of the mechanism. Residuals of a column are divided
-    by its standard deviation in `deviations`, by default by the range of the column, or if it is constant by the
-    largest value in its unit. `progress` is called with the number of the run and the root mean square of its weighted
-    residuals.
+    guesses. `bounds` overrides bounds of the mechanism. Residuals of a column are divided by its standard deviation in
+    `deviations`, by default by the range of the column, or if it is constant by the largest value in its unit.
+    `progress` is called with the number of the run and the root mean square of its weighted residuals.
 
     The covariance follows from the residuals, so it describes errors of measurement, not of the model. Combinations of
     numbers that the data do not determine cause a warning. Raises InputError if a name or number is invalid, if units

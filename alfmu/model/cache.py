@@ -1,8 +1,7 @@
 """The user's cache folder: scenes and compiled libraries, which take long to make, kept for other processes.
 
-A file is called NAME_HASH.SUFFIX: NAME contains the hash of everything the file is made from, HASH the hash of its
-content. A damaged file is removed and made again. When the folder exceeds its limit, the least recently used files are
-removed.
+A file is called NAME_HASH.SUFFIX: NAME contains the hash of the file's sources, HASH the hash of its content. A damaged
+file is removed and made again. When the folder exceeds its limit, the least recently used files are removed.
 """
 
 from __future__ import annotations

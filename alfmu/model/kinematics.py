@@ -48,8 +48,7 @@ class Frame:
 
     @property
     def counted(self) -> ca.SX:
-        """The angle with whole turns; a run counts them if the coordinates determine the angle modulo whole turns
-        only."""
+        """The angle with whole turns, which a run counts if coordinates determine the angle modulo turns only."""
         return self.angle if self.turned is None else self.turned
 
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:

@@ -89,8 +89,7 @@ RELATIVE: dict[str, tuple[str, ...]] = {
 
 
 def rotation(e: ca.SX) -> ca.SX:
-    """Return the rotation matrix (3, 3) of Euler parameters (4,): its columns are the axes of the body in ground
-    axes."""
+    """Return the rotation matrix (3, 3) of Euler parameters (4,): its columns are the body's axes in ground axes."""
     e0, e1, e2, e3 = ca.vertsplit(e)
     return ca.blockcat(
         [
@@ -455,8 +454,7 @@ class SpatialJoint(Brief):
 
     @cached_property
     def columns(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Angular velocity (3,) and velocity (3,) of the second point relative to the first body, per unit of each
-        rate.
+        """Angular velocity (3,) and velocity (3,) of the second point from the first body, per unit of each rate.
 
         They are in ground axes and in the order of `freedoms`; a ball joint has the rates of its Euler parameters.
         """
@@ -764,8 +762,7 @@ def right_handed(axis: Vector, nominal: Vector | None = None) -> tuple[Vector, V
     """Return two normals of a direction and the direction itself, of unit length and right-handed.
 
     The first normal is the coordinate axis after the one nearest to the direction, made perpendicular to it: exact for
-    an axis of the frame. For an expression in parameters, `nominal` is the direction at their defaults, which selects
-    that axis.
+    an axis of the frame. For an expression in parameters, its value `nominal` at their defaults selects that axis.
     """
     x = _unit(axis)
     near = [abs(float(a)) for a in _unit(axis if nominal is None else nominal)]

@@ -115,8 +115,7 @@ def rate_of(name: str) -> str:
 
 
 def quotient(one: str, other: str) -> str:
-    """Return the name of the unit of a quotient, a quantity in the first unit over one in the second: rad over N.m is
-    rad/(N.m)."""
+    """Return the name of the quotient of two units: that of rad and N.m is rad/(N.m)."""
     if other == "1":
         return one
     powers = _powers(one)

@@ -166,8 +166,7 @@ def _geared(
 
 
 def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
-    """Return the torque behind a gearbox, referred to the motor: smaller if the motor drives, larger if it is
-    driven."""
+    """Return the torque behind a gearbox, referred to the motor: smaller if the motor drives, else larger."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
     passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)

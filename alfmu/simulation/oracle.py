@@ -1,5 +1,4 @@
-"""Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, and the reference for the
-kernel.
+"""Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, the kernel's reference.
 
 Read it with the paper open: `alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` those of
 singular positions. This module computes accelerations and multipliers by every formulation, steps of RK4 with
@@ -137,8 +136,7 @@ class Instance(Stepped):
         return v + self.iterated(method.residual, M, np.zeros_like(v), C, -Cv, solve)[0]
 
     def hold(self, q: NDArray) -> None:
-        """Freeze the rank: use the independent combinations of constraints at q (n,), on the motion, until the next
-        call.
+        """Freeze the rank: use the independent combinations of constraints at q (n,) until the next call.
 
         H omits redundant constraints if they would brake stages beside the motion; lam then has least norm by itself.
         """

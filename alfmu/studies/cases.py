@@ -118,8 +118,7 @@ class Case:
     most: int = 1
     """Largest number of repetitions within a share of the limit; fewer are made if the fastest agree."""
     compared: Sequence[str] = ()
-    """Outputs to keep if the run is made in one call, which evaluates all outputs; if empty, it is made step by
-    step."""
+    """Outputs to keep of a run in one call, which evaluates all outputs; empty for a run step by step."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
         """Return whether these durations determine the time well enough."""

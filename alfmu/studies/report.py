@@ -572,8 +572,7 @@ class Study(cases.Study):
                             self._versus(what, quantity, mine, other)
 
     def _reach(self) -> None:
-        """Collect run times at equal errors, interpolated between the runs of a setting, and compare them with the
-        fastest of alfmu."""
+        """Compare run times at equal errors, interpolated between runs of a setting, with the fastest of alfmu."""
         lines: dict[tuple, list[Row]] = {}
         for row in self.files["errors"]:
             if row[TIME] is not None and row[POSITION] is not None:
@@ -602,8 +601,7 @@ class Study(cases.Study):
 
 
 def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
-    """Return the run time at an error, interpolated on log scales between (error, time) of runs; None below all
-    errors."""
+    """Return the run time at an error, interpolated on log scales between runs (error, time); None below all errors."""
     reached = sorted(runs)
     if not reached or error < reached[0][0]:
         return None
@@ -963,8 +961,7 @@ def numbered(rows: Sequence[Row]) -> bool:
 
 
 def _rivalry(studies: Sequence[Study]) -> list[Row]:
-    """Return the ratios of run times of other codes to that of alfmu, in the same language if possible, at a medium
-    error level."""
+    """Return run times of other codes over alfmu's at a medium error, in the same language if possible."""
     level, rows = LEVELS[1], []
     for study in studies:
         told = [r for r in study.files["comparisons"] if "run time to" in str(r["what"])]

@@ -270,8 +270,7 @@ class Study(cases.Study):
         return self._row(cell, name, **row)
 
     def _unit(self, method: str) -> tuple[Instance, Callable[[], None]]:
-        """Return the instance for a method, created on first use, and a function that resets it to its state before the
-        start."""
+        """Return the instance for a method (created on first use), and a function that undoes its initialisation."""
         if method not in self._units:
             unit = Instance(scene(self.derived, method, "auto"))
             self._units[method] = unit, restarting(unit)

@@ -88,8 +88,7 @@ class Coupling:
     stable: Mapping[str, tuple[float, bool]]
     """Largest stable step by master [s], and whether a longer one failed."""
     reference_error: float
-    """Error of the equivalent mechanism [1]: its difference from a run at a hundredth of its tolerance and half its
-    step."""
+    """Error of the equivalent mechanism [1]: its difference from a run at 1/100 of its tolerance and half its step."""
     bonds: Sequence[str]
     refused: Mapping[str, str] = field(default_factory=dict)
     """Reasons, by master, why the system cannot be run at all or at a requested step."""

@@ -40,8 +40,7 @@ __all__ = ["Assembly", "Link", "interface_jacobian", "simulate"]
 Vector = NDArray[np.float64]
 
 AGREES = 1e-9
-"""Largest relative difference [1] of an input from its output that counts as agreement, over the signal's largest value
-so far."""
+"""Difference of an input from its output, over the signal's largest value so far [1], up to which they agree."""
 
 STALLS = 1e-6
 """Difference [1] that is accepted once it stops falling, as it is due to the error control of the components."""

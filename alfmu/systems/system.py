@@ -60,8 +60,7 @@ class System(Description):
         return simulate(system, inputs or {}, parameters or {}, held_rows, progress)
 
     def export(self, path: str | Path | None = None, *, version: str = VERSIONS[0]) -> Path:
-        """Write the system as an SSP, `<name>.ssp` by default, and return its path; the same system gives the same
-        bytes.
+        """Write an SSP, `<name>.ssp` by default, and return its path; the same system gives the same bytes.
 
         Mechanisms and parts become native FMUs. `version` of SSP is 1.0 or 2.0. Raises AlfmuError.
         """
