@@ -47,7 +47,7 @@ class Way:
     way: Vector
     """Direction (n,) of the branch."""
     ends: bool
-    """Whether it continues in one direction only."""
+    """Whether the branch continues in one direction only."""
     singular: bool
     """Whether positions on the branch are singular, too."""
 

@@ -46,7 +46,7 @@ SAME = 1e-5
 ends some 1e-6 from it."""
 
 STEPS = 80
-"""Most steps of Newton's method from a position [1]."""
+"""Largest number of steps of Newton's method from a position [1]."""
 
 HELD = 1e-7
 """Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
@@ -59,7 +59,7 @@ PACE = 0.05
 """Step along a motion of one degree of freedom [rad, sizes]: equilibria closer to each other may be missed."""
 
 ROUND = 1000
-"""Most steps along such a motion [1]: 50 rad."""
+"""Largest number of steps along such a motion [1]: 50 rad."""
 
 MOST_WAYS = 64
 """Largest number of such searches [1]: one in each direction of every branch at every singular position reached."""
@@ -136,7 +136,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether it was found stable."""
+        """Whether the equilibrium was found stable."""
         return self.stability in ("stable", "asymptotically stable")
 
     @property

@@ -48,7 +48,7 @@ class Branch:
     way: Mapping[str, float]
     """Rates of the coordinates by name, scaled so that the largest is 1 [m or rad]."""
     ends: bool
-    """Whether it continues in one direction only."""
+    """Whether the branch continues in one direction only."""
     singular: bool
     """Whether the positions on the branch are singular, too."""
 

@@ -726,7 +726,7 @@ class Kinematics:
         found = dict(ends)
         middle = int(np.argmin(np.abs(grid - begin.actuated[joint])))
         for way in (range(middle, rows), range(middle - 1, -1, -1)):
-            near = begin  # not a dead position, which no straight line leaves
+            near = begin  # not a dead position, from which straight lines lead nowhere
             for x in (grid[k] for k in way if grid[k] not in ends):
                 found[x] = near = self.forward({**fixed, joint: x}, near)
         positions = [found[x] for x in grid]

@@ -43,7 +43,7 @@ HALVED = 6
 corrections."""
 
 SETTLED = 20
-"""Most steps of Newton's method for the equilibrium of states [1]; one suffices if rates are linear in the states."""
+"""Largest number of Newton steps for the equilibrium of states [1]; one suffices if rates are linear in the states."""
 
 FARTHER = 10.0
 """Largest change of loads due to states in a step of length STEP, over the largest stiffness times a size [1]."""

@@ -122,7 +122,7 @@ class Situation:
     state: State
     p: Vector
     held: NDArray[np.bool_]
-    """Which constraints (l,) are in force."""
+    """Whether each constraint (l,) is in force."""
     units: Vector
     """Units of the rows (l,), as found at the start."""
     shares: Vector

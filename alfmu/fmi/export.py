@@ -203,7 +203,7 @@ def packed_scene(
         equations = starting_at(equations, rest.q, rest.states, rest.kept)
     native.checked(equations)
     scene = prepared(equations, kernel or DEFAULT)
-    Instance(scene).initialize()  # an FMU that cannot start is not worth writing
+    Instance(scene).initialize()  # refuses an FMU that cannot start
     return every, scene
 
 

@@ -219,7 +219,7 @@ def libraries_in(path: Path, kind: str) -> dict[str, str]:
         files = archive.namelist()
 
         def of(name: str, fmi3: str) -> str | None:
-            if kind == "python":  # the folder `binaries` has those of pythonfmu
+            if kind == "python":  # the folder `binaries` contains libraries of pythonfmu
                 return next((each for each in files if each == f"resources/{file_name(name)}"), None)
             places = tuple(f"binaries/{each}/" for each in (name, fmi3))
             return next((each for each in files if each.startswith(places)), None)

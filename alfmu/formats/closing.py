@@ -46,7 +46,7 @@ _LONGEST = 0.3
 """Longest correction [rad, mechanism's size]: short enough for a linear correction to lead to a near position."""
 
 _MOST = 200
-"""Most corrections: some ten suffice; near a singular position each gains a factor of two."""
+"""Largest number of corrections: some ten suffice; near a singular position each halves the gap."""
 
 _TRIES = 48
 """Number of other starting positions for the search of a closed position if the first one is far or missing."""

@@ -422,7 +422,7 @@ class _Declaring:
         return origin
 
     def _along(self, terms: Sum, referred: bool = False, rates: bool = False) -> Named:
-        """Return a sum of coordinates or of their rates, if `referred` from the references of their joints."""
+        """Return a sum of coordinates, counted from the joints' references if `referred`, or the sum of their rates."""
         found = []
         for joint, factor in terms:
             each = self.coordinates[joint][0]

@@ -77,7 +77,7 @@ class Node:
     children: list[Node] = field(default_factory=list)
     text: str = ""
     taken: bool = False
-    """Whether it was read."""
+    """Whether the element was read."""
 
     def __post_init__(self, given: Mapping[str, str]) -> None:
         self.attributes = Attributes(given)

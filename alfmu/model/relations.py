@@ -128,7 +128,7 @@ class Relation(Brief, ABC):
 
 @dataclass(eq=False, repr=False)
 class Pair(Relation):
-    """Two wheels on a carrier whose rims move alike: gears, or pulleys with a belt.
+    """Two wheels on a carrier whose rims have the same speed: gears, or pulleys with a belt.
 
     With the angles th of both from the carrier, signed radii R (negative where both turn the same way), and the vector
     of ground axes e from the first centre to the second, t = e turned by +90 degrees,

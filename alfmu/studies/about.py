@@ -34,7 +34,7 @@ _WIDE = 100
 """Largest width of its lines in characters, except for text that must not be cut."""
 
 _FEW = 3
-"""Number of outputs of a body or joint up to which they are named instead of counted."""
+"""Number of outputs of a body or joint up to which names are listed instead of the number."""
 
 _TURNED = 0.1
 """Change of an angle [rad] from its guess above which it is reported; some 6 degrees."""

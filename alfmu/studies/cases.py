@@ -142,9 +142,9 @@ class Run:
     """Processor time [s] of each repetition, for steps and outputs."""
     counters: Counters | None = None
     failure: str = ""
-    """Message of the error that ended it."""
+    """Message of the error that ended the run."""
     cut: bool = False
-    """Whether the time limit ended it."""
+    """Whether the time limit ended the run."""
 
     @property
     def complete(self) -> bool:

@@ -85,7 +85,7 @@ class Trajectory(NamedTuple):
     angle: NDArray
     """Angles (k,) of link 1 or crank [rad]."""
     reactions: NDArray
-    """Reactions (k, number of REACTIONS) [N]."""
+    """Reactions (k, REACTIONS) [N]."""
     note: str = ""
 
 

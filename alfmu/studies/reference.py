@@ -35,10 +35,10 @@ SINGULAR = 0.02
 """Smallest singular value of the independent constraints, over the largest, below which a null space is ambiguous."""
 
 READABLE = 0.03
-"""The same ratio, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
+"""Ratio as SINGULAR, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
 
 NOTHING = 1e-12
-"""The same ratio, below which a singular value counts as zero."""
+"""Ratio as SINGULAR, below which a singular value counts as zero."""
 
 OBLIQUE = 1.5
 """Factor by which the basis stretches a unit displacement, along or across the motion, above which it is replaced."""

@@ -231,7 +231,7 @@ class Setting:
     control: str
     values: tuple[float, ...]
     default: float
-    """The value whose errors are in the report."""
+    """The step or tolerance whose errors are in the report."""
     run: Callable[[float, Case], Run]
     language: str
     """Programming language in which it runs."""

@@ -256,7 +256,7 @@ class _Seats:
             raise MemoryError(f"{job.name}: there is no memory for {self.count} instances")
         self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
         self.rows = np.empty((self.count, len(job.times), len(job.outputs)))
-        # Values equal to those of the scene are not set again in each run; a choice is set by its number.
+        # Runs do not set values that equal those of the scene; a choice is set by its number.
         unit = Unit(self.scene)
         self.choices = [(place[n], x.encode()) for n, x in job.fixed if isinstance(x, str) and unit.get(place[n]) != x]
         fixed = [(place[n], x) for n, x in job.fixed if not isinstance(x, str) and unit.get(place[n]) != x]

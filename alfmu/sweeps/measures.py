@@ -28,7 +28,7 @@ FUNCTIONS = {
 """Measures of an output over a run, at its communication points."""
 
 USUAL = ("final", "min", "max", "mean")
-"""Measures for a pattern that names outputs alone."""
+"""Measures for a pattern of outputs without a function."""
 
 INNER = ("multiplier[[]*", "monitor.*")
 """Patterns of outputs that are stored on request only."""

@@ -33,7 +33,7 @@ _DIFFERENCE = 1e-4
 addition to ten times the disagreement of two difference sizes."""
 
 _SLOPE = 1e-3
-"""The same limit for derivatives by time, from differences over steps."""
+"""Limit as _DIFFERENCE for derivatives by time, against differences over steps."""
 
 
 def excite(unit: Unit, k: int) -> None:
