@@ -117,7 +117,7 @@ class Loops:
         return plain._unsettled()
 
     def _unsettled(self) -> list[str]:
-        """Return the states that `unsettled` means, at the last evaluated position."""
+        """Return the unsettled states at the last evaluated position."""
         names = [x.name for x in self.situation.equations.states]
         if not np.isfinite(self._by_x).all():
             return names

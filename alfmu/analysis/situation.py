@@ -128,7 +128,7 @@ class Situation:
     shares: Vector
     """Weights (l,) whose inverses are the compliances by which redundant constraints share a load."""
     count_freedoms: Callable[[Vector, str], tuple[Mobility, Vector]]
-    """Computes the result of `mobility` for a position and a key of `COUNTED_ROWS`."""
+    """Computes the result of `mobility` for a position and an element of `COUNTED_ROWS`."""
     rubs: bool = False
     """Whether dry friction counts: sticking joints are fixed, sliding ones have their friction law."""
 

@@ -510,8 +510,7 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
 
 
 def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
-    """Return limits, damping, stiffness, rest position and friction of an axis; element 0 is the limit of the
-    effort."""
+    """Return limits, damping, stiffness, rest position and friction of an axis; <axis> also limits the effort."""
     limits = -math.inf, math.inf
     for child in axis.all("limit"):
         linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))

@@ -108,7 +108,7 @@ def no_attribute(of: object, name: str, meant: str | None = None) -> str:
 
 
 def nearest(name: object, names: Collection[str]) -> list[str]:
-    """Return the likely intended names, the likeliest first; if some end with `name`, only these."""
+    """Return the likely intended names, the likeliest first; if a few end with `name`, only these."""
     ending = [each for each in names if re.search(rf"[._]{re.escape(str(name))}$", each)]
     if 0 < len(ending) <= _SHOWN:
         return ending
