@@ -79,7 +79,7 @@ class Equilibrium:
     states: Mapping[str, float]
     """States of the mechanism by name, at their equilibrium values."""
     outputs: Mapping[str, float]
-    """All outputs at rest, reactions among them; joints that share a load carry the least."""
+    """All outputs at rest, including reactions; those of redundant constraints have least norm."""
     stability: str
     """"stable", "asymptotically stable", "unstable" or "not judged"."""
     reason: str

@@ -58,7 +58,7 @@ def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
 
 
 def _count(text: str, owner: Structure) -> int:
-    """Return a sum of products of fields, thresholds and numbers."""
+    """Return the value of a text, a sum of products of fields, thresholds and numbers."""
 
     def of(x: str) -> int:
         return int(x) if x.isdigit() else int(getattr(owner, x, 0) or getattr(thresholds, x, 0))

@@ -230,7 +230,7 @@ class Linkage:
     left_out: dict[str, list[Node]] = field(default_factory=dict)
     """Ignored elements without effect on the motion, by kind."""
     warned: dict[str, list[Node]] = field(default_factory=dict)
-    """Ignored elements that act only if a limit is reached, by kind."""
+    """Ignored elements that may affect the motion, by kind."""
 
     posed: bool = False
     """Whether the file gives every coordinate its value, as a keyframe does."""

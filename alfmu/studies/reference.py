@@ -177,7 +177,7 @@ class _Reduction(Protocol):
 
 
 class _NullSpace:
-    """Components along the null space of C at a position."""
+    """Reduction to components along the null space of C at a position."""
 
     name = "null space of C"
 
@@ -218,8 +218,8 @@ class _NullSpace:
         return np.vstack([self.rows @ C, self.along])
 
     def _closed(self, place: NDArray) -> tuple[NDArray, NDArray]:
-        """Return q with these components that closes the constraints, by Newton's method, and the inverse of its
-        matrix."""
+        """Return the q with these components that satisfies the constraints, by Newton's method, and the inverse of the
+        method's matrix."""
         q = self.center + place @ self.along
         for _ in range(NEWTON):
             C, Phi = self.model.constraints(q)

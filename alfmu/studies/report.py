@@ -601,7 +601,8 @@ class Study(cases.Study):
 
 
 def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
-    """Return the run time at an error, interpolated on log scales between runs (error, time); None below all errors."""
+    """Return the run time at an error, interpolated on log scales between runs (error, time); None if it is too
+    small."""
     reached = sorted(runs)
     if not reached or error < reached[0][0]:
         return None
