@@ -46,7 +46,7 @@ SAME = 1e-5
 ends some 1e-6 from it."""
 
 STEPS = 80
-"""Most steps of Newton's method from a position [1]."""
+"""Largest number of steps of Newton's method from a position [1]."""
 
 HELD = 1e-7
 """Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
@@ -59,10 +59,10 @@ PACE = 0.05
 """Step along a motion of one degree of freedom [rad, sizes]: equilibria closer to each other may be missed."""
 
 ROUND = 1000
-"""Most steps along such a motion [1]: 50 rad."""
+"""Largest number of steps along such a motion [1]: 50 rad."""
 
 MOST_WAYS = 64
-"""Most such searches [1]: one in both directions of each branch at each singular position that is reached."""
+"""Largest number of such searches [1]: one in each direction of every branch at every singular position reached."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +79,19 @@ class Equilibrium:
     states: Mapping[str, float]
     """States of the mechanism by name, at their equilibrium values."""
     outputs: Mapping[str, float]
-    """All outputs at rest, reactions among them; joints that share a load carry the least."""
+    """All outputs at rest, including reactions; those of redundant constraints have least norm."""
     stability: str
     """"stable", "asymptotically stable", "unstable" or "not judged"."""
     reason: str
     """Reason why the stability is not judged, or the criterion that decides it."""
     eigenvalues: NDArray[np.complex128] = field(repr=False)
-    """Eigenvalues of small motions about it [1/s]; empty if unknown."""
+    """Eigenvalues of small motions about the equilibrium [1/s]; empty if unknown."""
     residual: float
     """Residual of the balance: the largest generalised force on a coordinate [N, or N.m]."""
     connected: bool
     """Whether a path from the start was found on which the loops stay closed."""
     isolated: bool
-    """Whether no other equilibria are arbitrarily close to it."""
+    """Whether the equilibrium is isolated, not one of a continuous family."""
     energy: float
     """Potential energy of gravity and springs [J]."""
     loads: Vector = field(repr=False)
@@ -110,7 +110,7 @@ class Equilibrium:
 
     @property
     def held_by(self) -> list[str]:
-        """Efforts of prescribed motions that hold it, as lines of text."""
+        """Efforts of the prescribed motions that hold the mechanism, as lines of text."""
         where, units = self.situation, {v.name: v.unit for v in self.situation.equations.outputs}
         rows = zip(where.equations.rows, where.held, strict=True)
         motions = [row.name for row, on in rows if on and row.direction == "motion"]
@@ -119,7 +119,7 @@ class Equilibrium:
 
     @property
     def kept(self) -> Vector:
-        """Values stored beside the parameters that determine it: displacements of locks, and signals."""
+        """Stored values that determine the equilibrium beside the parameters: displacements of locks, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
 
     @property
@@ -136,7 +136,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether it was found stable."""
+        """Whether the equilibrium was found stable."""
         return self.stability in ("stable", "asymptotically stable")
 
     @property
@@ -282,8 +282,8 @@ def equilibrium(
     not judged.
 
     Inputs and laws of time that prescribe motion are held at their values at that time. Dry friction is left out:
-    positions where it balances the loads lie around the equilibria without it. States are in equilibrium, too; those
-    that have no value of their own at rest, as the integral of a controller, determine the position.
+    positions where it balances the loads lie around the equilibria without it. States are in equilibrium, too; states
+    without an equilibrium value of their own, such as the integral of a controller, determine the position.
 
     Raises AlfmuError if a name or a value is invalid, or the loops cannot be closed, InputError if a law of time
     prescribes motion at that time.
@@ -378,7 +378,7 @@ class _Search:
             yield from self._around(starts // 2)
 
     def _on_the_ways(self) -> Iterator[Vector]:
-        """Yield positions near which the load along a motion of one freedom vanishes, on all branches from
+        """Yield positions near which the load along a motion with one degree of freedom vanishes, on all branches from
         the start."""
         loops, home = self.loops, self.loops.home
         (way,) = loops.motions(home).T
@@ -467,7 +467,7 @@ class _Search:
 
     @property
     def _nothing(self) -> float:
-        """Load that counts as none; places far from the origin have round-off."""
+        """Load that counts as zero; positions far from the origin have more round-off."""
         return max(BALANCED, ROUND_OFF * float(np.abs(self.loops.home).max(initial=0.0))) * self.largest
 
     def _at_rest(self, y: Vector) -> bool:

@@ -47,21 +47,21 @@ Columns = dict[str, tuple[str, Sequence[float] | Vector]]
 """Units and values of columns by name."""
 
 SINGULAR = 1e-5
-"""Singular value [1] at and below which a position is singular: where two assemblies meet, loops that close to 1e-12
-place it to the square root of that, 1e-6."""
+"""Singular value [1] up to which a position is singular: where two assemblies meet, loops closed to 1e-12 determine the
+position only to the square root of that, 1e-6."""
 
 STARTS = 64
-"""Default number of places from which all solutions are searched [1]: 32 find the four of a robot with five bars, 256
-all of a delta robot, whose platform may also turn over."""
+"""Default number of positions from which all solutions are searched [1]: 32 find the four solutions of a five-bar
+robot, 256 all of a delta robot, whose platform may also turn over."""
 
 SAME = 1e-6
 """Largest difference [rad, sizes] of positions that count as one solution."""
 
 PACE, MOST = 0.05, 4000
-"""Step of the search for dead positions [rad, sizes], and most such steps [1]: 200 rad."""
+"""Step of the search for dead positions [rad, sizes], and largest number of such steps [1]: 200 rad."""
 
 HALVED = 12
-"""Most halvings of a step towards given values [1], before they count as out of reach."""
+"""Largest number of halvings of a step [1], before the given values count as out of reach."""
 
 AGREES = 1e-9
 """Relative difference [1] above which rates of redundant actuators contradict each other."""
@@ -79,7 +79,7 @@ class Position:
     gap: float
     """Largest gap of the loops [units of a row]."""
     beyond: Mapping[str, float]
-    """Limit stops that it is beyond, and how far [rad or m]."""
+    """Penetration [rad or m] of each limit stop that the position violates."""
     q: Vector = field(repr=False)
     """All coordinates (n,), with time if laws move something."""
 
@@ -121,7 +121,7 @@ class Transmission:
     constraint: float
     parallel: float
     serial: float
-    """NaN if nothing is watched."""
+    """Least rate of the watched values [1]; NaN if nothing is watched."""
     size: float
     """Length of the mechanism [m]."""
 
@@ -181,7 +181,7 @@ class _Quantities:
 
 
 class _Steered(Loops):
-    """Loops closed at given values of quantities; `steered` sets these values, of which there are none at first."""
+    """Loops with additional rows for quantities of given value; none at first, `steered` adds them."""
 
     def __init__(self, situation: Situation, of: _Quantities):
         self.of, self.rows, self.goal = of, np.zeros(0, int), np.zeros(0)
@@ -210,7 +210,7 @@ class _Steered(Loops):
         return self._seen[1]
 
     def missed(self, y: Vector) -> Vector:
-        """Return the distances of quantities from their given values, of wrapped angles modulo whole turns."""
+        """Return the deviations of quantities from their given values; those of wrapped angles modulo whole turns."""
         apart = self.look(y)[0][self.rows] - self.goal
         turned = np.remainder(apart + np.pi, 2 * np.pi) - np.pi
         return np.where(self.of.wrapped[self.rows], turned, apart) * self.weights[self.rows]
@@ -223,7 +223,7 @@ class _Steered(Loops):
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
 
     def sizes(self, y: Vector) -> Vector:
-        """Return these with lengths over the longest arm."""
+        """Return the singular values with lengths over the longest arm."""
         shorter = np.where(self.units == "m", self.arm / self.size, 1.0)
         return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
@@ -237,7 +237,7 @@ class _Steered(Loops):
         return np.asarray(V[:r].T @ ((U[:, :r].T @ right) / np.maximum(s[:r], 1e-300)), float)
 
     def lasting(self, y: Vector) -> Matrix:
-        """Return motions (n, freedom) with orthonormal body rates; any basis if bodies do not tell motions apart."""
+        """Return motions (n, freedom) with orthonormal body rates; an arbitrary basis if some motion moves no body."""
         of, N = self.of.of_bodies, self.motions(y)[: self.moving]
         rates = np.vstack([self.look(y)[1][of] * self.weights[of, None], self.look(y)[2]]) @ N
         _, s, V = np.linalg.svd(rates, full_matrices=False)
@@ -253,8 +253,8 @@ class Kinematics:
     """A mechanism by its actuated joints: positions, Jacobians, efforts and cycles. `alfmu.kinematics` makes it.
 
     Values are given by the names of joints, coordinates, watched points, bodies and outputs, such as `{"A": 0.3}` or
-    `{"tool": (0.2, 0.1)}`; those of all actuated joints also in their order. A body in the plane is x, y [m] of its
-    centre of mass and its angle [rad], one in space x, y, z and its Euler parameters e0 to e3.
+    `{"tool": (0.2, 0.1)}`; values of all actuated joints may also be a sequence in their order. A body in the plane is
+    x, y [m] of its centre of mass and its angle [rad], one in space x, y, z and its Euler parameters e0 to e3.
     """
 
     def __init__(
@@ -726,7 +726,7 @@ class Kinematics:
         found = dict(ends)
         middle = int(np.argmin(np.abs(grid - begin.actuated[joint])))
         for way in (range(middle, rows), range(middle - 1, -1, -1)):
-            near = begin  # and no dead position, from which no straight way leads
+            near = begin  # not a dead position, from which straight lines lead nowhere
             for x in (grid[k] for k in way if grid[k] not in ends):
                 found[x] = near = self.forward({**fixed, joint: x}, near)
         positions = [found[x] for x in grid]

@@ -29,13 +29,13 @@ from .constants import Structure, literal, loaded, tables
 __all__ = ["facts", "source"]
 
 _INSTANCE = 96
-"""Numbers in whose place an Instance without messages fits on every machine."""
+"""Size of an Instance without messages, in numbers: an upper bound for every machine."""
 
 _TEXT = 256
 """Longest message of an FMU."""
 
 MOST_ITERATIONS = 1000
-"""Iterations of a loop without a fixed number: the largest solver.max_iterations."""
+"""Assumed iterations of a loop without a fixed number: the largest value of solver.max_iterations."""
 
 STATES = 2
 """Number of saved states for which an FMU has memory."""
@@ -46,10 +46,10 @@ _RESERVED = frozenset(
     acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmax fmin fmod free frexp hypot
     ldexp log log1p malloc memcpy memset pow remainder sin sinh sqrt tan tanh""".split()  # noqa: SIM905
 )
-"""Names in C that a model may not have."""
+"""C names that a model must not have."""
 
 _STEPS = 1000
-"""Most internal steps of a communication step, if that of the default experiment has fewer."""
+"""Largest number of internal steps of a communication step, unless twice that of the default experiment is more."""
 
 
 def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
@@ -104,7 +104,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
 _SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
 
 _OPERATION = re.compile(r"(\(X\) \\\n\t)?\bX\((\d+), .*\)(?=[ \\]*\n)")
-"""An operation of the interpreter, with its kind; the first of a list, which has one at least, after its head."""
+"""Matches an operation in a list of the interpreter, with its kind; the first one includes the head of the list."""
 
 
 def facts(path: Path) -> list[str]:
@@ -151,7 +151,7 @@ _HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
 
 def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
     """Remove functions and programs that the C does not use from a scene. Return the line on its work, the kinds of
-    operations, and whether functions have wide places."""
+    operations, and whether a function uses wide addresses."""
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
@@ -242,7 +242,7 @@ _INSTEAD = {
     r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
     r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
 }
-"""What stands in place of headers, extensions of compilers, memory, files and scenes that are loaded."""
+"""Replacements for headers, compiler extensions, memory allocation, files and loaded scenes, by pattern."""
 
 
 def _named(text: str, name: str) -> str:
@@ -254,7 +254,7 @@ def _named(text: str, name: str) -> str:
 
 
 def _prefixed(text: str, fmi: int) -> str:
-    """Return C whose FMI functions take the prefix by which several models can be linked together."""
+    """Return C whose FMI functions have the model's prefix, so that several models can be linked together."""
     macro = f"FMI{fmi}_FUNCTION_PREFIX"
     names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
     for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):

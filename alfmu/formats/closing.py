@@ -27,7 +27,7 @@ _BESIDE = 1e-2
 """Distance [m, rad] of a position near the closed one: far from round-off, near on the scale of mechanisms."""
 
 _CORRECTIONS = 12
-"""Most corrections that close the loops there: each at least halves a gap near a singular position."""
+"""Largest number of corrections that close the loops there: each at least halves a gap near a singular position."""
 
 _GOOD = 0.1
 """Least share of a motion over the largest for which a driven joint is preferred as independent."""
@@ -46,10 +46,10 @@ _LONGEST = 0.3
 """Longest correction [rad, mechanism's size]: short enough for a linear correction to lead to a near position."""
 
 _MOST = 200
-"""Most corrections: some ten suffice; near a singular position each gains a factor of two."""
+"""Largest number of corrections: some ten suffice; near a singular position each halves the gap."""
 
 _TRIES = 48
-"""Number of positions around the given one from which a nearer one is searched if the first is far or missing."""
+"""Number of other starting positions for the search of a closed position if the first one is far or missing."""
 
 _FAR = 0.5
 """Distance [rad, mechanism's size] above which a nearer position is searched."""
@@ -74,7 +74,7 @@ class Closed:
     way: float
     """Largest change of a coordinate [rad, mechanism's size]."""
     beyond: tuple[str, ...]
-    """Coordinates outside their limits, if the loops do not close within them."""
+    """Names of coordinates outside their limits, if the loops do not close within the limits."""
 
 
 class Loops:
@@ -157,7 +157,7 @@ class Loops:
         return x, float(np.abs(gaps).max(initial=0.0))
 
     def _near(self, x: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the nearest closed position by weights, from a closed one near it, moving towards the given values."""
+        """Return the nearest closed position by weights, moving from a closed position towards the given values."""
         best, left = x, self._followed(x, self._ready, low, high)[1]
         for _ in range(_CORRECTIONS):
             along = _motions(self.at(best)[1])
@@ -175,7 +175,7 @@ class Loops:
         return float(np.linalg.norm((x - self._start) / self._ready))
 
     def _closest(self, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the nearest closed position found from the given one and, if that is far, from around it."""
+        """Return the nearest closed position found from the given one and, if that is far, from other positions."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:

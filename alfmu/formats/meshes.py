@@ -59,7 +59,7 @@ def _obj(text: str) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Return the triangles (n, 3, 3) of the convex hull of points (n, 3), with their outer sides out."""
+    """Return the triangles (n, 3, 3) of the convex hull of points (n, 3), oriented outwards."""
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError):
@@ -74,8 +74,8 @@ def hull(points: Array) -> Array:
 def solid(corners: Array, signed: bool) -> Inertial:
     """Return mass, centre and inertia of triangles (n, 3, 3) as a solid of unit density.
 
-    Pyramids from a point to the triangles are added up, or with `signed` those that the surface turns its inner side to
-    are taken away: the same for convex meshes. The point is the centroid of the surface, and for inertia the centre.
+    The solid is the sum of pyramids between a point and each triangle, with the sign of the triangle's orientation if
+    `signed`; both agree for convex meshes. The point is the centroid of the surface, then the centre of mass.
     """
 
     def volumes(at: Array) -> Array:

@@ -46,20 +46,20 @@ _HARMLESS_GEOM = (
 _DYNAMICS = ("actdim", "delay", "nsample", "armature", "damping")
 _LAGS = ("filter", "filterexact")
 _IMPLIED = ("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm")
-"""Attributes of `general` that the other kinds set, or take for defaults of their own."""
+"""Attributes of `general` that the other kinds set, or replace by their own defaults."""
 
 _PASSIVE = ("stiffness", "damping", "armature", "frictionloss")
 """Attributes by which a tendon acts without an actuator."""
 
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _PARTIAL = {"size", "stiffness", "damping", "polycoef", "biasprm"}
-"""Attributes with optional trailing numbers, which come from the default."""
+"""Attributes whose missing trailing numbers are taken from the default."""
 
 _ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
 """Attributes for an attitude, and the number of their values."""
 
 _POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
-"""Default coefficients of an equality of joints."""
+"""Default coefficients of an equality constraint between joints."""
 
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
@@ -120,7 +120,7 @@ class File:
             for x in self._parts("asset", "mesh")
         }
         self.inertias: dict[str, Inertial] = {}
-        """Inertias of meshes that were read, of unit density."""
+        """Inertias at unit density of the meshes read so far."""
         self.tuned: list[tuple[Joint, float, float]] = []
         """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
@@ -128,7 +128,7 @@ class File:
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.masses: dict[Link, list[Inertial]] = {}
-        """What geoms give bodies."""
+        """Inertias that geoms contribute to bodies."""
         self.tendons: dict[str, Sum | None] = {}
         self.zero: dict[Link, Pose] = {}
         every = self.linkage.every
@@ -170,7 +170,7 @@ class File:
         return root.children
 
     def _sections(self) -> None:
-        """Judge sections that are not read."""
+        """Ignore or refuse the sections that are not read."""
         for section in self.root.all(*_VISUAL):
             whole = not section.children or section.attributes
             self.linkage.leave(_VISUAL[section.tag], *([section] if whole else section.each()))
@@ -264,7 +264,7 @@ class File:
     # Bodies -----------------------------------------------------------------------------------------------------
 
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
-        """Read what is in a body, or in a frame in a body at a pose."""
+        """Read the children of a body, or of a frame at a pose in a body."""
         self.linkage.every(node.each(), lambda child: self._branch(child, link, pose, childclass))
 
     def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
@@ -313,7 +313,7 @@ class File:
         self._tree(node, link, Pose(), childclass)
         if (inertial := node.one("inertial")) is not None:
             link.inertial = self._inertial(Reading(inertial))
-        if link in self.masses:  # geoms define the inertia without an inertial, or if the compiler setting demands it
+        if link in self.masses:  # geoms define the inertia without <inertial>, or if the compiler setting demands it
             link.inertial = solids.together(self.masses[link])
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
@@ -328,7 +328,7 @@ class File:
         return Inertial.of(mass, at, moments, products)
 
     def _balanced(self) -> None:
-        """Change masses and inertias as the compiler is told to."""
+        """Adjust masses and inertias by the compiler settings."""
         given, (mass, least) = self.settings, self.settings.bounds
         if not (mass or least or given.balance or given.total):
             return
@@ -694,7 +694,7 @@ class File:
         self.linkage.motors.append(motor)
 
     def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
-        """Return a range if it is in force."""
+        """Return a range, None if it is not in force."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
         if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
@@ -771,7 +771,7 @@ _CONTACTS = (
 
 
 def _moving(link: Link | None) -> Link | None:
-    """Return the link that carries one without joints, None for the world."""
+    """Return the link itself or, if it has no joints, the moving link that carries it; None for the world."""
     while link is not None and not link.joints:
         link = link.parent
     return link
