@@ -17,6 +17,7 @@ from ..equations.interface import default_settings
 from ..kernel.arrangement import KINDS, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
+from ..kernel.scene import NARROW_HEAD
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
@@ -61,6 +62,8 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
     state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
+    if kept.library.alfmu_share_places(kept.address) < 0:
+        raise MemoryError
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -175,10 +178,10 @@ def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tupl
 
 def _operations(f: Structure) -> Counter[int]:
     """Return how many operations of each kind a function makes."""
-    found, places, at = Counter[int](), f.narrow or f.wide, 0
+    found, places, at, head = Counter[int](), f.narrow or f.wide, 0, NARROW_HEAD if f.narrow else 2
     while at < f.words:
         found[places[at]] += places[at + 1]
-        at += 2 + places[at + 1] * OPERANDS[KINDS[places[at]]]
+        at += head + places[at + 1] * OPERANDS[KINDS[places[at]]]
     return found
 
 

@@ -27,10 +27,14 @@ from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
 
-__all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
+__all__ = ["CALLS", "NARROW_HEAD", "Code", "Constants", "Writer", "code", "operations_header"]
 
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """Elements of a program, in the order of their numbers."""
+
+NARROW_HEAD = 3
+"""Number of words before the operands of a run in a loaded function with 16-bit places: the kind of its operations,
+their number, and the place of the first result."""
 
 
 def operations_header() -> str:
@@ -59,6 +63,7 @@ def operations_header() -> str:
         f"#define LOOP_KIND {LOOP_KIND}",
         f"#define EACH_KIND {EACH_KIND}",
         f"#define GATHER_KIND {GATHER_KIND}",
+        f"#define NARROW_HEAD {NARROW_HEAD} /* words before the operands of a run with 16-bit places, once loaded */",
         f"#define OPERAND_COUNTS {counts}",
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"#define OPERATIONS {OPERATIONS}",
