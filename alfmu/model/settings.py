@@ -29,7 +29,7 @@ METHODS: dict[str, str] = {
     "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
     "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
     "generalized_alpha": "the same with damping of high frequencies",
-    "auto": "explicit or stiff as the scene asks, RK4 with error control where communication steps are short",
+    "auto": "explicit or stiff as the scene asks, Cash-Karp 5(4) where communication steps are short",
 }
 """Names of the methods of integration."""
 
