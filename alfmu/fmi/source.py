@@ -14,10 +14,9 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 from ..equations.interface import default_settings
-from ..kernel.arrangement import KINDS, OPERANDS
+from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
-from ..kernel.scene import NARROW_HEAD
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps

@@ -22,19 +22,15 @@ from numpy.typing import NDArray
 
 from ..model.making import making
 from . import passes
-from .arrangement import KINDS, OPERANDS, SINE_COSINE, SUMS
+from .arrangement import KINDS, NARROW_HEAD, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
 
-__all__ = ["CALLS", "NARROW_HEAD", "Code", "Constants", "Writer", "code", "operations_header"]
+__all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """Elements of a program, in the order of their numbers."""
-
-NARROW_HEAD = 3
-"""Number of words before the operands of a run in a loaded function with 16-bit places: the kind of its operations,
-their number, and the place of the first result."""
 
 
 def operations_header() -> str:
