@@ -397,6 +397,26 @@ def test_a_block_slides_stops_sticks_and_slides_back(built, fmi):
     assert set(found["guide.slip"]) == {0.0, 1.0, -1.0}
 
 
+@pytest.mark.parametrize(
+    ("fmi", "host", "call"),
+    [(2, fmpy.fmi2.FMU2Model, "newDiscreteStates"), (3, fmpy.fmi3.FMU3Model, "updateDiscreteStates")],
+)
+def test_importers_that_restart_only_where_states_count_as_changed_follow_a_kink(built, fmi, host, call, monkeypatch):
+    """fmusim is one. A wheel in a seal turns round under a torque, in closed form: only its rates jump."""
+    m, said, update, restart = alfmu.Mechanism("turning"), [], getattr(host, call), CVodeSolver.reset
+    a = m.coordinate("a", "rad", start=0.0, rate=1.0, independent=True)
+    wheel = m.body("wheel", mass=1.0, inertia=0.5)
+    hinge = m.revolute("hinge", m.ground.at(0, 0), wheel.at(0, 0), coordinate=a)
+    m.drive(hinge, -1.0)
+    m.friction(hinge, coulomb=1.0, load=0.5)
+    monkeypatch.setattr(host, call, lambda self: said.append(update(self)) or said[-1])
+    monkeypatch.setattr(CVodeSolver, "reset", lambda self, time: restart(self, time) if said[-1][3] else None)
+    found = exchanged(built(m, fmi=fmi), 1.0, {})
+    left = 1.0 / 3.0 - found["time"]
+    assert len(said) >= 2
+    assert np.abs(found["wheel.angular_velocity"] - np.where(left > 0, 3.0, 1.0) * left).max() <= 1e-6
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_block_slides_where_an_importer_meets_its_limit_exactly(built, fmi):
     """At an indicator of zero to the last digit, after which an importer sees no change of its sign."""

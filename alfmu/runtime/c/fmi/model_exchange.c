@@ -147,7 +147,7 @@ Status exchange_updated(Component *c, Exchange_event *event, const char *call)
     if (!is_in(c, STEPPING, EVENT_MODE, call))
         return STATUS_ERROR;
     event->next = INFINITY;
-    outcome = exchange_event(c->instance, &event->changed, &event->next);
+    outcome = exchange_event(c->instance, &event->next);
     event->timed = event->next < INFINITY;
     if (outcome != DONE)
         return component_refused(c, STATUS_ERROR);

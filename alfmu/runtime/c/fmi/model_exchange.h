@@ -14,10 +14,10 @@
 /* A vector that the host gets. */
 typedef enum { STATES, RATES, NOMINALS, INDICATORS } Exchanged;
 
-/* What an event leaves to the host. */
+/* What an event leaves to the host, beside states that count as changed: some hosts restart their method only then, and
+   would go on with the rates before the event. */
 typedef struct {
-    int changed; /* whether states have */
-    int timed;   /* whether there is a next event at a known time */
+    int timed; /* whether there is a next event at a known time */
     double next;
 } Exchange_event;
 
