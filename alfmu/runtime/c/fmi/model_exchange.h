@@ -11,8 +11,8 @@
 
 #include "internal_begin.h"
 
-/* A vector that the host gets. */
-typedef enum { STATES, RATES, NOMINALS, INDICATORS } Exchanged;
+/* A vector that the host gets; the first three are one behind another. */
+typedef enum { STATES, RATES, INDICATORS, NOMINALS } Exchanged;
 
 /* What an event leaves to the host, beside states that count as changed: some hosts restart their method only then, and
    would go on with the rates before the event. */
