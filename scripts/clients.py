@@ -1,14 +1,15 @@
 """Runs of alfmu's FMUs in other simulators, as the table of docs/howto/simulators.md: `python scripts/clients.py`.
 
-Each client is installed by pip into its own virtual environment, and makes each run in a separate process. A cell is
-the largest difference from the library's own run. `--write` puts the table into the page; `--installed` uses the
-clients that this Python finds, and installs nothing.
+Each client is installed by pip into its own virtual environment, and makes each run in a separate process; clients that
+are in no registry are run if they are on PATH. A cell is the largest difference from the library's own run. `--write`
+puts the table into the page; `--installed` uses the clients that this Python finds, and installs nothing.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import json
 import os
 import re
@@ -335,6 +336,28 @@ class Jco:
     )
 
 
+class Fmusim:
+    """The command of Reference-FMUs, up to 0.0.39."""
+
+    def run(self, fmi: int, interface: str, *more: str) -> list[float]:
+        given = ["--stop-time", str(STEPS * STEP), "--output-interval", str(STEP), "--output-file", "out.csv"]
+        given += [each for name in OUTPUTS for each in ("--output-variable", name)]
+        subprocess.run(["fmusim", "--interface-type", interface, *given, *more, f"five_bar{fmi}.fmu"], check=True)
+        with open("out.csv", newline="") as file:
+            *_, last = csv.DictReader(file)
+        assert float(last["time"]) == STEPS * STEP or "half" in more, f"ends at {last['time']} s"
+        return [float(last[name]) for name in OUTPUTS]
+
+    single2, single3 = partialmethod(run, 2, "cs"), partialmethod(run, 3, "cs")
+    exchange2 = partialmethod(run, 2, "me", "--solver", "cvode", "--tolerance", "1e-8")
+    exchange3 = partialmethod(run, 3, "me", "--solver", "cvode", "--tolerance", "1e-8")
+
+    def state(self) -> list[float]:
+        half = str(HALF * STEP)
+        self.run(2, "cs", "--stop-time", half, "--final-fmu-state-file", "half")
+        return self.run(2, "cs", "--start-time", half, "--initial-fmu-state-file", "half")
+
+
 CLIENTS = {
     "oldest fmpy": (Fmpy, ("fmpy==0.3.22", "numpy")),
     "newest fmpy": (Fmpy, ("fmpy", "numpy")),
@@ -342,12 +365,13 @@ CLIENTS = {
     "libcosim": (Libcosim, ("libcosimpy",)),
     "wasmtime": (Wasmtime, ("wasmtime",)),
     "jco": (Jco, ("npm:@bytecodealliance/jco",)),
+    "fmusim": (Fmusim, ()),
     "OMSimulator": (None, ("OMSimulator",)),
     "PyFMI": (None, ("pyfmi",)),
 }
-"""Clients by name: the driver, and the packages from PyPI or npm, that of the client first."""
+"""Clients by name: the driver, and the packages from PyPI or npm, that of the client first; none for commands on PATH."""
 
-SYSTEM = {"OpenModelica": "openmodelica", "fmusim": "fmusim"}
+SYSTEM = {"OpenModelica": "openmodelica"}
 """Clients that may be available as system packages."""
 
 
@@ -389,6 +413,11 @@ def installed(packages: Sequence[str], place: Path) -> tuple[str, str]:
 def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> list[str]:
     """Return the cells of a client; if there are none, its name and a cell with the reason."""
     driver, packages = CLIENTS[name]
+    if not packages:
+        if not shutil.which(name):
+            return [name, f"**not tried**: neither apt nor PyPI has it, and no `{name}` is on PATH"]
+        version = subprocess.run([name, "--version"], **_SAID).stdout.split()[1]
+        return [f"{name} {version}", *(cell(name, each, wanted[each], folder, sys.executable) for each in COLUMNS)]
     python, why = (sys.executable, "") if here else installed(packages, folder / name)
     if why:
         return [name, f"**not tried**: installing `{packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]

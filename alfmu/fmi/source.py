@@ -91,6 +91,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
         "#if !defined(assert)\n#define assert(true) ((void)0)\n#endif",
         *(f"#include <{each}.h>" for each in _SYSTEM),
+        *["#if defined(__unix__) || defined(__APPLE__) || defined(_WIN32)\n#include <fenv.h>\n#endif"] * (fmi > 0),
         *[f'#include "{name}.h"'] * (not fmi),
         *(f"#define {key} {number}" for key, number in defined.items()),
     ]
