@@ -709,6 +709,28 @@ def test_transmission_angle_of_a_slider_crank():
         kinematics(push, ["guide"], ["slide"]).cycle()
 
 
+def test_a_pinion_turns_many_times_between_dead_positions():
+    """A slider-crank whose slide is a rack: the crank and the rod in line hold it, far more than one turn apart."""
+    m = Mechanism("rack")
+    crank, rod, slide = (m.bar(name, mass=1.0, length=a) for name, a in (("crank", 0.1), ("rod", 0.3), ("slide", 0.1)))
+    pinion = m.body("pinion", mass=1.0, inertia=1e-3)
+    lean = math.asin(0.1 * math.sin(0.7) / 0.3)
+    stroke = 0.1 * math.cos(0.7) + 0.3 * math.cos(lean)
+    m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=m.coordinate("angle", "rad", start=0.7))
+    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=-0.7 - lean))
+    P = m.revolute("P", m.ground.at(0, 0.005), pinion.at(0, 0), coordinate=m.coordinate("turn", "rad"))
+    place = m.coordinate("stroke", "m", start=stroke)
+    guide = m.prismatic("guide", m.ground.at(0, 0), slide.start, coordinate=place)
+    m.rack("teeth", pinion.at(0, 0), guide, radius=0.005, side="left", phase=-stroke / 0.005)
+    m.revolute("C", rod.end, slide.start)
+    m.gravity(0, 0)
+    m.drive(P, m.input("torque", "N.m"))
+    cycle = kinematics(m, watch=["guide"]).cycle(rows=41)
+    ends = (np.array([0.2, 0.4]) - stroke) / 0.005
+    np.testing.assert_allclose(cycle.facts["dead"], ends, rtol=1e-10)
+    np.testing.assert_allclose(cycle["P"], np.linspace(*ends, 41), rtol=1e-10)
+
+
 # Limits, laws, names ------------------------------------------------------------------------------------------------
 
 
