@@ -144,6 +144,34 @@ def test_all_solutions():
     np.testing.assert_allclose(places, [(z.real, z.imag) for z in tools], atol=1e-11)
 
 
+def test_solutions_of_bodies_with_euler_parameters_are_closed():
+    """A four-bar of bodies in space that stand along the ground's axes at the start, where e1 to e3 are zero."""
+    m = Mechanism("space")
+    m.gravity(0, 0, 0)
+    points = {"O": (0.0, 0.0), "A": (0.0, 0.3), "B": (0.8, 0.5), "C": (0.8, 0.0)}
+    bodies, middles = {None: m.spatial_ground}, {None: np.zeros(2)}
+    for name, ends in (("crank", "OA"), ("coupler", "AB"), ("rocker", "CB")):
+        middles[name] = np.mean([points[end] for end in ends], 0)
+        bodies[name] = m.spatial_body(name, mass=1.0, inertia=(0.1, 0.1, 0.1), position=(*middles[name], 0.0))
+    for name, one, two in (
+        ("O", None, "crank"),
+        ("A", "crank", "coupler"),
+        ("C", None, "rocker"),
+        ("B", "coupler", "rocker"),
+    ):
+        ends = [bodies[x].at(*map(float, points[name] - middles[x])) for x in (one, two)]
+        m.spatial_revolute(name, *ends, axis=(0, 0, 1))
+    found = kinematics(m, ["O"], ["C"]).solutions({"O": 0.4})
+    tip = cmath.rect(0.3, math.pi / 2 + 0.4)
+    way, sides = 0.8 - tip, (abs(0.8 + 0.2j), 0.5)
+    bend = triangle(sides[0], abs(way), sides[1])
+    ends = [tip + cmath.rect(sides[0], cmath.phase(way) + side * bend) for side in (1, -1)]
+    got = sorted((each["coupler"][:2] for each in found), key=lambda x: -x[1])
+    wanted = sorted([[((tip + end) / 2).real, ((tip + end) / 2).imag] for end in ends], key=lambda x: -x[1])
+    np.testing.assert_allclose(got, wanted, atol=1e-10)
+    assert max(each.gap for each in found) < 1e-12
+
+
 @pytest.mark.parametrize("sort", SORTS)
 def test_turned_and_shifted(sort: str):
     """Numbers of the verdict and efforts are the same in other axes and coordinates."""

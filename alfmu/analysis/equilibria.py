@@ -459,7 +459,7 @@ class _Search:
         loops = self.loops
         count = starts if loops.freedom == 1 else starts - starts // 2
         for place in loops.scattered(count if loops.situation.held.any() else 0):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None:
                 yield y
 

@@ -352,7 +352,7 @@ class Kinematics:
         found: list[Vector] = []
         angles = [i for i in rows if self._of.units[i] == "rad" and not self._of.wrapped[i]]
         for place in (begin, *loops.scattered(starts)):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None and not any(self._loops.same(y.copy(), other, SAME) for other in found):
                 kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles keep their turns
                 kept = np.pad(kept, (0, len(y) - len(kept))) & (loops.units == "rad")
