@@ -144,15 +144,16 @@ def test_all_solutions():
     np.testing.assert_allclose(places, [(z.real, z.imag) for z in tools], atol=1e-11)
 
 
-def test_solutions_of_bodies_with_euler_parameters_are_closed():
-    """A four-bar of bodies in space that stand along the ground's axes at the start, where e1 to e3 are zero."""
+def four_bar_in_space(size: float = 1.0) -> Mechanism:
+    """Bodies stand along the ground's axes at the start, where their e1 to e3 are zero."""
     m = Mechanism("space")
     m.gravity(0, 0, 0)
     points = {"O": (0.0, 0.0), "A": (0.0, 0.3), "B": (0.8, 0.5), "C": (0.8, 0.0)}
+    points = {name: size * np.array(place) for name, place in points.items()}
     bodies, middles = {None: m.spatial_ground}, {None: np.zeros(2)}
     for name, ends in (("crank", "OA"), ("coupler", "AB"), ("rocker", "CB")):
         middles[name] = np.mean([points[end] for end in ends], 0)
-        bodies[name] = m.spatial_body(name, mass=1.0, inertia=(0.1, 0.1, 0.1), position=(*middles[name], 0.0))
+        bodies[name] = m.spatial_body(name, mass=1.0, inertia=(0.1 * size**2,) * 3, position=(*middles[name], 0.0))
     for name, one, two in (
         ("O", None, "crank"),
         ("A", "crank", "coupler"),
@@ -161,7 +162,11 @@ def test_solutions_of_bodies_with_euler_parameters_are_closed():
     ):
         ends = [bodies[x].at(*map(float, points[name] - middles[x])) for x in (one, two)]
         m.spatial_revolute(name, *ends, axis=(0, 0, 1))
-    found = kinematics(m, ["O"], ["C"]).solutions({"O": 0.4})
+    return m
+
+
+def test_solutions_of_bodies_with_euler_parameters_are_closed():
+    found = kinematics(four_bar_in_space(), ["O"], ["C"]).solutions({"O": 0.4})
     tip = cmath.rect(0.3, math.pi / 2 + 0.4)
     way, sides = 0.8 - tip, (abs(0.8 + 0.2j), 0.5)
     bend = triangle(sides[0], abs(way), sides[1])
@@ -170,6 +175,13 @@ def test_solutions_of_bodies_with_euler_parameters_are_closed():
     wanted = sorted([[((tip + end) / 2).real, ((tip + end) / 2).imag] for end in ends], key=lambda x: -x[1])
     np.testing.assert_allclose(got, wanted, atol=1e-10)
     assert max(each.gap for each in found) < 1e-12
+
+
+def test_singular_positions_are_judged_alike_at_any_size():
+    """The numbers of a linkage in proportion are the same."""
+    judged = [kinematics(four_bar_in_space(size), ["O"], ["C"]).transmission() for size in (1.0, 0.01, 2.0, 10.0)]
+    numbers = np.array([[each.constraint, each.parallel, each.serial] for each in judged])
+    np.testing.assert_allclose(numbers, numbers[[0]].repeat(4, 0), rtol=1e-9)
 
 
 @pytest.mark.parametrize("sort", SORTS)

@@ -227,9 +227,12 @@ class _Steered(Loops):
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
 
     def sizes(self, y: Vector) -> Vector:
-        """Return these with lengths over the longest arm."""
-        shorter = np.where(self.units == "m", self.arm / self.size, 1.0)
-        return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
+        """Return these with lengths of coordinates and of rows over the longest arm, at any size alike."""
+        shorter, e = np.where(self.units == "m", self.arm / self.size, 1.0), self.situation.equations
+        units = np.where([row.unit == "m" for row in e.rows], self.arm, self.situation.units)
+        units[e.lengths] = 1.0
+        rows = np.append(1 / (self._weights * units[self._rows]), np.ones(len(self.rows)))
+        return np.asarray(np.linalg.svd(rows[:, None] * self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
         return np.zeros(len(y))  # loads do not change the solved positions
