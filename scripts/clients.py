@@ -369,7 +369,7 @@ CLIENTS = {
     "OMSimulator": (None, ("OMSimulator",)),
     "PyFMI": (None, ("pyfmi",)),
 }
-"""Clients by name: the driver, and the packages from PyPI or npm, that of the client first; none for commands on PATH."""
+"""Clients by name: the driver, and the packages from PyPI or npm, that of the client first; none if it is on PATH."""
 
 SYSTEM = {"OpenModelica": "openmodelica"}
 """Clients that may be available as system packages."""

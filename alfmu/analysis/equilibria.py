@@ -45,8 +45,9 @@ SAME = 1e-5
 """Largest difference [rad, sizes] of positions that count as one equilibrium; if a stiffness vanishes, Newton's method
 ends some 1e-6 from it."""
 
-STEPS = 80
-"""Largest number of steps of Newton's method from a position [1]."""
+STEPS, SHORTENED = 80, 1000
+"""Largest number of steps of Newton's method from a position, and of those that are shortened to `STEP` [1]: 300 rad, as
+to the position of rest of a drum on a soft spring of many turns."""
 
 HELD = 1e-7
 """Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
@@ -459,7 +460,7 @@ class _Search:
         loops = self.loops
         count = starts if loops.freedom == 1 else starts - starts // 2
         for place in loops.scattered(count if loops.situation.held.any() else 0):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None:
                 yield y
 
@@ -478,10 +479,10 @@ class _Search:
 
     def balanced(self, y: Vector) -> Vector | None:
         """Return an equilibrium by Newton's method in steps along the motions, None if there is none."""
-        loops, damping, stalled = self.loops, 0.0, 0
+        loops, damping, stalled, made, shortened = self.loops, 0.0, 0, 0, 0
         N, r, lam = loops.balance(y)
         self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
-        for _ in range(STEPS if self.largest > 0 else 0):
+        while self.largest > 0 and made < STEPS and shortened < SHORTENED:
             size = float(np.linalg.norm(r))
             if size == 0.0 or stalled > 2:
                 break
@@ -491,16 +492,19 @@ class _Search:
             U, s, V = np.linalg.svd(K)
             low = max(damping, 1e-13) * max(s[0], 1e-100)
             dz = V.T @ (s / (s**2 + low**2) * (U.T @ r))
-            dz *= min(1.0, STEP / max(np.abs(N @ dz).max(), 1e-100))
+            part = min(1.0, STEP / max(np.abs(N @ dz).max(), 1e-100))
+            dz *= part
             ahead = loops.closed(y + N @ dz, y)
             moved = None if ahead is None else loops.balance(ahead)
             if ahead is not None and moved is not None and np.linalg.norm(moved[1]) < size:
                 stalled += int(np.linalg.norm(moved[1]) > 0.5 * size and size <= self._nothing)
                 y, (N, r, lam) = ahead, moved
+                made, shortened = made + (part == 1.0), shortened + (part < 1.0)
                 damping = damping / 10 if damping > 1e-6 else 0.0
             elif size <= self._nothing:
                 break
             else:
+                made += 1
                 damping = max(10 * damping, 1e-3)
                 if damping > 1e4:
                     break

@@ -57,6 +57,10 @@ robot, 256 all of a delta robot, whose platform may also turn over."""
 SAME = 1e-6
 """Largest difference [rad, sizes] of positions that count as one solution."""
 
+ALIKE = 1e-6
+"""Largest change of the constraint matrix over its largest entry [1] with which loops are as they were: loops that
+close to 1e-12 place what is nearly singular to the square root of that."""
+
 PACE, MOST = 0.05, 4000
 """Step of the search for dead positions [rad, sizes], and largest number of such steps [1]: 200 rad."""
 
@@ -223,9 +227,12 @@ class _Steered(Loops):
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
 
     def sizes(self, y: Vector) -> Vector:
-        """Return the singular values with lengths over the longest arm."""
-        shorter = np.where(self.units == "m", self.arm / self.size, 1.0)
-        return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
+        """Return the singular values with lengths of coordinates and rows over the longest arm, equal at every size."""
+        shorter, e = np.where(self.units == "m", self.arm / self.size, 1.0), self.situation.equations
+        units = np.where([row.unit == "m" for row in e.rows], self.arm, self.situation.units)
+        units[e.lengths] = 1.0
+        rows = np.append(1 / (self._weights * units[self._rows]), np.ones(len(self.rows)))
+        return np.asarray(np.linalg.svd(rows[:, None] * self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
         return np.zeros(len(y))  # loads do not change the solved positions
@@ -348,7 +355,7 @@ class Kinematics:
         found: list[Vector] = []
         angles = [i for i in rows if self._of.units[i] == "rad" and not self._of.wrapped[i]]
         for place in (begin, *loops.scattered(starts)):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None and not any(self._loops.same(y.copy(), other, SAME) for other in found):
                 kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles keep their turns
                 kept = np.pad(kept, (0, len(y) - len(kept))) & (loops.units == "rad")
@@ -702,12 +709,13 @@ class Kinematics:
     ) -> Result:
         """Return a motion of one actuated joint, by default the first, at unit rate [rad/s or m/s]; the others rest.
 
-        The joint makes a whole turn, moves between its dead positions, or over `span` [rad or m]. Columns: the joint,
-        all values, rates of watched values (`tool.x/A`, per unit of the joint), `tool.advantage` (mechanical advantage:
-        the force along the path of the watched point over the effort of the joint), `transmission_angle` [rad] at the
-        hinge `transmission` (by default the one between a coupler and a driven link on the ground), `manipulability`,
-        and the numbers of `Transmission`. `facts` has `dead`, displacements at which the joint turns back, and
-        `toggles`, by name the displacements at which a watched point or value turns back; plots mark them.
+        The joint makes as many turns as bring the loops back, moves between its dead positions, or over `span` [rad or
+        m]. Columns: the joint, all values, rates of watched values (`tool.x/A`, per unit of the joint),
+        `tool.advantage` (mechanical advantage: the force along the path of the watched point over the effort of the
+        joint), `transmission_angle` [rad] at the hinge `transmission` (by default the one between a coupler and a
+        driven link on the ground), `manipulability`, and the numbers of `Transmission`. `facts` has `dead`,
+        displacements at which the joint turns back, and `toggles`, by name the displacements at which a watched point
+        or value turns back; plots mark them.
         """
         at = 0 if joint is None else self._index(joint)
         joint, begin = self.actuated[at], self.start if near is None else near
@@ -787,7 +795,8 @@ class Kinematics:
         return found
 
     def _range(self, at: int, begin: Position) -> tuple[float, float, dict[float, Position]]:
-        """Return the range of a joint (a whole turn, or the one between dead positions) and its dead positions."""
+        """Return the range of a joint (turns that bring the loops back, or the way between dead positions) and its dead
+        positions."""
         from scipy.optimize import brentq
 
         if "constraint" in self.transmission(begin).singular:
@@ -812,6 +821,11 @@ class Kinematics:
             y = loops.closed(a + part * (b - a), a)
             return a if y is None else y
 
+        def is_back(y: Vector) -> bool:
+            """Return whether loops are as at the beginning; a screw, a rack or a gear may have moved them on."""
+            here, there = (np.abs(loops.matrix(each)) for each in (y, y0))  # Euler parameters may change their signs.
+            return bool(np.abs(here - there).max(initial=0.0) <= ALIKE * there.max(initial=0.0))
+
         first = loops.motions(y0, 1)[:, 0]
         first *= np.sign(speed(y0, first)) or 1.0
         for sign in (1, -1):
@@ -822,9 +836,14 @@ class Kinematics:
                     y = middle(float(part), a, b)
                     ends[start + moved + step(a, y)] = self._position(y)
                     break
-                moved, a = moved + step(a, b), b
-                if abs(moved) >= turn:
-                    return start, start + turn, {}
+                before, moved = moved, moved + step(a, b)
+                turns = abs(moved) // turn
+                if not ends and turns > abs(before) // turn:
+                    left = sign * turns * turn - before
+                    part = brentq(lambda t, a=a, b=b, x=left: step(a, middle(t, a, b)) - x, 0.0, 1.0, xtol=1e-15)
+                    if is_back(middle(float(part), a, b)):
+                        return start, start + turns * turn, {}
+                a = b
             else:
                 text = f"{self.name}: {self.actuated[at]} has no dead position up to {plain(moved, unit)} from here"
                 raise InputError(f"{text}; give the range as span=")

@@ -29,6 +29,10 @@ __all__ = ["CLOSED", "REACH", "STEP", "Loops", "WithStates", "arm_of", "evenly",
 CLOSED = 1e-12
 """Largest gap of closed loops [units of a row]."""
 
+ASSEMBLED = 1e-3
+"""Largest difference of the slopes of gaps and of constraints [units of a row] of joints closed as at the start of a
+run: elsewhere a row of unit slope differs by 2 or more."""
+
 STEP = 0.3
 """Longest step [rad, or sizes]: short enough for a linear step to lead to the nearest assembly."""
 
@@ -200,6 +204,18 @@ class Loops:
             y = y + d
         return y if self.opened(y) <= CLOSED else None
 
+    def assembled(self, y: Vector) -> Vector | None:
+        """Return the same if joints are closed as at the start of a run: at opposite axes, or half a turn off a thread,
+        constraints hold, but the slopes of gaps are other ones than theirs."""
+        found = self.closed(y)
+        if found is None or not self._rows.any():
+            return found
+        s = self.state(found)
+        slopes, constraints = (
+            self.weighted(self.situation.value(name, s).reshape(self._C.shape)) for name in ("gaps_matrix", "C")
+        )
+        return found if np.abs(slopes - constraints).max() <= ASSEMBLED else None
+
     def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
         """Yield positions on the branch of the motion that begins at y in direction `way`, a step apart, up to
         its end."""
@@ -249,8 +265,8 @@ class Loops:
         e = self.situation.equations
         if not e.lengths:
             return []
-        C = self.situation.value("C", self.situation.state)
-        return [np.flatnonzero(np.abs(C[row]) > 0) for row in e.lengths]
+        pattern = np.array(ca.DM(e.functions["C"].sparsity_out(0)))  # at the start three of the four may be zero
+        return [np.flatnonzero(pattern[row]) for row in e.lengths]
 
     def nearer(self, y: Vector, to: Vector) -> Vector:
         """Return the equivalent position, by whole turns and signs of Euler parameters, that is nearest to

@@ -313,7 +313,8 @@ class Joints(Quantities):
         """Add a nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
 
         A negative lead is a left-hand thread. `coordinate` is the angle [rad] and places the second body. If
-        constraints close the screw, it stays on the turn of the thread on which it starts. A drive is a torque [N.m].
+        constraints close the screw, it stays on the turn of the thread on which it starts, and the place of the second
+        marker tells the turns of the angle. A drive is a torque [N.m].
         """
         axes, placing = self._axes(name, axis, second_axis), self._placing(name, "screw", coordinate)
         lead = self._quantity(f"the lead of {name}", lead, "m", CONSTANT)

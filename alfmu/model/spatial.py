@@ -488,8 +488,9 @@ class SpatialJoint(Brief):
         return self.is_wrapped(next(iter(self.freedoms)))
 
     def is_wrapped(self, which: str) -> bool:
-        """Return whether a free displacement is an angle known up to whole turns only."""
-        return self.coordinates is None and self.freedoms[which] == "rad"
+        """Return whether a free displacement is an angle known up to whole turns only; the way of a screw tells its
+        turns."""
+        return self.coordinates is None and self.freedoms[which] == "rad" and self.kind != "screw"
 
     def displacement(self, which: str) -> ca.SX:
         """Return one of the free displacements, second body from first: an angle [rad], or a distance [m]."""
@@ -516,7 +517,8 @@ class SpatialJoint(Brief):
 
     def _from_places(self, which: str) -> ca.SX:
         if which.startswith("angle"):
-            return ca.atan2(*self._arms(which))
+            turned = self._measured("position") * (2 * math.pi) / self.lead if self.kind == "screw" else ca.SX(0)
+            return with_turns(*self._arms(which), turned)
         normal, other, axis = self.triad(carrier=self.carrier)
         along = {"position": axis, "position1": normal, "position2": other}[which]
         return ca.dot(along, self.apart)
