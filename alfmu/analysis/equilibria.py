@@ -46,8 +46,8 @@ SAME = 1e-5
 ends some 1e-6 from it."""
 
 STEPS, SHORTENED = 80, 1000
-"""Largest number of steps of Newton's method from a position, and of those that are shortened to `STEP` [1]: 300 rad, as
-to the position of rest of a drum on a soft spring of many turns."""
+"""Largest number of steps of Newton's method from a position, and of those that are shortened to `STEP` [1]: 300 rad,
+as to the position of rest of a drum on a soft spring of many turns."""
 
 HELD = 1e-7
 """Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
