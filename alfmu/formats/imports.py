@@ -53,7 +53,7 @@ class Imported:
     notes: tuple[str, ...]
     """Further remarks, such as loops that are open in the file."""
     moved: str
-    """Coordinates that closing the loops moved, if far."""
+    """Coordinates that closing the loops moved, if far, or that it is left no motion."""
     renamed: dict[str, str]
     """New names by kinds and old names."""
     _source: Callable[[str], str]
