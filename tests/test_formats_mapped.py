@@ -306,6 +306,40 @@ def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
         alfmu.imported(path, leave="tyres")
 
 
+UNKNOWN = {
+    "xml": "<mujoco><default><joint wobble='1'/></default><worldbody><body name='b'>{}<joint name='j' hum='2'/>"
+    "<geom size='0.1'/></body></worldbody><sway/></mujoco>",
+    "urdf": "<robot name='r'><link name='w'/><link name='b'>{}<inertial><mass value='1'/><inertia ixx='1' iyy='1' "
+    "izz='1'/></inertial></link><joint name='j' type='continuous'><parent link='w'/><child link='b'/><dynamics hum='2' "
+    "damping='1'/><sway/><axis xyz='0 1 0' wobble='1'/></joint></robot>",
+    "sdf": "<sdf version='1.9'><model name='m'><link name='b'>{}<sway/></link><joint name='j' type='revolute' wobble='1'>"
+    "<parent>world</parent><child>b</child><axis><xyz>0 1 0</xyz><hum>2</hum></axis></joint></model></sdf>",
+}
+
+
+@pytest.mark.parametrize("kind", UNKNOWN)
+def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_path: Path):
+    """Attributes, inherited ones and elements; only the first of an element was told, and none could be left."""
+    path = tmp_path / f"arm.{kind}"
+    path.write_text(UNKNOWN[kind].format(""))
+    with pytest.raises(alfmu.InputError, match="refused for 3 reasons") as told:
+        alfmu.imported(path)
+    assert all(each in str(told.value) for each in ("wobble", "hum", "sway"))
+    assert str(told.value).count("--option leave=unknown leaves it out") == 3
+    found = alfmu.imported(path, leave="unknown")
+    assert "unknown elements and attributes, which the user leaves out" in found.warnings[0]
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+
+
+def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        "<mujoco><worldbody><body><joint name='j' type='ball' limited='true' range='0 0'/><geom size='1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    assert "limits of ball joints" in alfmu.imported(path).warnings[0]
+
+
 def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "inner").mkdir()
     path = tmp_path / "inner" / "m.sdf"

@@ -186,7 +186,7 @@ class Loops:
     def _enough(self, matrix: Array) -> Array:
         """Return which constraints are enough: all that are none of joints, and the first joints."""
         least = _ROUGH * np.linalg.norm(matrix, 2)
-        kept = np.array([not direction for _, direction in self._rows])
+        kept = np.array([not direction for _, direction in self._rows], dtype=bool)
         done = np.linalg.svd(matrix[kept], full_matrices=False)
         basis = done[2][done[1] > least]
         left = matrix - matrix @ basis.T @ basis
@@ -245,7 +245,7 @@ class Loops:
         """Return the nearest closed position found from the given one and, if that is far, from around it."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
-        if left <= _ROUGH and self._kept.all() and self._spare(best):
+        if left <= _ROUGH and len(self._kept) and self._kept.all() and self._spare(best):
             best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:
             return best, left

@@ -25,7 +25,7 @@ __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkag
 ANYWHERE = 1e15
 """Limit [rad, m, N.m, N] from which on files mean that there is none."""
 
-LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
+LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons", "unknown")
 """Words of what a user may leave out although it affects the motion: of `free` joints, what resists their motion."""
 
 _RANK = 1e-7

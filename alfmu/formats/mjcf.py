@@ -434,7 +434,7 @@ class File:
         elif time or ratio:
             what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
             given.fail("springdamper", what)
-        limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
+        limits = self._range(given, "", not scalar) if not self.settings.off & {"limit", "constraint"} else None
         if limits and scalar:
             joint.limits = ((angle(limits[0]), angle(limits[1])),)
             self.linkage.limited.append(node)
@@ -693,13 +693,13 @@ class File:
                     "actearly", "interp", *unused))  # fmt: skip
         self.linkage.motors.append(motor)
 
-    def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
-        """Return a range if it is in force."""
+    def _range(self, given: Reading, what: str, point: bool = False) -> tuple[float, float] | None:
+        """Return a range if it is in force; that of a ball joint may be a point."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
         if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
             return None
-        if not low < high:
+        if not (low < high or (point and low == high)):
             given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
         return low, high
 
