@@ -307,13 +307,13 @@ def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
 
 
 UNKNOWN = {
-    "xml": "<mujoco><default><joint wobble='1'/></default><worldbody><body name='b'>{}<joint name='j' hum='2'/>"
+    "xml": "<mujoco><default><joint wobble='1'/></default><worldbody><body name='b'><joint name='j' hum='2'/>"
     "<geom size='0.1'/></body></worldbody><sway/></mujoco>",
-    "urdf": "<robot name='r'><link name='w'/><link name='b'>{}<inertial><mass value='1'/><inertia ixx='1' iyy='1' "
+    "urdf": "<robot name='r'><link name='w'/><link name='b'><inertial><mass value='1'/><inertia ixx='1' iyy='1' "
     "izz='1'/></inertial></link><joint name='j' type='continuous'><parent link='w'/><child link='b'/><dynamics hum='2' "
     "damping='1'/><sway/><axis xyz='0 1 0' wobble='1'/></joint></robot>",
-    "sdf": "<sdf version='1.9'><model name='m'><link name='b'>{}<sway/></link><joint name='j' type='revolute' wobble='1'>"
-    "<parent>world</parent><child>b</child><axis><xyz>0 1 0</xyz><hum>2</hum></axis></joint></model></sdf>",
+    "sdf": "<sdf version='1.9'><model name='m'><link name='b'><sway/></link><joint name='j' type='revolute' "
+    "wobble='1'><parent>world</parent><child>b</child><axis><xyz>0 1 0</xyz><hum>2</hum></axis></joint></model></sdf>",
 }
 
 
@@ -321,7 +321,7 @@ UNKNOWN = {
 def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_path: Path):
     """Attributes, inherited ones and elements; only the first of an element was told, and none could be left."""
     path = tmp_path / f"arm.{kind}"
-    path.write_text(UNKNOWN[kind].format(""))
+    path.write_text(UNKNOWN[kind])
     with pytest.raises(alfmu.InputError, match="refused for 3 reasons") as told:
         alfmu.imported(path)
     assert all(each in str(told.value) for each in ("wobble", "hum", "sway"))
@@ -453,7 +453,7 @@ def test_meshes_give_inertia(kind: str, how: str, tmp_path: Path):
 
 
 @MUJOCO
-@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact", "shell"])
 def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_path: Path):
     import mujoco
 
@@ -477,3 +477,37 @@ def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_pat
     assert body.mass == pytest.approx(model.body_mass[1], rel=1e-6)
     np.testing.assert_allclose(body.center, model.body_ipos[1], atol=1e-7)
     np.testing.assert_allclose(body.inertia, np.diag(turn @ np.diag(model.body_inertia[1]) @ turn.T), rtol=1e-6)
+
+
+def test_shapes_of_bodies_that_stand_still_need_no_inertia(tmp_path: Path):
+    """A base whose mesh is missing was refused, as if it moved."""
+    path = tmp_path / "m.xml"
+    text = (
+        '<mujoco{}><asset><mesh name="a" file="none.stl"/></asset><worldbody><body name="base"><geom type="mesh" '
+        'mesh="a"/><geom type="box" mesh="a"/><body name="arm">{}<inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/>'
+        "</body></body></worldbody></mujoco>"
+    )
+    path.write_text(text.format("", '<joint name="j"/>'))
+    (note,) = alfmu.imported(path).notes
+    assert "shapes of bodies that stand still have no mass here" in note
+    path.write_text(text.format("", '<joint name="j"/>').replace('name="base">', 'name="base"><joint/>'))
+    with pytest.raises(alfmu.InputError, match="there is no file 'none.stl'"):
+        alfmu.imported(path)
+    path.write_text(text.format("><compiler settotalmass='3'/", '<joint name="j"/>'))
+    with pytest.raises(alfmu.InputError, match="there is no file 'none.stl'"):
+        alfmu.imported(path)
+
+
+@pytest.mark.parametrize(
+    ("soft", "part"),
+    [('<flexcomp name="flag" type="grid"/>', "flag_0"), ('<composite prefix="p" type="cable"/>', "pB_last")],
+)
+def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tmp_path: Path):
+    path = tmp_path / "m.xml"
+    text = f'<equality><connect body1="b3" body2="{part}" anchor="0 0 0"/></equality>'
+    path.write_text(arm(after=text).replace("<worldbody>", f"<worldbody>{soft}").replace('"b3"', '"world"'))
+    with pytest.raises(alfmu.InputError, match=f"{part}' is part of a flexible body; --option leave=flexible"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="flexible")
+    assert "flexible, which the user leaves out (2 from" in found.warnings[0]
+    assert not found.mechanism.closures

@@ -129,6 +129,10 @@ class File:
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.masses: dict[Link, list[Inertial]] = {}
         """What geoms give bodies."""
+        self.doubts: list[tuple[Link, Node, InputError]] = []
+        """Geoms whose inertia is not known, which does not matter of bodies that stand still."""
+        self.soft: tuple[str, ...] = ()
+        """Beginnings of the names of bodies that flexible ones consist of."""
         self.tendons: dict[str, Sum | None] = {}
         self.zero: dict[Link, Pose] = {}
         every = self.linkage.every
@@ -139,6 +143,11 @@ class File:
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
+        for link, node, doubt in self.doubts:
+            if _moving(link) is not None or self.settings.total:
+                self.linkage.causes.append(str(doubt))
+            else:
+                self.linkage.note("these shapes of bodies that stand still have no mass here, as it is not known", node)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
@@ -288,6 +297,8 @@ class File:
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
         elif child.tag in ("flexcomp", "composite"):
+            name = child.attributes.get("name")
+            self.soft += (f"{name}_",) if child.tag == "flexcomp" else (f"{child.attributes.get('prefix')}B_",)
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
@@ -478,15 +489,18 @@ class File:
             return
         if given.flag("shellinertia", False):
             node.fail("the inertia of shells does not map; give the body an <inertial>")
-        if kind == "mesh":
-            whole, pose = self._mesh(given), frame @ self._pose(given)
-            factor = density if mass is None else mass / whole.mass
-            inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
-            found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
-        else:
-            solid, at = self._solid(given, kind)
-            found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
-        self.masses.setdefault(link, []).append(found)
+        try:
+            if kind == "mesh":
+                whole, pose = self._mesh(given), frame @ self._pose(given)
+                factor = density if mass is None else mass / whole.mass
+                inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
+                found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
+            else:
+                solid, at = self._solid(given, kind)
+                found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
+            self.masses.setdefault(link, []).append(found)
+        except InputError as error:
+            self.doubts.append((link, node, error))
 
     def _mesh(self, geom: Reading) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
@@ -495,7 +509,7 @@ class File:
             return self.inertias[name]
         node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
-        kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
+        kind = given.choice("inertia", ("legacy", "convex", "exact", "shell"), "legacy")
         if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
             node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
         try:
@@ -509,7 +523,8 @@ class File:
                 corners = points[faces] if len(faces) else hull(points)
             corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
             corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
-            found = solid(hull(corners.reshape(-1, 3)) if kind == "convex" else corners, kind != "legacy")
+            corners = hull(corners.reshape(-1, 3)) if kind == "convex" else corners
+            found = solid(corners, kind != "legacy", kind == "shell")
         except (InputError, IndexError, ValueError) as error:
             geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
         self.inertias[name] = found
@@ -631,6 +646,8 @@ class File:
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
+        if name.startswith(self.soft):
+            self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
         return None if name == "world" else known(given.node, name, self.links, "body")
 
     # Actuators --------------------------------------------------------------------------------------------------
