@@ -491,10 +491,10 @@ def test_shapes_of_bodies_that_stand_still_need_no_inertia(tmp_path: Path):
     (note,) = alfmu.imported(path).notes
     assert "shapes of bodies that stand still have no mass here" in note
     path.write_text(text.format("", '<joint name="j"/>').replace('name="base">', 'name="base"><joint/>'))
-    with pytest.raises(alfmu.InputError, match="there is no file 'none.stl'"):
+    with pytest.raises(alfmu.InputError, match=r"there is no file 'none\.stl'"):
         alfmu.imported(path)
     path.write_text(text.format("><compiler settotalmass='3'/", '<joint name="j"/>'))
-    with pytest.raises(alfmu.InputError, match="there is no file 'none.stl'"):
+    with pytest.raises(alfmu.InputError, match=r"there is no file 'none\.stl'"):
         alfmu.imported(path)
 
 
