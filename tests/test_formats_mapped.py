@@ -479,6 +479,20 @@ def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_pat
     np.testing.assert_allclose(body.inertia, np.diag(turn @ np.diag(model.body_inertia[1]) @ turn.T), rtol=1e-6)
 
 
+def test_a_mesh_as_a_shell_has_its_area_as_mass(tmp_path: Path):
+    """A cube of 0.2 m: mass 1000 A, and 5/3 of the moment of the solid cube of this mass; of the geom or the mesh."""
+    path = tmp_path / "m.xml"
+    corners = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
+    for mesh, geom in (("", 'shellinertia="true"'), ('inertia="shell"', "")):
+        path.write_text(
+            f'<mujoco><asset><mesh name="c" vertex="{corners}" {mesh}/></asset><worldbody><body><joint/>'
+            f'<geom type="mesh" mesh="c" {geom}/></body></worldbody></mujoco>'
+        )
+        (body,) = alfmu.imported(path).mechanism.spatial_bodies
+        assert body.mass == pytest.approx(1000 * 6 * 0.2**2)
+        np.testing.assert_allclose(body.inertia, body.mass * 0.2**2 / 6 * 5 / 3, rtol=1e-12)
+
+
 def test_shapes_of_bodies_that_stand_still_need_no_inertia(tmp_path: Path):
     """A base whose mesh is missing was refused, as if it moved."""
     path = tmp_path / "m.xml"

@@ -119,8 +119,8 @@ class File:
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
             for x in self._parts("asset", "mesh")
         }
-        self.inertias: dict[str, Inertial] = {}
-        """Inertias of meshes that were read, of unit density."""
+        self.inertias: dict[tuple[str, bool], Inertial] = {}
+        """Inertias of meshes that were read, of unit density, and as shells."""
         self.tuned: list[tuple[Joint, float, float]] = []
         """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
@@ -487,11 +487,12 @@ class File:
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
             return
-        if given.flag("shellinertia", False):
-            node.fail("the inertia of shells does not map; give the body an <inertial>")
+        shell = given.flag("shellinertia", False)
         try:
+            if shell and kind != "mesh":
+                node.fail("the inertia of shells maps of meshes alone; give the body an <inertial>")
             if kind == "mesh":
-                whole, pose = self._mesh(given), frame @ self._pose(given)
+                whole, pose = self._mesh(given, shell), frame @ self._pose(given)
                 factor = density if mass is None else mass / whole.mass
                 inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
                 found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
@@ -502,11 +503,11 @@ class File:
         except InputError as error:
             self.doubts.append((link, node, error))
 
-    def _mesh(self, geom: Reading) -> Inertial:
+    def _mesh(self, geom: Reading, shell: bool) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
         name = geom.text("mesh")
-        if name in self.inertias:
-            return self.inertias[name]
+        if (name, shell) in self.inertias:
+            return self.inertias[name, shell]
         node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
         kind = given.choice("inertia", ("legacy", "convex", "exact", "shell"), "legacy")
@@ -524,10 +525,10 @@ class File:
             corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
             corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
             corners = hull(corners.reshape(-1, 3)) if kind == "convex" else corners
-            found = solid(corners, kind != "legacy", kind == "shell")
+            found = solid(corners, kind != "legacy", shell or kind == "shell")
         except (InputError, IndexError, ValueError) as error:
             geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
-        self.inertias[name] = found
+        self.inertias[name, shell] = found
         return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
