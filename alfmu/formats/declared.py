@@ -80,16 +80,23 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
     guessed = _Declaring(linkage, description)
     mechanism, notes, warned = guessed.script.mechanism, [], ""
     chosen = {c.name for c in mechanism.coordinates}
-    values = guessed.values
+    values, spare = guessed.values, dict[str, tuple[str, ...]]()
     if mechanism.closures:
         closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
-        chosen, values = closed.independent, closed.values
+        chosen, values, spare = closed.independent, closed.values, closed.spare
         if not chosen:
             notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
+            warned = notes[-1]
+        if spare:
+            left = ", ".join(f"{name} without {' and '.join(directions)}" for name, directions in spare.items())
+            notes.append(
+                f"its loops keep directions several times, and agree on them to {closed.missed:.1g} m or rad alone, as "
+                f"numbers are rounded; closed are {left}"
+            )
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))
-            warned = notes[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
-    final = _Declaring(linkage, description, chosen, values)
+            warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
+    final = _Declaring(linkage, description, chosen, values, spare)
     return final.script, final.renamed, notes, warned
 
 
@@ -118,8 +125,9 @@ class _Declaring:
         description: str,
         chosen: set[str] | None = None,
         closed: Mapping[str, float] | None = None,
+        spare: Mapping[str, tuple[str, ...]] | None = None,
     ):
-        self.linkage, self.chosen, self.closed = linkage, chosen, closed or {}
+        self.linkage, self.chosen, self.closed, self.spare = linkage, chosen, closed or {}, spare or {}
         self.given: set[str] = set()
         self.limits: dict[str, tuple[float, float]] = {}
         self.taken, self.renamed = set(_AVOIDED), dict[str, str]()
@@ -409,6 +417,8 @@ class _Declaring:
         springs = any(map(any, (joint.damping, joint.stiffness, joint.friction)))
         method = _METHODS.get(joint.kind, joint.kind)
         made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
+        if name in self.spare:
+            self.script.do("spare", name, *self.spare[name])
         self._spring(joint, made)
 
     def _turned(self, name: str, marker: Named, e: Array) -> Named:

@@ -53,7 +53,7 @@ class Imported:
     notes: tuple[str, ...]
     """Further remarks, such as loops that are open in the file."""
     moved: str
-    """Coordinates that were moved far to close the loops."""
+    """Coordinates that were moved far to close the loops, or that this leaves no motion."""
     renamed: dict[str, str]
     """New names by kind and old name."""
     _source: Callable[[str], str]
@@ -132,7 +132,11 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
     linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
-    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
+    for node, why in root.unread({node for nodes in linkage.left_out.values() for node in nodes}):
+        if "unknown" in leaves:
+            linkage.warn("unknown elements and attributes, which the user leaves out", node)
+        else:
+            linkage.causes.append(why)
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     linkage.judge()

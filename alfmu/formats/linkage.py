@@ -25,7 +25,7 @@ __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkag
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
+LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons", "unknown")
 """Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints."""
 
 _RANK = 1e-7

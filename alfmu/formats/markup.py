@@ -29,7 +29,7 @@ DEEPEST = 200
 MOST = 200_000
 """Largest number of elements of a file."""
 
-_UNKNOWN = "alfmu does not know what {} does to the motion; leave it out if it does nothing"
+_UNKNOWN = "alfmu does not know what {} does to the motion; --option leave=unknown leaves it out"
 
 _NAMESPACES = ("xmlns", "xsi:", "xml:")
 """Prefixes of attributes that belong to XML itself, not to a format."""
@@ -46,11 +46,12 @@ _FLAGS = {"true": True, "1": True, "false": False, "0": False}
 
 
 class Attributes(dict[str, str]):
-    """Attributes of an element, which record the names that were read."""
+    """Attributes of an element, which record the names that were read, and those that are not known."""
 
     def __init__(self, given: Mapping[str, str]):
         super().__init__(given)
         self.taken: set[str] = set()
+        self.unknown: set[str] = set()
 
     def __getitem__(self, name: str) -> str:
         self.taken.add(name)
@@ -116,17 +117,19 @@ class Node:
         for each in self.below():
             each.taken = True
             each.attributes.taken.update(each.attributes)
+            each.attributes.unknown.clear()
 
-    def unread(self, left: Container[Node]) -> Iterator[str]:
-        """Yield messages on attributes and elements that were not read, recursively; `left` is ignored."""
+    def unread(self, left: Container[Node]) -> Iterator[tuple[Node, str]]:
+        """Yield elements that were not read, or have such attributes, and messages, recursively; `left` is ignored."""
         if self in left or self.tag == "plugin":
             return
+        read = (self.attributes.taken | {"name"}) - self.attributes.unknown
         for name, value in self.attributes.items():
-            if name not in self.attributes.taken and name != "name" and not name.startswith(_NAMESPACES):
-                yield f"{self.where}: " + _UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>')
+            if name not in read and not name.startswith(_NAMESPACES):
+                yield self, f"{self.where}: " + _UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>')
         for child in self.children:
             if not child.taken:
-                yield f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
+                yield child, f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
             else:
                 yield from child.unread(left)
 
@@ -158,7 +161,7 @@ class UnknownName(InputError):
 
 
 class Reading:
-    """The attributes of an element, or `given` attributes, some of them inherited; `done` rejects unread ones."""
+    """The attributes of an element, or `given` attributes, some of them inherited; `done` marks unread ones."""
 
     def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
@@ -223,11 +226,11 @@ class Reading:
                 self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
 
     def done(self, harmless: Sequence[str] = ()) -> None:
-        """Reject attributes that were neither read nor harmless."""
+        """Mark attributes that were neither read nor harmless as not known."""
         self.node.attributes.taken.update(self._given)
-        for name, (value, node) in self._given.items():
-            if name not in self._taken and name not in harmless and not name.startswith(_NAMESPACES):
-                node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
+        for name, (_, node) in self._given.items():
+            if name not in self._taken and name not in harmless:
+                node.attributes.unknown.add(name)
 
 
 class Children(Reading):

@@ -119,8 +119,8 @@ class File:
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
             for x in self._parts("asset", "mesh")
         }
-        self.inertias: dict[str, Inertial] = {}
-        """Inertias at unit density of the meshes read so far."""
+        self.inertias: dict[tuple[str, bool], Inertial] = {}
+        """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
         self.tuned: list[tuple[Joint, float, float]] = []
         """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
@@ -129,6 +129,10 @@ class File:
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.masses: dict[Link, list[Inertial]] = {}
         """Inertias that geoms contribute to bodies."""
+        self.doubts: list[tuple[Link, Node, InputError]] = []
+        """Geoms with an unknown inertia, which is an error only if their body moves."""
+        self.soft: tuple[str, ...] = ()
+        """Prefixes of the names of bodies that belong to flexible bodies."""
         self.tendons: dict[str, Sum | None] = {}
         self.zero: dict[Link, Pose] = {}
         every = self.linkage.every
@@ -139,6 +143,11 @@ class File:
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
+        for link, node, doubt in self.doubts:
+            if _moving(link) is not None or self.settings.total:
+                self.linkage.causes.append(str(doubt))
+            else:
+                self.linkage.note("these shapes of bodies that stand still have no mass here, as it is not known", node)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
@@ -288,6 +297,8 @@ class File:
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
         elif child.tag in ("flexcomp", "composite"):
+            name = child.attributes.get("name")
+            self.soft += (f"{name}_",) if child.tag == "flexcomp" else (f"{child.attributes.get('prefix')}B_",)
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
@@ -434,7 +445,7 @@ class File:
         elif time or ratio:
             what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
             given.fail("springdamper", what)
-        limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
+        limits = self._range(given, "", not scalar) if not self.settings.off & {"limit", "constraint"} else None
         if limits and scalar:
             joint.limits = ((angle(limits[0]), angle(limits[1])),)
             self.linkage.limited.append(node)
@@ -476,26 +487,30 @@ class File:
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
             return
-        if given.flag("shellinertia", False):
-            node.fail("the inertia of shells does not map; give the body an <inertial>")
-        if kind == "mesh":
-            whole, pose = self._mesh(given), frame @ self._pose(given)
-            factor = density if mass is None else mass / whole.mass
-            inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
-            found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
-        else:
-            solid, at = self._solid(given, kind)
-            found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
-        self.masses.setdefault(link, []).append(found)
+        shell = given.flag("shellinertia", False)
+        try:
+            if shell and kind != "mesh":
+                node.fail("the inertia of shells maps of meshes alone; give the body an <inertial>")
+            if kind == "mesh":
+                whole, pose = self._mesh(given, shell), frame @ self._pose(given)
+                factor = density if mass is None else mass / whole.mass
+                inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
+                found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
+            else:
+                solid, at = self._solid(given, kind)
+                found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
+            self.masses.setdefault(link, []).append(found)
+        except InputError as error:
+            self.doubts.append((link, node, error))
 
-    def _mesh(self, geom: Reading) -> Inertial:
+    def _mesh(self, geom: Reading, shell: bool) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
         name = geom.text("mesh")
-        if name in self.inertias:
-            return self.inertias[name]
+        if (name, shell) in self.inertias:
+            return self.inertias[name, shell]
         node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
-        kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
+        kind = given.choice("inertia", ("legacy", "convex", "exact", "shell"), "legacy")
         if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
             node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
         try:
@@ -509,10 +524,11 @@ class File:
                 corners = points[faces] if len(faces) else hull(points)
             corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
             corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
-            found = solid(hull(corners.reshape(-1, 3)) if kind == "convex" else corners, kind != "legacy")
+            corners = hull(corners.reshape(-1, 3)) if kind == "convex" else corners
+            found = solid(corners, kind != "legacy", shell or kind == "shell")
         except (InputError, IndexError, ValueError) as error:
             geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
-        self.inertias[name] = found
+        self.inertias[name, shell] = found
         return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
@@ -631,6 +647,8 @@ class File:
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
+        if name.startswith(self.soft):
+            self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
         return None if name == "world" else known(given.node, name, self.links, "body")
 
     # Actuators --------------------------------------------------------------------------------------------------
@@ -693,13 +711,13 @@ class File:
                     "actearly", "interp", *unused))  # fmt: skip
         self.linkage.motors.append(motor)
 
-    def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
-        """Return a range, None if it is not in force."""
+    def _range(self, given: Reading, what: str, point: bool = False) -> tuple[float, float] | None:
+        """Return a range, None if it is not in force; `point`: its ends may be equal, as for a ball joint."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
         if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
             return None
-        if not low < high:
+        if not (low < high or (point and low == high)):
             given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
         return low, high
 

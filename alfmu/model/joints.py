@@ -376,3 +376,19 @@ class Joints(Quantities):
         self._own((first, second), f"joint {name}", SpatialMarker)
         placing = None if second.body.is_placed else ()
         return self._join_in_space(SpatialJoint(name, "weld", first, second, coordinates=placing))
+
+    def spare(self, of: SpatialJoint | str, *directions: str) -> None:
+        """Leave out directions in which a joint in space closes a loop, as other joints keep them.
+
+        A hinge that closes a planar loop in space keeps some directions twice. Where numbers are rounded, the loop is
+        rigid by that, or does not close. The directions are those of the outputs of its reaction.
+        """
+        joint = self._joint(of)
+        if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
+            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space; spare directions are of those")
+        if unknown := [each for each in directions if each not in joint.directions]:
+            raise DeclarationError(
+                f"{self.name}: {joint.name} keeps no direction {shown(unknown[0])}; it keeps "
+                f"{', '.join(joint.directions)}"
+            )
+        self._change(joint, "spare", (*joint.spare, *directions))

@@ -317,11 +317,13 @@ class SpatialJoint(Brief):
     """The axes at the defaults of parameters, as numbers; they determine the normals."""
     drifts: bool = False
     """Whether the joint's point on the second body, which the joint places, moves on that body."""
+    spare: tuple[str, ...] = ()
+    """Directions that the joint leaves to other joints."""
 
     @property
     def directions(self) -> tuple[str, ...]:
         """The relative displacements that the joint suppresses."""
-        return SPATIAL_DIRECTIONS[self.kind]
+        return tuple(each for each in SPATIAL_DIRECTIONS[self.kind] if each not in self.spare)
 
     @property
     def freedoms(self) -> dict[str, str]:
