@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 28
+VERSION = 27
 """Version of scene files, increased whenever their content changes meaning."""

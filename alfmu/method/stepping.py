@@ -576,8 +576,7 @@ def judged(
     """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
 
     The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
-    given time does not shorten the next, and lengthens it by its own error only: the previous error is that of a step
-    of another length. A NaN error is rejected.
+    given time does not shorten the next. A NaN error is rejected.
     """
 
     def larger(a: Any, b: Any) -> Any:
@@ -593,8 +592,7 @@ def judged(
     small = larger(error, LEAST_ERROR)
     factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
     following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
-    alone = step * smaller(SAFETY * small ** (-1 / order), MOST_FACTOR)
-    following = where(step < dt * (1 - 1e-9), larger(dt, where(refused, dt, alone)), following)
+    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
     return (
         where(accepted, following, again),
         where(accepted, larger(error, LEAST_BEFORE), before),
