@@ -43,11 +43,11 @@ _NEARLY = 1e-9
 """Gap that is accepted if corrections gain no more, as near singular positions and with truncated digits."""
 
 _ROUGH = 1e-5
-"""Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint is another
-one but for rounding: files give a right angle as 1.5708."""
+"""Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint counts as
+equal to others except for rounded numbers: files give a right angle as 1.5708."""
 
 _APART = (0.1, 0.3, -0.3)
-"""Distances [mechanism's size, rad] at which that is tested: far along the motion."""
+"""Distances [mechanism's size, rad] along the motion at which this equality is tested."""
 
 _LONGEST = 0.3
 """Longest correction [rad, mechanism's size]: short enough for a linear correction to lead to a near position."""
@@ -150,10 +150,10 @@ class Loops:
         return gaps[self._kept], matrix[self._kept]
 
     def _spare(self, x: Array) -> bool:
-        """Leave out directions of joints that others keep but for the rounding of numbers, by which loops are rigid or
-        stay open; return whether there are any.
+        """Leave out directions of joints that other joints suppress except for rounded numbers, which make loops rigid
+        or keep them open; return whether there are any.
 
-        They must be kept by the others far from the position, too; at it they may be so because it is singular.
+        The other joints must suppress them far from the position, too: here the position may merely be singular.
         """
         gaps, matrix = self._all(x)
         exact = np.abs(gaps).max(initial=0.0) <= _CLOSED
@@ -184,7 +184,7 @@ class Loops:
         return x, gaps, matrix
 
     def _enough(self, matrix: Array) -> Array:
-        """Return which constraints are enough: all that are none of joints, and the first joints."""
+        """Return which constraints suffice: all that belong to no joint, and those of joints in order."""
         least = _ROUGH * np.linalg.norm(matrix, 2)
         kept = np.array([not direction for _, direction in self._rows], dtype=bool)
         done = np.linalg.svd(matrix[kept], full_matrices=False)

@@ -378,10 +378,10 @@ class Joints(Quantities):
         return self._join_in_space(SpatialJoint(name, "weld", first, second, coordinates=placing))
 
     def spare(self, of: SpatialJoint | str, *directions: str) -> None:
-        """Leave out directions in which a joint in space closes a loop, as other joints keep them.
+        """Leave out directions in which a joint in space closes a loop, because other joints suppress them.
 
-        A hinge that closes a planar loop in space keeps some directions twice. Where numbers are rounded, the loop is
-        rigid by that, or does not close. The directions are those of the outputs of its reaction.
+        A hinge that closes a planar loop in space suppresses some directions for a second time. If numbers are rounded,
+        this makes the loop rigid, or keeps it open. Directions have the names of the joint's reaction outputs.
         """
         joint = self._joint(of)
         if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
