@@ -256,7 +256,7 @@ def test_a_loop_closed_several_times_but_for_rounding_moves(
     path.write_text(PARALLELOGRAM.format(askew=askew, off=off, arm=arm, loops=loops))
     found = alfmu.imported(path)
     (note,) = found.notes
-    assert "its loops keep directions several times" in note
+    assert "joints of its loops suppress some directions more than once" in note
     run = alfmu.simulate(found.mechanism, 0.5, 0.05)
     angle, rate = run["a.angle"] - run["a.angle"][0], run["a.angular_velocity"]
     # Both arms turn, with their middles at half of the length 0.5 m, and the top moves along a circle of that radius.

@@ -88,10 +88,10 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
             notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
             warned = notes[-1]
         if spare:
-            left = ", ".join(f"{name} without {' and '.join(directions)}" for name, directions in spare.items())
+            left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
             notes.append(
-                f"its loops keep directions several times, and agree on them to {closed.missed:.1g} m or rad alone, as "
-                f"numbers are rounded; closed are {left}"
+                f"joints of its loops suppress some directions more than once, and agree on them only to "
+                f"{closed.missed:.1g} m or rad, as numbers are rounded; left out are the directions {left}"
             )
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))
