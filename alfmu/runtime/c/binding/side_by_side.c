@@ -20,52 +20,43 @@ static int serves(const Group *g, const Function *f)
 #endif
 }
 
-typedef struct {
-    const double *x;
-    double *y;
-} Argument;
+#if defined(__GNUC__)
 
-/* Evaluate a function in all lanes; `place` finds arguments and results by lane and index. */
-static inline void evaluate(const Group *g, const Function *f, const void *places,
-    Argument place(const Group *g, const Function *f, const void *places, int lane, int each))
+/* Evaluate a function in all lanes; `place` finds its arguments and results by lane and number. Lanes in excess repeat
+   the first one. */
+static inline void evaluate(const Group *g, const Function *f, const Word *places,
+    double *place(const Group *g, const Function *f, const Word *places, int lane, int each))
 {
     Lanes *d = g->registers + g->instances[0]->scene->constant_count;
     const uint16_t *from = f->narrow + f->words;
-    for (int j = 0; j < f->inputs; d += f->lengths[j++])
-        for (int lane = 0; lane < g->count; lane++) {
-            const double *x = place(g, f, places, lane, j).x;
-            for (int e = 0; e < f->lengths[j]; e++)
-                d[e].lane[lane] = x[e];
-        }
-#if defined(__GNUC__)
+    double *numbers[LANES];
+    for (int j = 0; j < f->inputs; d += f->lengths[j++]) {
+        for (int lane = 0; lane < LANES; lane++)
+            numbers[lane] = place(g, f, places, lane < g->count ? lane : 0, j);
+        lanes_gather(d, (const double *const *)numbers, f->lengths[j]);
+    }
     lanes_evaluate(f, g->registers);
-#endif
-    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
-        for (int lane = 0; lane < g->count; lane++) {
-            double *y = place(g, f, places, lane, j).y;
-            for (int e = 0; e < f->lengths[j]; e++)
-                y[e] = g->registers[from[e]].lane[lane];
-        }
+    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++]) {
+        for (int lane = 0; lane < g->count; lane++)
+            numbers[lane] = place(g, f, places, lane, j);
+        lanes_scatter(g->registers, from, numbers, f->lengths[j], g->count);
+    }
 }
 
-static inline Argument in_memory(const Group *g, const Function *f, const void *places, int lane, int each)
+static inline double *in_memory(const Group *g, const Function *f, const Word *places, int lane, int each)
 {
-    double *m = g->instances[lane]->m + ((const Word *)places)[each];
-    const Argument place = {m, m};
     (void)f;
-    return place;
+    return g->instances[lane]->m + places[each];
 }
 
-static inline Argument in_arrays(const Group *g, const Function *f, const void *places, int lane, int each)
+/* Arguments are only read. */
+static inline double *in_arrays(const Group *g, const Function *f, const Word *places, int lane, int each)
 {
-    Argument place = {NULL, NULL};
     (void)places;
-    if (each < f->inputs)
-        place.x = g->x[lane][each];
-    else
-        place.y = g->y[lane][each - f->inputs];
-    return place;
+    return each < f->inputs ? (double *)g->x[lane][each] : g->y[lane][each - f->inputs];
 }
+
+#endif
 
 static void call(const Group *g, const Function *f, const Word *at)
 {

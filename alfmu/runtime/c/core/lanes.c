@@ -74,9 +74,33 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lane
     }
 }
 
+#if PART == 4
+#define FIRST(k) {x[k], x[k + 1], x[k + 2], x[k + 3]}
+#define FROM(x) {x[0][each], x[1][each], x[2][each], x[3][each]}
+#else
+#define FIRST(k) {x[k], x[k + 1]}
+#define FROM(x) {x[0][each], x[1][each]}
+#endif
+
+BY_PROCESSOR void lanes_gather(Lanes *d, const double *const *x, int length)
+{
+    EACH_PART {
+        const double *const own[PART] = FIRST(part * PART);
+        for (int each = 0; each < length; each++)
+            d[each].part[part] = (Vector)FROM(own);
+    }
+}
+
 void lanes_evaluate(const Function *f, Lanes *r)
 {
     lanes_run(f->narrow, f->narrow + f->words, r);
+}
+
+void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count)
+{
+    for (int lane = 0; lane < count; lane++)
+        for (int each = 0; each < length; each++)
+            y[lane][each] = r[from[each]].lane[lane];
 }
 
 #endif

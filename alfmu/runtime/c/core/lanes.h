@@ -36,8 +36,14 @@ typedef union {
 } Lanes;
 
 #if defined(__GNUC__)
+/* Copy `length` numbers at x[lane] into each lane of d. */
+void lanes_gather(Lanes *d, const double *const *x, int length);
+
 /* Evaluate a function with narrow places in all lanes; its arguments are in the registers before its values. */
 void lanes_evaluate(const Function *f, Lanes *r);
+
+/* Copy `length` numbers at r[from[each]] to y[lane] for the first `count` lanes. */
+void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count);
 #endif
 
 /* Return the first address from `place` on at which lanes are aligned with cache lines. */
