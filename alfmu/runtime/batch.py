@@ -24,7 +24,7 @@ from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from .library import BRAKES, DONE, Scene
-from .pipeline import derive, loaded, ready, with_brakes, with_defaults
+from .pipeline import derive, loaded_in_lanes, ready, with_brakes, with_defaults
 
 __all__ = ["Batch", "Members"]
 
@@ -79,6 +79,7 @@ class Batch:
         parameters: Mapping[str, float | str] | None = None,
         outputs: Sequence[str] | None = None,
         threads: int | None = None,
+        kernel: str = DEFAULT,
     ):
         e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
@@ -93,7 +94,7 @@ class Batch:
                     f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
                 )
         order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # an option of the scene
-        traced, self._common = ready(with_defaults(e, order), own, outputs, None, DEFAULT)
+        traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
         self.name: str = e.name
         self.count: int = count
         wanted = threads or max(1, min(_processors(), count // LEAST))
@@ -113,7 +114,7 @@ class Batch:
         found = variables_of(equations, default_settings(equations))
         self.equations: Traced = equations
         self._variables = {v.name: v for _, v in found.causalities}
-        self._scene: Scene = loaded(equations)
+        self._scene: Scene = loaded_in_lanes(equations)
         self._parts = [_Part(self._scene, own) for own in self._slices]
         member = self._scene.library.alfmu_batch_member
         self._members = [member(part.address, k) for part in self._parts for k in range(part.own.stop - part.own.start)]

@@ -36,7 +36,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import METHODS, Settings
 from ..model.words import in_words
 from .build import compiler
-from .compiled import compiled_scene
+from .compiled import compiled_scene, lane_flags
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
 from .shipped import installed
@@ -401,3 +401,18 @@ def loaded(equations: Traced) -> Scene:
     if equations.library:
         scene.compiled_by(equations.library)
     return scene
+
+
+@once
+def loaded_in_lanes(equations: Traced) -> Scene:
+    """Return the loaded scene of traced equations for a batch: compiled functions are compiled in lanes, too."""
+    scene = loaded(equations)
+    if library := library_in_lanes(equations):
+        scene.compiled_by(library, in_lanes=True)
+    return scene
+
+
+def library_in_lanes(equations: Traced) -> Path | None:
+    """Return the functions of a compiled scene in lanes; None if it is not compiled, or the processor has no lanes."""
+    flags = lane_flags() if equations.library else []
+    return compiled_scene(equations, packed(equations), flags) if flags else None

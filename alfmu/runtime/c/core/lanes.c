@@ -74,21 +74,11 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lane
     }
 }
 
-#if PART == 4
-#define FIRST(k) {x[k], x[k + 1], x[k + 2], x[k + 3]}
-#define FROM(x) {x[0][each], x[1][each], x[2][each], x[3][each]}
-#else
-#define FIRST(k) {x[k], x[k + 1]}
-#define FROM(x) {x[0][each], x[1][each]}
-#endif
-
-BY_PROCESSOR void lanes_gather(Lanes *d, const double *const *x, int length)
+BY_PROCESSOR void lanes_gather(double *rows, int step, const double *const *x, int length)
 {
-    EACH_PART {
-        const double *const own[PART] = FIRST(part * PART);
-        for (int each = 0; each < length; each++)
-            d[each].part[part] = (Vector)FROM(own);
-    }
+    const double *const a = x[0], *const b = x[1], *const c = x[2], *const d = x[3];
+    for (int each = 0; each < length; each++, rows += step)
+        *(LaneRow *)(void *)rows = (LaneRow){a[each], b[each], c[each], d[each]};
 }
 
 void lanes_evaluate(const Function *f, Lanes *r)

@@ -206,13 +206,29 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     return s;
 }
 
-int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+static void take_lanes(Scene *s, Function *own, Compiled *const *functions, int spare)
+{
+    for (int k = 0; k < s->function_count; k++) {
+        int rows = spare;
+        for (int j = 0; j < own[k].inputs + own[k].outputs; j++)
+            rows += own[k].lengths[j];
+        if (rows > s->lane_rows)
+            s->lane_rows = rows;
+        own[k].in_lanes = functions[k];
+    }
+}
+
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes)
 {
     Function *own = (Function *)s->functions; /* allocated by the scene itself */
     char body[9];
     snprintf(body, sizeof body, "%08x", s->body);
     if (count != s->function_count || !reader_check_between(spare, 0, MOST_NUMBERS) || strcmp(identity, body))
         return 0;
+    if (in_lanes) {
+        take_lanes(s, own, functions, spare);
+        return 1;
+    }
     for (int k = 0; k < count; k++)
         own[k].compiled = functions[k];
     s->spare = spare;
