@@ -18,7 +18,19 @@ from ..model.hooks import handed_in
 from ..model.kept import latest
 
 __all__ = [
-    *("BINARY", "CONSTANT", "INPUT", "NOTHING", "OPERATIONS", "PLAIN", "ROLE", "ROLES", "UNARY", "VALUE", "Instructions"),
+    *(
+        "BINARY",
+        "CONSTANT",
+        "INPUT",
+        "NOTHING",
+        "OPERATIONS",
+        "PLAIN",
+        "ROLE",
+        "ROLES",
+        "UNARY",
+        "VALUE",
+        "Instructions",
+    ),
     *("Operations", "address", "library", "number"),
 ]
 

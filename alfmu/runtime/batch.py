@@ -69,7 +69,7 @@ class Batch:
 
     `mechanism` is a `Mechanism`, a name, a file, or equations; `parameters` are common to all members, choices such as
     `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster. `threads` share
-    the members, one for each processor by default.
+    the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without the oracle.
     """
 
     def __init__(
@@ -87,6 +87,8 @@ class Batch:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
         if parameters is not None and not isinstance(parameters, Mapping):
             raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
+        if kernel == "oracle":
+            raise InputError(f"{e.name}: the oracle has no batches; use the kernel vm or compiled")
         own = dict(parameters or {})
         for name, value in own.items():
             if not isinstance(value, str | int | float | np.number):

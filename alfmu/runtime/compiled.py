@@ -17,15 +17,14 @@ from ..model.cache import keep, kept, whole
 from ..model.errors import ExportError
 from ..model.files import scratch
 from .build import compiler
-from .shipped import installed
 from .stored import software
 
-__all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "lane_flags", "verified", "version"]
+__all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
 
-_LANES = ("-fno-trapping-math", "-fexpensive-optimizations", "-Wno-psabi")
+_LANES = ("-fno-trapping-math", "-Wno-psabi")
 """Further flags of functions in lanes, whose choices become vectors without branches."""
 
 _BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
@@ -53,16 +52,11 @@ def compiled_scene(equations: Traced, scene: bytes, lanes: Sequence[str] = ()) -
     return kept(name, SUFFIX) or _built(equations.name, command, machine_code(complete(equations), scene), name, lanes)
 
 
-def lane_flags() -> list[str]:
-    """Return the flags with which functions are compiled in lanes for this processor; none if it has no lanes."""
-    return installed().alfmu_lane_flags().decode().split()
-
-
 def _built(scene: str, command: list[str], files: list[str], name: str, lanes: Sequence[str] = ()) -> Path:
     """Return the library of a scene's C from the cache, or build it."""
     # An optimisation level in CC applies. On long straight-line code the higher one takes twice the time and gains
-    # nothing.
-    usual = "-O2" if len(files) == 1 else "-O1"
+    # nothing, but for vectors: without it, calls of the C library take ten times as long after them.
+    usual = "-O2" if len(files) == 1 or lanes else "-O1"
     level = [x for x in command if x.startswith("-O")] or [usual]
     flags = [*level, *FLAGS, *lanes, *_LANES * bool(lanes), "-include", _BASELINE.name]
     named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
@@ -90,7 +84,7 @@ def build(scene: str, command: list[str], files: Mapping[str, str], name: str, s
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = list(pool.map(compile_one, (each for each in files if each.endswith(".c"))))
-            linked = _run(scene, [*command, "-shared", *objects, "-lm"], "kernel", folder, otherwise)
+            linked = _run(scene, [*command, "-shared", "-s", *objects, "-lm"], "kernel", folder, otherwise)
             return keep(name, suffix, (folder / linked).read_bytes())
     except OSError as error:
         why = error.strerror or error

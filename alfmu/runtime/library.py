@@ -172,7 +172,9 @@ class Scene:
         count, spare = (c_int.in_dll(code, f"alfmu_{name}").value for name in ("function_count", "spare"))
         table = (c_void_p * count).in_dll(code, "alfmu_functions")
         identity = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(code, "alfmu_scene")))
-        if not self.library.alfmu_scene_compiled(self.address, ctypes.addressof(table), count, spare, identity, in_lanes):
+        if not self.library.alfmu_scene_compiled(
+            self.address, ctypes.addressof(table), count, spare, identity, in_lanes
+        ):
             raise ValueError(f"{self.name}: {path.name} has the functions of another scene; export it again")
         self.code.append(code)  # keeps the library alive as long as the scene
 

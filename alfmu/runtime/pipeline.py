@@ -11,6 +11,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,15 +37,15 @@ from ..model.mechanism import Mechanism
 from ..model.settings import METHODS, Settings
 from ..model.words import in_words
 from .build import compiler
-from .compiled import compiled_scene, lane_flags
+from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
-from .shipped import installed
+from .shipped import installed, lane_flags
 from .stored import Start, constants, stored_decision, stored_scene, stored_start
 
 __all__ = [
-    *("chosen", "decision_of", "derive", "loaded", "packed", "prepared", "ready", "retraced"),
-    *("with_brakes", "with_defaults"),
+    *("chosen", "decision_of", "derive", "library_in_lanes", "loaded", "loaded_in_lanes", "packed", "prepared"),
+    *("ready", "retraced", "with_brakes", "with_defaults"),
 ]
 
 

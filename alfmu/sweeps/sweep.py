@@ -23,7 +23,8 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
+from ..runtime.pipeline import derive, library_in_lanes, packed, ready, with_brakes, with_defaults
+from ..runtime.shipped import lane_flags
 from ..simulation import by_name, communication_points, instance, names_in, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
@@ -330,8 +331,12 @@ def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, f
 
 def _packed(unit: Instance) -> tuple[bytes, Code | None]:
     """Return the scene of an instance as a file, and its compiled functions if there are any."""
-    library = unit.equations.library
-    return packed(unit.equations), Code(machine(), Path(library).read_bytes()) if library else None
+    e = unit.equations
+    if e.library is None:
+        return packed(e), None
+    lanes = library_in_lanes(e)
+    code = Code(machine(), e.library.read_bytes(), lane_flags(), lanes.read_bytes() if lanes else None)
+    return packed(e), code
 
 
 def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], Callable[[], Job]]:
