@@ -134,7 +134,7 @@ class Node:
         """Return the only child with a tag, None if there is none; raise InputError if there are several."""
         found = self.all(tag)
         if len(found) > 1:
-            found[1].fail(f"<{tag}> stands here a second time; give one")
+            found[1].fail(f"<{tag}> is given twice; give one")
         return found[0] if found else None
 
     def need(self, tag: str) -> Node:

@@ -342,8 +342,8 @@ class Joints(Quantities):
         if abs(across) > 1e-9:
             raise DeclarationError(
                 f"{self.name}: the axes {shown(axis)} and {shown(second_axis)} of {name} make an angle of "
-                f"{math.degrees(math.acos(across)):.6g} degrees; those of a universal joint are square to each other "
-                "where the frames are parallel"
+                f"{math.degrees(math.acos(across)):.6g} degrees; those of a universal joint are perpendicular where "
+                "the frames are parallel"
             )
         placing = self._placing(name, "universal", coordinates)
         return self._join_in_space(SpatialJoint(name, "universal", first, second, axes, placing))

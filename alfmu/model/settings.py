@@ -28,8 +28,11 @@ METHODS: dict[str, str] = {
     "explicit": "Verner 8(7) or Dormand-Prince 5(4), steps by solver.relative_tolerance",
     "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
     "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
-    "generalized_alpha": "the same with damping of high frequencies",
-    "auto": "explicit or stiff as the scene asks, RK4 with error control where communication steps are short",
+    "generalized_alpha": "trapezoidal with damping of high frequencies",
+    "auto": (
+        "explicit or stiff, chosen by the eigenvalues at the start; RK4 with error control if communication "
+        "steps are short"
+    ),
 }
 """Names of the methods of integration."""
 

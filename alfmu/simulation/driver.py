@@ -71,7 +71,7 @@ def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
     is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
-        raise InputError(f"{name} has no {setting}, which a run that checks another one changes; FMUs of alfmu have it")
+        raise InputError(f"{name} has no {setting}, which --check changes for its second run; FMUs of alfmu have it")
     return setting, FINER[setting] * float(known[setting])
 
 
@@ -80,7 +80,7 @@ def checked(result: Result, other: Result, setting: str, value: float) -> Result
     check = Check.of(result, other, setting, value)
     if check.since is not None:
         _LOGGER.warning(
-            "%s: %s, and by more than a part of %g from t = %.3g s on; take a smaller %s",
+            "%s: %s, and by a relative %g or more from t = %.3g s on; take a smaller %s",
             *(result.mechanism, check, OFF, check.since, setting),
         )
     return replace(result, check=check)
@@ -145,8 +145,8 @@ def _tell_of_small_states(unit: Instance, result: Result) -> None:
         largest = float(np.abs(result[v.name]).max()) if v.name in result.names else 0.0
         if NOTHING * nominal < largest < HIDDEN * nominal:
             _LOGGER.warning(
-                "%s: the state %s reached %.2g %s at most, and errors are judged by its nominal value %g %s; give "
-                "nominal= in state()",
+                "%s: the state %s reached %.2g %s at most, too small for error control by its nominal value %g %s; "
+                "give nominal= in state()",
                 *(unit.name, v.name, largest, v.unit, nominal, v.unit),
             )
 

@@ -281,7 +281,8 @@ Outcome settings_update_rank(Instance *i, const double *q, const double *v)
         rank_calibrate(i, q, v, held, settings_usual(i));
     if (i->flags.brakes && !s->brakes)
         outcome = instance_say(i, RANK_CHANGES,
-            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            "%s: with these parameters redundant constraints would brake the motion, and the scene is not traced for "
+            "them; export it with these parameters (--set)",
             s->name);
     arena_release(i, arena);
     return outcome;
