@@ -226,7 +226,7 @@ def test_what_does_nothing_or_may_matter_is_told(tmp_path: Path):
         for a, b in (("world", "l"), ("l", "k"), ("world", "k"))
     ) + "<link name='n'/><joint name='x' type='revolute'><parent>world</parent><child>n</child><axis/></joint>"
         "<joint name='y' type='fixed'><parent>k</parent><child>n</child></joint>"))  # fmt: skip
-    assert "leave it no motion" in alfmu.imported(path).notes[-1]
+    assert "permit no motion" in alfmu.imported(path).notes[-1]
 
 
 USUAL = {

@@ -264,7 +264,7 @@ def test_only_rk4_has_every_formulation(tmp_path):
         fmu.initialize()
         fmu.reset()
         fmu.set("solver.formulation", "classic")
-        with pytest.raises(alfmu.StepError, match=r"solver\.method explicit takes solver\.formulation residual"):
+        with pytest.raises(alfmu.StepError, match=r"solver\.method explicit needs solver\.formulation residual"):
             fmu.initialize()
     both = {**given, "solver.formulation": "classic"}
     for kind in ("native", "python"):

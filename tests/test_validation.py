@@ -215,7 +215,7 @@ DEFECTS = [
     ("set_fixed", "set.parameter", "23", "m, which is fixed, is set with OK"),
     ("any_order", "order.calls", "3", "it takes a step before initialisation"),
     ("category", "logging.categories", "23", "the declared category 'problems' is refused with Error"),
-    ("any_category", "logging.categories", "3", "a category that is not declared is taken"),
+    ("any_category", "logging.categories", "3", "a category that is not declared is accepted"),
     ("mute", "logging.errors", "23", "ends with Error and logs nothing"),
     ("shared", "instance.two", "2", "beside a second instance, "),
     ("leak", "instance.repeated", "3", "memory grows by 6"),
@@ -515,12 +515,12 @@ def test_a_record_that_was_changed_is_told_by_its_check_sum(recorded, tmp_path):
         (
             "slider_crank_validation.exp",
             lambda d: d.replace(b'source="slider_crank_validation.ssv"', b'source="../../../../etc/passwd"'),
-            "is no file inside the FMU, and is not read",
+            "is not a file inside the FMU, and is not read",
         ),
         (
             "slider_crank_validation.exp",
             lambda d: d.replace(b"TransientSimulation", b"SteadyState"),
-            "is a SteadyState; TransientSimulation alone is run",
+            "is a SteadyState; only a TransientSimulation is run",
         ),
         ("slider_crank_validation.ssv", lambda d: d.replace(b"Real", b"Binary"), "holds Binary"),
         ("slider_crank_validation_ref.csv", lambda d: b'time,"x', "a quotation mark"),
