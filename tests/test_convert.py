@@ -309,12 +309,12 @@ def alone(what: str) -> Mechanism:
 
 REFUSED = {
     "spring": "a spring acts between points", "friction": "in proportion to the reaction", "static": "static friction",
-    "lock": "it is a lock", "law": "depend on time", "effort": "not a sum of inputs", "force": "a force from the ground",
-    "rod": "a rod without mass", "energy": "is an expression", "armature": "holds no inertia of motors",
-    "rotor": "is an expression", "blade": "it is a blade",
+    "lock": "it is a lock", "law": "depend on time", "effort": "not a sum of inputs",
+    "force": "a force from the ground", "rod": "a rod without mass", "energy": "is an expression",
+    "armature": "holds no inertia of motors", "rotor": "is an expression", "blade": "it is a blade",
     "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
-    "pose": "leave 4 motions, and the coordinates 2",
+    "pose": "permit 4 motions, and the coordinates 2",
 }  # fmt: skip
 
 

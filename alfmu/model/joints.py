@@ -144,8 +144,8 @@ class Joints(Quantities):
             raise DeclarationError(f"{self.name}: the attitude of {name} is zero; give (1, 0, 0, 0) for no turn")
         if relative and (position, attitude) != ((0.0,) * 3, (1.0, 0.0, 0.0, 0.0)):
             raise DeclarationError(
-                f"{self.name}: {name} is relative and has a position or an attitude; give the coordinate of the joint "
-                "that places it a start"
+                f"{self.name}: {name} is relative and has a position or an attitude; give start= to the coordinate of "
+                "the joint that places it"
             )
         self._claim(name, "1", "a body")
         own = None

@@ -222,7 +222,7 @@ def _changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 @check(
     "dependencies.outputs",
-    "Outputs depend on the inputs that are declared, and on no others",
+    "Outputs depend only on declared inputs",
     "dependencies lists all inputs that an output depends on at the same time",
     "2.2.8 Definition of the Model Structure",
     "Definition of the Model Structure",
@@ -269,7 +269,7 @@ def _other(v: Variable, at: Any) -> Any:
 
 @check(
     "dependencies.start",
-    "Values at the start depend on what is declared, and on nothing else",
+    "Values at the start depend only on declared dependencies",
     "dependencies of initial unknowns list all that they depend on when initialisation ends",
     "2.2.8 Definition of the Model Structure (InitialUnknowns)",
     "Definition of the Model Structure (InitialUnknown)",

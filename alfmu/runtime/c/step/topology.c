@@ -29,8 +29,8 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
     energy_evaluate(i, v, &kinetic);
     if (lost > UNBALANCED * fmax(kinetic + lost, fabs(energy_at_speed(i, SLOW_MOTION))))
         instance_warn(i, WARNED_OF_IMPACT,
-            "%s, t = %.6g s: an impact took %.3g J, in which dry friction is not included: impulses in joints with "
-            "dry friction, such as %s, cause none",
+            "%s, t = %.6g s: an impact took %.3g J without a share of dry friction: impulses in joints with dry "
+            "friction, such as %s, cause no friction",
             s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
 }
 
