@@ -749,7 +749,10 @@ TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: kinematics(five_bar(), ["A"]), "robot has 2 degrees of freedom, and A determines 1 of them; most of"),
+        (
+            lambda: kinematics(five_bar(), ["A"]),
+            "robot has 2 degrees of freedom, and A determines 1 of them; the undetermined motion is",
+        ),
         (lambda: kinematics(five_bar(), ["A", "crank_angleA"]), "A, crank_angleA name one motion twice"),
         (lambda: kinematics(five_bar(), ["Z"]), "robot has no place 'Z'"),
         (lambda: kinematics(five_bar(), ["tool"]), "tool has 2 values and cannot be actuated as a whole"),

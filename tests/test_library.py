@@ -78,7 +78,7 @@ def test_patterns_take_several_columns(four_bar):
     assert np.array_equal(chosen["link2.angle"], r["link2.angle"])
     with pytest.raises(alfmu.InputError, match=r"has no column like 'lever\*\.angle'; did you mean"):
         r["lever*.angle"]
-    with pytest.raises(alfmu.InputError, match=r"has no 'link1\.angel'; did you mean link1\.angle"):
+    with pytest.raises(alfmu.InputError, match=r"has no column 'link1\.angel'; did you mean link1\.angle"):
         r["link1.angel"]
 
 

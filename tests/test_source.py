@@ -247,8 +247,11 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
 
 
 REFUSED = {
-    "solver.method": ({"parameters": {"solver.method": "explicit"}}, "solver.method rk4 alone"),
-    "solver.formulation": ({"parameters": {"solver.formulation": "classic"}}, "solver.formulation residual alone"),
+    "solver.method": ({"parameters": {"solver.method": "explicit"}}, "sources support only solver.method rk4,"),
+    "solver.formulation": (
+        {"parameters": {"solver.formulation": "classic"}},
+        "sources support only solver.formulation residual,",
+    ),
     "derivatives": ({"derivatives": True}, "have no derivatives"),
     "kernel": ({"kernel": "vm"}, "has a kernel of its own"),
     "platforms": ({"platforms": ["linux64"]}, "is not built for a platform"),

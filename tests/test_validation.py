@@ -203,7 +203,7 @@ def test_fmus_of_alfmu_pass(fmu_of, kind, version):
 # FMUs that are wrong --------------------------------------------------------------------------------------------------
 
 DEFECTS = [
-    ("version", "api.version", "23", "it says '1.0'"),
+    ("version", "api.version", "23", "it reports '1.0'"),
     ("stillborn", "run.default", "2", "cannot be instantiated"),
     ("no_start", "run.default", "3", "fmi3ExitInitializationMode ended with Error: it will not start"),
     ("nan", "run.default", "2", "x is not finite"),
@@ -239,8 +239,8 @@ DEFECTS = [
     ("nonfinite", "values.nonfinite", "3", "u = nan is taken, and x is not finite"),
     ("item", "values.types", "23", "mode takes 3, which is no item"),
     ("count", "values.types", "2", "count is -1, outside its bounds"),
-    ("undeclared", "dependencies.outputs", "23", "v follows u at once"),
-    ("start_dependency", "dependencies.start", "3", "x follows k at the start"),
+    ("undeclared", "dependencies.outputs", "23", "v depends on u at the same time"),
+    ("start_dependency", "dependencies.start", "3", "x depends on k at the start"),
     ("exit", "run.default", "2", "ended its process in fmi2DoStep(from 0 s, by 0.1 s) (exit code 0)"),
     ("abort", "run.default", "3", "ended its process in fmi3DoStep(from 0.2 s, by 0.1 s) (SIGABRT)"),
 ]

@@ -175,7 +175,7 @@ class Result:
         for pattern in patterns:
             fit = [i for i, name in enumerate(self.names) if name == pattern or fnmatchcase(name, pattern)]
             if not fit:
-                what = "nothing like" if set(pattern) & set("*?") else "no"
+                what = "no column like" if set(pattern) & set("*?") else "no column"
                 raise InputError(
                     f"the result of {self.mechanism} has {what} {pattern!r}; {some_like(pattern, self.names)}"
                 )
