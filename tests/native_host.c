@@ -207,7 +207,7 @@ static void bad_values(void)
     CHECK(strstr(said, "logStatusDiscard") && strstr(said, "is outside"));
     CHECK(fmi2SetString(c, &text, 1, &unknown) == fmi2Error);
     CHECK(fmi2SetInteger(c, &text, 1, &none) == fmi2Discard);
-    CHECK(strstr(said, "knows 1 (continue), 2 (paper)"));
+    CHECK(strstr(said, "supports 1 (continue), 2 (paper)"));
     CHECK(fmi2SetInteger(c, &text, 1, &second) == fmi2OK);
     CHECK(fmi2GetInteger(c, &text, 1, &whole) == fmi2OK && whole == second);
     CHECK(got(c, HOST_PARAMETER) == before); /* What was refused left the value before it in force. */

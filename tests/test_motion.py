@@ -769,7 +769,8 @@ def test_a_jump_is_refused_with_its_size_and_nothing_has_changed():
     before = instance.save()
     instance.set("A.angle", 0.3)
     with pytest.raises(
-        alfmu.InputError, match=r"A.angle is set to 0.3 rad \(17.19 deg\), .* a jump of 0.3 rad, above the limit of 0.1 rad"
+        alfmu.InputError,
+        match=r"A.angle is set to 0.3 rad \(17.19 deg\), .* a jump of 0.3 rad, above the limit of 0.1 rad",
     ):
         instance.step(0.01)
     instance.restore(before)
