@@ -1,4 +1,4 @@
-"""The functions of alfmu for all kinds of subjects; each calls the responsible room."""
+"""The public functions, for mechanisms, recipes, FMUs and systems alike; each calls the module that does the work."""
 
 from __future__ import annotations
 
@@ -67,26 +67,25 @@ def simulate(
     file, a `Recipe`, or equations; an `.ssp` or a `.toml` file is a connected system (`alfmu.System`).
 
     `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
-    each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
-    linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
-    `start` is "declared" (the start values, the default), "equilibrium" (at rest in the position that
-    `alfmu.equilibrium(...).nearest` tells for the inputs at 0 s) or an `Equilibrium`.
-    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; names such
-    as `link1.angle/A.torque` ask for the interface Jacobian too, the derivative of an output at the end of each
-    communication step by an input that is held over it (`["*", "link*.angle/*"]` has all outputs and these). Parameters
-    in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
-    communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
-    long as they differ in numbers alone.
+    each input by name as a number, a function of time [s], or a table (times, values) that is interpolated linearly;
+    each communication step holds the value at its beginning. Defaults are the mechanism's own. `start` is "declared"
+    (the start values, the default), "equilibrium" (at rest in `alfmu.equilibrium(...).nearest`, with the inputs at 0 s)
+    or an `Equilibrium`. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None
+    for all; names such as `link1.angle/A.torque` add entries of the interface Jacobian, the derivative of an output at
+    the end of each communication step by an input that is held over it (`["*", "link*.angle/*"]`: all outputs and these
+    derivatives). Parameters in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`;
+    `progress` wraps the communication points to show the progress, for example `tqdm.tqdm`. Runs of one mechanism that
+    differ in numbers alone share the traced scene.
 
-    Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
-    are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
-    record them (fmpy, fmusim). Motions are the same.
+    Outputs that depend directly on inputs, such as accelerations and reactions, are evaluated with the inputs set at
+    the communication point of their row; with `held_rows`, with the inputs of the step that ends there, as importers
+    record them (fmpy, fmusim). The motion is the same.
 
-    With `check` it is run again with a hundredth of the tolerance, or half the steps where they have one length, and
-    `Result.check` tells how far off it is; a warning says where that passes a thousandth.
+    With `check` a second run uses a hundredth of the tolerance, or for methods with fixed steps half the step;
+    `Result.check` has the deviation, and a warning tells when it exceeds a thousandth.
 
-    Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
-    that has begun, the exception's `result` has the rows up to then.
+    Raises AlfmuError if a name, a value or the mechanism is invalid. If this or a KeyboardInterrupt ends a run that has
+    begun, the exception's `result` has the rows so far.
     """
     given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
     if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
@@ -165,10 +164,10 @@ def export(
 ) -> Path:
     """Write the FMU of a mechanism or a recipe and return its path, `<name>.fmu` by default.
 
-    A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
-    other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
-    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
-    ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
+    A name or a Python file stands for its recipe, or without one for its mechanism. The other arguments are fields of
+    `Recipe` and override those of the recipe; entries of `options` and `parameters` do so one by one. The same
+    arguments give the same bytes. Raises AlfmuError if the mechanism cannot start from the defaults, ExportError if it
+    cannot be compiled, and WriteError if the file cannot be written; no partial file is left.
     """
     own: dict[str, Any] = {
         "options": options,
@@ -190,9 +189,9 @@ def convert(
 ) -> Path:
     """Write a mechanism as MJCF (`.xml`), URDF (`.urdf`) or SDF (`.sdf`) and return the path.
 
-    Bodies, joints, loops, limits, springs, dampers, friction and inputs are those at the start that `parameters` and
-    defaults give; docs/howto/convert.md has what each format holds. Raises InputError with all that it does not hold,
-    and warns of what does nothing at first, such as rates at the start in URDF.
+    Bodies, joints, loops, limits, springs, dampers, friction and inputs have their values at the start given by
+    `parameters` and defaults; docs/howto/convert.md lists the abilities of each format. Raises InputError with all that
+    the format cannot represent, and warns of omitted rates and inputs at the start.
     """
     from .formats.writers import FORMS, written
 
@@ -211,7 +210,7 @@ def convert(
 
 
 def described(recipe: Recipe) -> tuple[Element, dict[str, bytes]]:
-    """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
+    """Return the description of an FMU of kind python and the files of its scene, for pythonfmu's own command."""
     return _described(recipe, rest_of(recipe))
 
 
@@ -223,7 +222,7 @@ def draw(
     parameters: Mapping[str, float] | None = None,
     size: tuple[int, int] = (640, 480),
 ) -> Drawing:
-    """The picture of a mechanism at its start, written to `path` too: see `Mechanism.draw`."""
+    """Return the picture of a mechanism at its start, and write it to `path` if given; see `Mechanism.draw`."""
     from .view.picture import drawing
 
     drawn = drawing(mechanism, at, parameters, size)
@@ -233,14 +232,14 @@ def draw(
 
 
 def plot(result: Result, names: Sequence[str] | None = None) -> Figure:
-    """A figure of matplotlib over time: see `Result.plot`."""
+    """Return a matplotlib figure over time; see `Result.plot`."""
     from .view.plot import figure
 
     return figure(result, names)
 
 
 def animate(result: Result, path: str | Path | None, fps: float, speed: float) -> Film | None:
-    """Write or return a film of the motion: see `Result.animate`."""
+    """Write or return a film of the motion; see `Result.animate`."""
     from .view.drawing import from_data
     from .view.picture import animate
 
@@ -263,7 +262,7 @@ def animate(result: Result, path: str | Path | None, fps: float, speed: float) -
 
 
 def drawing_of(result: Result) -> Any:
-    """How the mechanism of a result is drawn, as data; None where it is not known, or cannot be drawn."""
+    """Return the drawing of a result's mechanism as data; None if it is unknown or cannot be drawn."""
     from .view.drawing import as_data
     from .view.shapes import geometry
 

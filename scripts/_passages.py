@@ -1,7 +1,7 @@
-"""Exact motions of linkages through singular positions, and runs of alfmu that are judged by them.
+"""Exact motions of linkages through singular positions, and runs of alfmu for comparison.
 
-Each motion is that of one degree of freedom on the branch that is followed; beside it stands RK4 on that same equation
-with the same step, which is as good as RK4 can be.
+Each motion has one degree of freedom, on the branch that is followed. RK4 with the same step on the same scalar
+equation shows the best accuracy that RK4 can have.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ CRANK_START, CRANK_STEP, ROD = (np.pi / 4, 0.0), 0.00125, 0.5
 # The exact motion -------------------------------------------------------------------------------------------------
 
 Acceleration = Callable[[NDArray, NDArray, float | NDArray], NDArray]
-"""th'' of th, th' and a torque on the crank; all may be arrays of motions."""
+"""Function of th, th' and a torque on the crank that returns th''; all may be arrays over motions."""
 
 LARGEST = 0.005
-"""Longest step of the reference [s], at which round-off is all that is left of its error."""
+"""Longest step of the reference [s]; its error is then round-off."""
 
 
 @cache
 def parallelogram(m2: float = 1.0, m4: float = 0.0) -> Acceleration:
-    """Five-bar of links of 1 m and 1 kg on its parallelogram branch; the four-bar where m4 = 0.
+    """Return th'' of the five-bar on its parallelogram branch, links of 1 m and 1 kg; m4 = 0 is the four-bar.
 
     (m1/3 + m3/3 + m2 + m4/4) l^2 th'' = torque - (m1/2 + m3/2 + m2 + m4/2) g l cos th
     """
@@ -52,14 +52,14 @@ def parallelogram(m2: float = 1.0, m4: float = 0.0) -> Acceleration:
 
 
 def row(loops: int) -> Acceleration:
-    """N-four-bar of links of 1 m and 1 kg: (4 N + 1) / 3 m l^2 th'' = -(3 N + 1) / 2 m g l cos th."""
+    """Return th'' of the N-four-bar, links of 1 m and 1 kg: (4 N + 1) / 3 m l^2 th'' = -(3 N + 1) / 2 m g l cos th."""
     return lambda th, w, torque: (torque - (3 * loops + 1) / 2 * GRAVITY * np.cos(th)) / ((4 * loops + 1) / 3)
 
 
 def slider_crank(th: NDArray, w: NDArray, torque: float | NDArray) -> NDArray:
-    """th'' of a slider-crank of equal links whose rod mirrors the crank, with masses of 1 kg.
+    """Return th'' of a slider-crank of equal links whose rod mirrors the crank, with masses of 1 kg.
 
-    Centres of the rod at l (3/2 cos th, 1/2 sin th) and of the slider at 2 l cos th give J th'' + J' th'^2 / 2.
+    The centres of the rod at l (3/2 cos th, 1/2 sin th) and of the slider at 2 l cos th give J th'' + J' th'^2 / 2.
     """
     s, c = np.sin(th), np.cos(th)
     J = ROD**2 * (1 / 3 + 1 / 12 + 9 / 4 * s**2 + c**2 / 4 + 4 * s**2)
@@ -67,7 +67,7 @@ def slider_crank(th: NDArray, w: NDArray, torque: float | NDArray) -> NDArray:
 
 
 class Reference(NamedTuple):
-    """Angles (steps + 1, motions) [rad], exact and by RK4; by how much steps of half the length change the former."""
+    """Angles (steps + 1, motions) [rad], exact and by RK4, and the change of the exact ones if the steps are halved."""
 
     exact: NDArray
     by_rk4: NDArray
@@ -75,7 +75,7 @@ class Reference(NamedTuple):
 
 
 def reference(acceleration: Acceleration, start: Sequence, torque: float | NDArray, dt: float, steps: int) -> Reference:
-    """The motions from angles and speeds [rad, rad/s] under a torque."""
+    """Return the motions from angles and speeds [rad, rad/s] under a torque."""
     y = np.array([np.atleast_1d(x) for x in start], float)
     by_rk4 = [y]
     for _ in range(steps):
@@ -86,7 +86,7 @@ def reference(acceleration: Acceleration, start: Sequence, torque: float | NDArr
 
 
 def motion(acceleration: Acceleration, y: NDArray, torque: float | NDArray, times: NDArray, largest: float) -> NDArray:
-    """Angles and speeds (times, 2, motions) by DOP853."""
+    """Return angles and speeds (times, 2, motions) by DOP853."""
     solution = solve_ivp(
         lambda t, z: _rate(acceleration, torque, t, z.reshape(y.shape)).ravel(),
         (times[0], times[-1]),
@@ -109,21 +109,21 @@ def _rate(acceleration: Acceleration, torque: float | NDArray, t: float, y: NDAr
 
 @cache
 def scene(name: str, **options: str | int) -> alfmu.Equations:
-    """A mechanism made ready for the interpreter by RK4, with steps of the length that each run gives."""
+    """Return the scene of a mechanism for the interpreter and RK4; each run sets its step."""
     return prepared(with_defaults(alfmu.derive(alfmu.load(name, **options)), {"solver.method": "rk4"}), "vm")
 
 
 @dataclass
 class Run:
-    """What a run gave up to where it ended; `stopped` says why it ended early."""
+    """Results of a run up to its end; `stopped` is the reason of an early end."""
 
     angles: NDArray
-    """Of the crank, after each step [rad]."""
+    """Angles of the crank after each step [rad]."""
     evaluations: int
     stopped: str | None = None
 
     def error(self, exact: NDArray) -> float:
-        """The largest angle error [rad]."""
+        """Return the largest angle error [rad]."""
         return float(np.abs(self.angles - exact[: len(self.angles)]).max())
 
 
@@ -155,14 +155,14 @@ class Phase(NamedTuple):
 
 
 def phases(number: int) -> list[Phase]:
-    """Random starting angles [rad]; torques [N.m] and speeds [rad/s] in turn."""
+    """Return phases with random starting angles [rad] and cyclic torques [N.m] and speeds [rad/s]."""
     angles = np.random.default_rng(1).uniform(-np.pi, np.pi, number)
     torques, speeds = (4.0, 2.0, 1.0, -3.0, 8.0), (2.0, 2.0, 0.5)
     return [Phase(float(x), torques[k % 5], speeds[k % 3]) for k, x in enumerate(angles)]
 
 
 def run_phases(dt: float, starts: Sequence[Phase]) -> list[Run]:
-    """The four-bar from some phases over 2.5 s."""
+    """Run the four-bar from these phases over 2.5 s."""
     equations, runs = scene("four_bar", coordinates="mixed"), []
     for phase in starts:
         given = {"start.angle": phase.angle, "start.angular_velocity": phase.speed}
@@ -171,7 +171,7 @@ def run_phases(dt: float, starts: Sequence[Phase]) -> list[Run]:
 
 
 def crank_run(exact: NDArray) -> tuple[float, int]:
-    """The slider-crank of equal links in natural coordinates: the largest error [rad] every 0.05 s, and evaluations."""
+    """Run the slider-crank in natural coordinates; return the largest error [rad] every 0.05 s, and evaluations."""
     given = {"l1": ROD, "l2": ROD, "start.angle": CRANK_START[0], "start.angular_velocity": CRANK_START[1]}
     given |= {"solver.step_size": CRANK_STEP, "g": GRAVITY}
     equations = scene("slider_crank", coordinates="natural")

@@ -1,4 +1,4 @@
-"""The codes of the singular benchmark: each builds any of its problems from the JSON file, and runs it.
+"""The codes of the singular benchmark: each builds and runs problems from their JSON files.
 
 To add a code, write a function that takes a problem and returns a simulation, and add it to CODES.
 """
@@ -31,24 +31,24 @@ TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
 class Found(NamedTuple):
-    """What a run gave up to where it ended."""
+    """Results of a run up to its end."""
 
     places: NDArray
-    """The points, and both sides of each closure that is seen, (k, m, 3) [m]."""
+    """Positions (k, m, 3) [m] of the points and of both sides of each measured closure."""
     force: NDArray | None
-    """Of the first closure on its second body (k, 2) [N]."""
+    """Force (k, 2) [N] of the first closure on its second body."""
     seconds: float
-    """Processor time of the run without the time to prepare it."""
+    """Processor time of the run [s], without preparation."""
     stopped: str = ""
 
 
 Simulation = Callable[[Run, float], Found]
-"""A run from a start by a step [s] or a tolerance."""
+"""Function that runs from a start with a step [s] or a tolerance."""
 
 
 @dataclass(frozen=True)
 class Code:
-    """A way to simulate."""
+    """A simulation code with its settings."""
 
     build: Callable[..., Simulation]
     package: str
@@ -56,10 +56,10 @@ class Code:
     """Steps [s] or tolerances, the coarsest first."""
     control: str = "step"
     module: str = ""
-    """By which it is imported."""
+    """Name of the Python module to import."""
     variants: Sequence[dict[str, float]] = ({},)
-    """Arguments of `build`: those with the least error at a middle setting are taken for each problem; of a long row
-    only the first are tried."""
+    """Candidate arguments of `build`: each problem uses those with the least error at a medium setting, a long row the
+    first ones."""
 
 
 class Unable(Exception):
@@ -70,7 +70,7 @@ class Unable(Exception):
 
 
 def judged(p: Problem) -> list[tuple[str, Sequence[float]]]:
-    """Body and place of each point of which places are returned."""
+    """Return body and local position of each judged point."""
     sides = [(c.first, c.first_at, c.second, c.second_at) for c in p.seen]
     return [*p.points.values(), *(pair for a, x, b, y in sides for pair in ((a, x), (b, y)))]
 
@@ -81,7 +81,7 @@ def skew(a: Sequence[float]) -> NDArray:
 
 
 def poses(p: Problem, q: NDArray) -> dict[str, tuple[NDArray, NDArray]]:
-    """Attitude (k, 3, 3) and origin (k, 3) of every body over coordinates (k, n)."""
+    """Return attitude (k, 3, 3) and origin (k, 3) of every body for coordinates (k, n)."""
     k = len(q)
     found = {GROUND: (np.broadcast_to(np.eye(3), (k, 3, 3)), np.zeros((k, 3)))}
     for body, x in zip(p.bodies, q.T, strict=True):
@@ -96,7 +96,7 @@ def poses(p: Problem, q: NDArray) -> dict[str, tuple[NDArray, NDArray]]:
 
 
 def places(p: Problem, q: NDArray) -> NDArray:
-    """The judged points (k, m, 3) over coordinates (k, n)."""
+    """Return positions (k, m, 3) of the judged points for coordinates (k, n)."""
     at = poses(p, q)
     return np.stack([at[body][1] + at[body][0] @ np.array(x, float) for body, x in judged(p)], 1)
 
@@ -106,7 +106,7 @@ def chosen(p: Problem, name: str) -> Body:
 
 
 def axes_points(c: Closure) -> list[tuple[Sequence[float], Sequence[float]]]:
-    """Pairs of points that a closure keeps together: a hinge has two on its axis, at a distance of 0.2 m."""
+    """Return pairs of points that a closure keeps together: for a hinge two pairs on its axis, 0.2 m apart."""
     if c.kind == "point":
         return [(c.first_at, c.second_at)]
     if c.kind == "distance":
@@ -131,7 +131,7 @@ CATALOGUE: dict[str, tuple[str, dict[str, Any], dict[str, float]]] = {
 
 
 def declared(p: Problem) -> alfmu.Mechanism:
-    """The mechanism of a problem, with its points."""
+    """Return the alfmu mechanism of a problem, with its points."""
     if p.name in CATALOGUE:
         name, options, _ = CATALOGUE[p.name]
         m = alfmu.load(name, **options)
@@ -170,7 +170,7 @@ def _mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
             m.drive(joint, m.input("A.torque", "N.m" if body.joint == "revolute" else "N"))
     for c in p.closures:
         ends, turns = (at(c.first, c.first_at), at(c.second, c.second_at)), (c.axis, c.second_axis)
-        if c.second == GROUND:  # which alfmu takes first
+        if c.second == GROUND:  # alfmu expects the ground first
             ends, turns = ends[::-1], turns[::-1]
         if c.kind == "distance":
             m.distance(c.name, *ends, length=c.length)
@@ -183,7 +183,7 @@ def _mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
 
 
 def given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
-    """The start and the torque of a run, by the names that an alfmu mechanism has for them."""
+    """Return the start and the torque of a run by their names in the alfmu mechanism."""
     index = [i for i, body in enumerate(p.bodies) if body.name in p.independent]
     given = dict(zip((v.name for v in e.starts), (run.q[i] for i in index), strict=True))
     given |= dict(zip((v.name for v in e.start_rates), (run.v[i] for i in index), strict=True))
@@ -191,7 +191,7 @@ def given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
 
 
 def _columns(p: Problem, e: alfmu.Equations) -> list[str]:
-    """Names of the outputs that are read."""
+    """Return the names of the outputs to read."""
     names = [f"point{i}.{axis}" for i, (body, _) in enumerate(judged(p)) if body != GROUND for axis in "xyz"]
     force = [f"{p.closures[0].name}.force.{axis}" for axis in "xy"]
     known = {v.name for v in e.outputs}
@@ -199,7 +199,7 @@ def _columns(p: Problem, e: alfmu.Equations) -> list[str]:
 
 
 def _seen(p: Problem, names: Sequence[str], values: NDArray) -> tuple[NDArray, NDArray | None]:
-    """Places and force from values (k, names) of outputs."""
+    """Return positions and force from values (k, names) of outputs."""
     found = np.zeros((len(values), len(judged(p)), 3))
     for i, (body, x) in enumerate(judged(p)):
         found[:, i] = x if body == GROUND else 0.0
@@ -216,7 +216,7 @@ def _settings(tolerance: float) -> dict[str, float]:
 
 
 def by_alfmu(p: Problem, kernel: str = "vm") -> Simulation:
-    """alfmu's library, a whole run in one call."""
+    """Run alfmu's library, a whole run in one call."""
     e = with_defaults(alfmu.derive(declared(p)), {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]})
     names = _columns(p, e)
     scene = prepared(specialised(e, names), kernel)
@@ -234,7 +234,7 @@ def by_alfmu(p: Problem, kernel: str = "vm") -> Simulation:
 
 
 def by_fmu(p: Problem) -> Simulation:
-    """alfmu's co-simulation FMU in fmpy, a `doStep` and a `getReal` for each time."""
+    """Run alfmu's co-simulation FMU in fmpy, a `doStep` and a `getReal` for each time."""
     e = alfmu.derive(declared(p))
     names = _columns(p, e)
     folder = tempfile.TemporaryDirectory()
@@ -268,7 +268,7 @@ def by_fmu(p: Problem) -> Simulation:
 
 
 def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
-    """Pinocchio's tree with `CONTACT_3D`, Baumgarte's stabilisation of a frequency [1/s], and RK4 in NumPy."""
+    """Run Pinocchio: a tree with `CONTACT_3D`, Baumgarte's stabilisation of a frequency [1/s], and RK4 in NumPy."""
     import pinocchio as pin
 
     model, ids = pin.Model(), {GROUND: 0}
@@ -278,7 +278,7 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
         return pin.SE3(np.eye(3), np.array(x, float))
 
     def branch(parent: str) -> list[Body]:
-        """Bodies on a body, depth first, as Pinocchio must have them."""
+        """Return the bodies carried by a body, depth first as Pinocchio requires."""
         return [x for body in p.bodies if body.parent == parent for x in (body, *branch(body.name))]
 
     for body in branch(GROUND):
@@ -340,7 +340,7 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
 
 
 def by_mujoco(p: Problem, hardness: float) -> Simulation:
-    """MuJoCo by RK4, with `connect` and tendons of fixed length; stiffness is `hardness` over the step squared."""
+    """Run MuJoCo with RK4, `connect` and tendons of fixed length; the stiffness is `hardness` over the step squared."""
     import mujoco
 
     mujoco.set_mju_user_warning(lambda text: None)
@@ -412,7 +412,7 @@ def by_mujoco(p: Problem, hardness: float) -> Simulation:
 
 
 def by_exudyn(p: Problem) -> Simulation:
-    """Exudyn's generalized alpha on rigid bodies in redundant coordinates."""
+    """Run Exudyn: generalized alpha on rigid bodies in redundant coordinates."""
     import sys
 
     sys.exudynFast = True  # type: ignore[attr-defined]
@@ -533,7 +533,7 @@ def by_exudyn(p: Problem) -> Simulation:
 
 
 def by_drake(p: Problem) -> Simulation:
-    """Drake's discrete MultibodyPlant with SAP, of order 1; its continuous plant has no loops."""
+    """Run Drake: its discrete MultibodyPlant with SAP, of order 1; its continuous plant cannot close loops."""
     from pydrake import all as drake
 
     def built(value: float) -> tuple[Any, list[Any]]:
@@ -587,7 +587,7 @@ def by_drake(p: Problem) -> Simulation:
 
 
 def by_scipy(p: Problem, frequency: float) -> Simulation:
-    """`solve_ivp`, DOP853, on the index-1 form by least squares with Baumgarte's stabilisation."""
+    """Run SciPy: DOP853 on the index-1 form by least squares, with Baumgarte's stabilisation."""
     n = len(p.bodies)
     q, v, tau = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("tau")
     at = {GROUND: (ca.SX.eye(3), ca.SX.zeros(3), ca.SX.zeros(3))}
@@ -662,4 +662,4 @@ CODES = {
     "Drake": Code(by_drake, "drake", ORDER_1, module="pydrake"),
     "SciPy": Code(by_scipy, "scipy", TOLERANCES[1:-1], "tolerance", "scipy", STABLE),
 }
-"""Every code, by the name that tables have for it."""
+"""All codes, by their names in tables."""

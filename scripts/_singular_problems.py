@@ -1,9 +1,9 @@
-"""The ten problems of the singular benchmark, and their exact motions in 30 digits; nothing here is alfmu's.
+"""The ten problems of the singular benchmark, and their exact motions in 30 digits, independent of alfmu.
 
 Each problem is a tree of rigid bodies on hinges and sliders whose loops are closed by constraints. The frame of a body
-stands at its joint, parallel to that of its parent where the coordinate is zero. Beside it stands the motion on the
-branch that is followed, in minimal coordinates s: centre and direction of every body over s, from which second-order
-Taylor arithmetic makes Lagrange's equations, and extrapolation of the midpoint rule integrates them.
+is at its joint, parallel to the frame of its parent if the coordinate is zero. The exact motion follows one branch in
+minimal coordinates s: from centre and direction of every body over s, second-order Taylor arithmetic derives Lagrange's
+equations, and the extrapolated midpoint rule integrates them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 FOLDER = Path(__file__).parents[1] / "docs" / "singular_benchmark"
 DIGITS, KEPT = 30, 20
-"""Decimal digits of the arithmetic, and of the tables."""
+"""Decimal digits of the arithmetic and of the tables."""
 
 GROUND = "ground"
 DOWN = (0.0, -9.81, 0.0)
@@ -31,7 +31,7 @@ DOWN = (0.0, -9.81, 0.0)
 
 @dataclass
 class Body:
-    """A rigid body on its joint: `at` and `axis` in the parent's frame, the rest in its own [m, kg, kg.m2]."""
+    """A rigid body on its joint: `at` and `axis` in the parent's frame, other quantities in its own [m, kg, kg.m2]."""
 
     name: str
     parent: str
@@ -70,14 +70,14 @@ class Run:
 
 @dataclass
 class Problem:
-    """What its JSON file holds."""
+    """A problem: the content of its JSON file."""
 
     name: str
     title: str
     bodies: list[Body]
     closures: list[Closure]
     points: dict[str, tuple[str, Sequence[float]]]
-    """Of which errors are taken: body and place in its frame."""
+    """Points at which errors are measured: body, and position in its frame."""
     runs: list[Run]
     stop: float
     independent: list[str]
@@ -85,12 +85,12 @@ class Problem:
     gravity: Sequence[float] = DOWN
     every: float = 0.05
     reactions: str = "limit"
-    """What forces have where the motion passes a singular position: `limit`, `pole` if one of them has it; or `none`
-    where the motion passes none or that of the first closure is not unique."""
+    """Behaviour of forces at the singular position: `limit`, or `pole` if one has a pole; `none` if the motion passes
+    no singular position or the force of the first closure is not unique."""
 
     @property
     def times(self) -> NDArray:
-        """Times of the tables [s]."""
+        """Return the times of the tables [s]."""
         return np.round(self.every * np.arange(round(self.stop / self.every) + 1), 9)
 
     @property
@@ -101,13 +101,13 @@ class Problem:
 
     @property
     def seen(self) -> list[Closure]:
-        """Closures whose gaps are measured: the first, the middle and the last of a long row, else all."""
+        """Return the closures whose gaps are measured: of a long row the first, the middle and the last, else all."""
         n = len(self.closures)
         return self.closures if n < 10 else [self.closures[k] for k in (0, n // 2, n - 1)]
 
 
 def plain(problem: Problem) -> dict[str, Any]:
-    """What a JSON file holds."""
+    """Return the data of the JSON file."""
     return json.loads(json.dumps(asdict(problem)))
 
 
@@ -122,7 +122,7 @@ def saved(problem: Problem) -> None:
 
 
 def loaded(name: str) -> Problem:
-    """A problem from its JSON file; the long row, whose bodies are all alike, has none."""
+    """Return a problem from its JSON file; the long row of identical bodies has no file and is generated."""
     if not (FOLDER / f"{name}.json").exists():
         return PROBLEMS[name]()[0]
     data = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
@@ -131,7 +131,7 @@ def loaded(name: str) -> Problem:
 
 
 def table(name: str) -> list[dict[str, NDArray]]:
-    """The columns of the reference of each run, by name."""
+    """Return the reference columns of each run, by name."""
     with (FOLDER / f"{name}.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     numbers = sorted({int(row["run"]) for row in rows})
@@ -145,7 +145,7 @@ def table(name: str) -> list[dict[str, NDArray]]:
 
 
 class Jet:
-    """A value with its first two derivatives by one variable."""
+    """A value with its first and second derivative by one variable."""
 
     __slots__ = ("x",)
 
@@ -189,7 +189,7 @@ def _jet(x: Any) -> Jet:
 
 
 class Exact:
-    """Functions of numbers and jets in mpmath, under the names that NumPy has for them."""
+    """Functions of numbers and jets in mpmath, with NumPy's names."""
 
     @staticmethod
     def sin(x: Any) -> Any:
@@ -213,11 +213,11 @@ class Exact:
 # The motions ------------------------------------------------------------------------------------------------------
 
 Part = tuple[float, float, tuple, tuple]
-"""Mass, moment of inertia about the axes across its direction, centre, and direction of a body; in the plane direction
-is the x axis of its frame."""
+"""Mass, moment of inertia about the axes across the body's direction, centre, and direction; in the plane the direction
+is the x axis of the body's frame."""
 
 Geometry = Callable[[Any, Sequence[Any]], tuple[list[Part], list[tuple]]]
-"""Parts in the order of bodies, and the points, for the functions of NumPy or Exact and coordinates s."""
+"""Function of NumPy or Exact and coordinates s; returns the parts in the order of bodies, and the points."""
 
 
 @dataclass
@@ -232,10 +232,10 @@ class Motion:
     singular: float = 0.0
     """Value of s at which the motion passes a singular position."""
     aligned: Callable[[Any], Any] = mp.sin
-    """Of each s: zero where a loop is aligned."""
+    """Function of s that is zero where a loop is aligned."""
 
     def rates(self, problem: Problem, torque: Any, s: Sequence, w: Sequence) -> list:
-        """The second rates of s, by Lagrange's equations."""
+        """Return the second rates of s by Lagrange's equations."""
         k = len(s)
         directions = [[mpf(i == j) for j in range(k)] for i in range(k)]
         along = [self.derivatives(s, d) for d in directions]
@@ -254,13 +254,13 @@ class Motion:
         return [r[0] / M[0, 0]] if k == 1 else list(mp.lu_solve(M, r))
 
     def derivatives(self, s: Sequence, w: Sequence, a: Sequence | None = None) -> tuple[list[Part], list[tuple]]:
-        """The geometry with its first and second rates in time."""
+        """Return the geometry with its first and second time derivatives."""
         a = [mpf(0)] * len(s) if a is None else a
         parts, points = self.geometry(Exact, [Jet(*x) for x in zip(s, w, a, strict=True)])
         return [(m, i, _jets(p), _jets(u)) for m, i, p, u in parts], [_jets(p) for p in points]
 
     def integrate(self, problem: Problem, run: int, step: float) -> list[tuple[list, list]]:
-        """s and its rates at the times of the tables, by extrapolated midpoint steps of this length [s]."""
+        """Return s and its rates at the times of the tables, by extrapolated midpoint steps of this length [s]."""
         torque, k = mpf(problem.runs[run].torque), len(self.starts[run][0])
 
         def rate(y: list) -> list:
@@ -285,11 +285,11 @@ def _dot(a: Sequence[Jet], b: Sequence[Jet], i: int, j: int) -> Any:
 
 
 LEVELS = 9
-"""Rows of the extrapolation, whose order is twice as high."""
+"""Number of rows of the extrapolation; its order is twice this number."""
 
 
 def extrapolated(rate: Callable[[list], list], y: list, h: Any, levels: int = LEVELS) -> list:
-    """One step by Gragg, Bulirsch and Stoer."""
+    """Return the state after one Gragg-Bulirsch-Stoer step."""
     f0, row = rate(y), []
     for level in range(1, levels + 1):
         n = 2 * level
@@ -310,7 +310,7 @@ def extrapolated(rate: Callable[[list], list], y: list, h: Any, levels: int = LE
 
 
 def reactions(problem: Problem, parts: Sequence[Part], torque: float) -> NDArray:
-    """Forces on second bodies in the plane, those of closures (x, y) first, by Newton and Euler; NaN if not unique."""
+    """Return the forces on second bodies in the plane by Newton-Euler, closures (x, y) first; NaN if not unique."""
     index = {body.name: i for i, body in enumerate(problem.bodies)}
     n, columns = len(problem.bodies), []
     at = {name: np.array([[float(x.x[0]) for x in parts[i][k][:2]] for k in (2, 3)]) for name, i in index.items()}
@@ -348,27 +348,27 @@ def reactions(problem: Problem, parts: Sequence[Part], torque: float) -> NDArray
 
 
 OFF, CHECKED = 0.05, 3
-"""Distance from an aligned position [rad] up to which forces are not compared, and runs whose steps are halved until
-the change is below the last digit kept."""
+"""Distance from an aligned position [rad] within which forces are not compared, and number of runs whose steps are
+halved until the change is below the last digit of the tables."""
 
 
 # The problems -----------------------------------------------------------------------------------------------------
 
 
 def thin(edge: Sequence[float], mass: float = 1.0) -> dict[str, Any]:
-    """Centre and inertia of a thin uniform bar along an edge [m]."""
+    """Return mass, centre and inertia of a thin uniform bar along an edge [m]."""
     e = np.array(edge, float)
     inertia = mass / 12 * (e @ e * np.eye(3) - np.outer(e, e))
     return {"mass": mass, "center": [*map(float, e / 2)], "inertia": inertia.tolist()}
 
 
 def bar(name: str, parent: str, x: float, length: float = 1.0, mass: float = 1.0, y: float = 0.0) -> Body:
-    """A thin bar along x on a hinge."""
+    """Return a thin bar along x on a hinge."""
     return Body(name, parent, (x, y, 0.0), **thin((length, 0, 0), mass))
 
 
 def link(f: Any, begin: tuple, angle: Any, length: float = 1.0, mass: float = 1.0) -> tuple[Part, tuple]:
-    """A bar in the plane, and its end."""
+    """Return a bar in the plane, and its end."""
     c, s = f.cos(angle), f.sin(angle)
     x, y = begin
     half = length / 2
@@ -376,7 +376,7 @@ def link(f: Any, begin: tuple, angle: Any, length: float = 1.0, mass: float = 1.
 
 
 def still(mass: float, length: float, x: Any, y: Any) -> Part:
-    """A body that is only displaced, by its centre."""
+    """Return a body that translates without rotation, by its centre."""
     return mass, mass * length**2 / 12, (x, y), (1.0, 0.0)
 
 
@@ -483,7 +483,7 @@ def n_four_bar(loops: int) -> Made:
 
 
 def product(a: Sequence[Sequence], b: Sequence[Sequence]) -> list[list]:
-    """The product of matrices as lists of rows, without zeros, which are numbers."""
+    """Return the product of matrices as lists of rows, skipping zero entries."""
 
     def nothing(x: Any) -> bool:
         return isinstance(x, (int, float)) and x == 0
@@ -495,7 +495,7 @@ def product(a: Sequence[Sequence], b: Sequence[Sequence]) -> list[list]:
 
 
 def turned(R: list, axis: Sequence, c: Any, s: Any) -> list:
-    """R times a turn about an axis, by its cosine and sine."""
+    """Return R times the rotation about an axis, given by its cosine and sine."""
     x, y, z = axis
     K = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
     square = product(K, K)
@@ -505,7 +505,7 @@ def turned(R: list, axis: Sequence, c: Any, s: Any) -> list:
 
 
 def spatial(axes: Sequence, edges: Sequence, turns: Sequence) -> tuple[list[Part], list[tuple]]:
-    """A chain of thin bars of 1 kg from the origin, and their ends."""
+    """Return a chain of thin bars of 1 kg from the origin, and their ends."""
     R, at, parts, ends = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], (0.0, 0.0, 0.0), [], []
     for axis, edge, (c, s) in zip(axes, edges, turns, strict=False):
         R = turned(R, axis, c, s)
@@ -521,7 +521,7 @@ AXES = ((0, 1, 0), (0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 0))
 
 
 def chain(name: str, title: str, axes: Sequence, edges: Sequence, q: list, v: list, **more: Any) -> Problem:
-    """A spatial loop of hinges whose last one, on the ground, is its closure."""
+    """Return a spatial loop of hinges, closed at the last hinge on the ground."""
     bodies = []
     for i, (axis, edge) in enumerate(zip(axes, edges, strict=False), 1):
         at = edges[i - 2] if i > 1 else (0, 0, 0)
@@ -582,7 +582,7 @@ def bennett() -> Made:
 
 
 CHAIN = (-1.496949669220263, -0.7467775023718601), (1.2122781438213286, 9.41908626253452)
-"""Start of the chain [rad, rad/s], found by running back from 0 with 2 and -3 rad/s: both loops are there at 0.5 s."""
+"""Start of the chain [rad, rad/s], integrated backwards from 0 with 2 and -3 rad/s, which both loops reach at 0.5 s."""
 
 
 def parallelogram_chain() -> Made:
@@ -705,7 +705,7 @@ PROBLEMS: dict[str, Callable[[], Made]] = {
 
 
 def write_reference(name: str) -> str:
-    """Write the JSON and the CSV file of a problem; says how far the two integrations differ."""
+    """Write the JSON and CSV files of a problem; return a text on the difference between two integrations."""
     with mp.workdps(DIGITS):
         problem, motion = PROBLEMS[name]()
         axes = "xy" if problem.planar else "xyz"

@@ -1,4 +1,4 @@
-"""What studies of a maintainer share: command line, timing in turns, targets, and a report with its CSV files."""
+"""Common parts of the maintainers' studies: command line, interleaved timing, targets, and a report with CSV files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Results = dict[str, list[Row]]
 # Timing -----------------------------------------------------------------------------------------------------------
 
 Laps = dict[str, list[float]]
-"""Time of a unit [s] of each call, lap by lap."""
+"""Time per unit [s] of each lap, by the name of the call."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ class Call:
 
     timer: Timer
     units: int = 1
-    """Units that one call makes, such as steps."""
+    """Number of units in one call, such as steps."""
     once: bool = False
-    """Whether a lap is a single call, as each needs the setup."""
+    """Whether a lap is a single call, because each call needs the setup."""
 
 
 def clocked(statement: Callable[[], object], setup: Callable[[], object] | str = "pass") -> Timer:
-    """A timer of the processor's time, which other programs disturb little."""
+    """Return a timer of processor time, which other programs hardly disturb."""
     return Timer(statement, setup, time.process_time)
 
 
 def in_turns(calls: Mapping[str, Call], rounds: int, shortest: float) -> Laps:
-    """Time every call once a round, in laps of at least `shortest` [s]."""
+    """Time every call in turn, one lap of at least `shortest` [s] per round."""
     numbers = {}
     for name, call in calls.items():
         call.timer.timeit(1)
@@ -59,7 +59,7 @@ def in_turns(calls: Mapping[str, Call], rounds: int, shortest: float) -> Laps:
 
 
 def times(laps: Laps, yardstick: str) -> Row:
-    """Median and minimum [us] of each call, and the ratios of medians to a yardstick."""
+    """Return median and minimum [us] of each call, and ratios of the medians to that of the call `yardstick`."""
     row: Row = {"rounds": len(laps[yardstick])}
     for name, each in laps.items():
         row |= {f"{name} [us]": 1e6 * statistics.median(each), f"{name}, minimum [us]": 1e6 * min(each)}
@@ -99,7 +99,7 @@ class Target(NamedTuple):
 
 
 def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
-    """A row of targets.csv: the target beside the number of this run, if there is one."""
+    """Return a row of targets.csv: the target, and the number of this run if there is one."""
     row = next((row for row in results.get(target.study, ()) if target.row.items() <= row.items()), {})
     value, verdict = row.get(target.column), "not measured"
     if value is not None:
@@ -117,34 +117,34 @@ def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
 # Report -----------------------------------------------------------------------------------------------------------
 
 WIDE = 12
-"""Columns of a CSV file from which on its table in the report has a column for each row."""
+"""Number of columns of a CSV file from which its table in the report is transposed."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """The studies of a script, and how their report reads."""
+    """The studies of a script, and the texts of their report."""
 
     name: str
-    """Of its folder in `results`, and of its Markdown file."""
+    """Name of the folder in `results` and of the Markdown file."""
     script: str
     title: str
     introduction: str
     studies: Mapping[str, Callable[[Any, Sequence[str]], Results]]
-    """Take the effort and the kernels that there are; return rows by the name of their CSV file."""
+    """Studies by name: functions of the effort and the available kernels that return `Results`."""
     efforts: Mapping[str, Any]
-    """By the option that asks for it; the usual one under an empty name."""
+    """Efforts by the option that selects them; the default has an empty name."""
     chapters: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    """Heading and introduction by CSV file; a file without one stands in no chapter."""
+    """Heading and introduction by CSV file; a file without them is in no chapter."""
     targets: Sequence[Target] = ()
     pictures: Mapping[str, tuple[str, Callable[[Any], Figure], str]] = field(default_factory=dict)
-    """By chapter: the CSV file whose rows are drawn, the function that draws them, and the caption."""
+    """Pictures by chapter: the CSV file whose rows are drawn, the function that draws them, and the caption."""
     limits: str = ""
-    """Where the comparison stops being fair."""
+    """Limits of a fair comparison."""
     packages: Sequence[str] = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
     takes: str = "some minutes"
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Measure what the command line asks for; returns the exit code."""
+        """Run the studies selected on the command line; return the exit code."""
         line = argparse.ArgumentParser(
             description=f"{self.introduction} Writes {self.name}.md, CSV files and pictures.",
             epilog=f"needs the extra alfmu[test]; takes {self.takes}; overwrites an earlier run in the same folder",
@@ -193,7 +193,7 @@ class Report:
         path.write_text(self.markdown(results), encoding="utf-8")
 
     def markdown(self, results: Results) -> str:
-        """The report in Markdown: each chapter with all columns of its CSV file, rounded."""
+        """Return the report in Markdown: each chapter with all columns of its CSV file, rounded."""
         parts = [f"# {self.title}", paragraph(self.introduction), table("Machine and versions", "environment", results)]
         if self.targets:
             note = "Judged by the numbers of this run alone; what was left out is not measured."
@@ -207,7 +207,7 @@ class Report:
 
 
 def table(title: str, name: str, results: Results) -> str:
-    """The rows of a CSV file as a table in Markdown; one of many columns is turned round."""
+    """Return the rows of a CSV file as a Markdown table, transposed if there are many columns."""
     rows = results[name]
     columns = [
         x for x in dict.fromkeys(x for row in rows for x in row) if any(row.get(x) not in (None, "") for row in rows)
@@ -220,7 +220,7 @@ def table(title: str, name: str, results: Results) -> str:
 
 
 def no_compiler() -> str | None:
-    """Why no kernel can be compiled; None where one can."""
+    """Return why kernels cannot be compiled here; None if they can."""
     try:
         prepared(alfmu.derive(alfmu.load("particle_on_circle")), "compiled")
     except alfmu.ExportError as error:

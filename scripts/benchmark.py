@@ -1,8 +1,8 @@
 """Measure what alfmu costs: an internal step by part, a doStep through FMI, and how both grow with a mechanism.
 
-Writes `benchmark.md`, a CSV file for each of its chapters and a picture into one folder. Times of one machine mean
-little, so each stands beside a yardstick that was timed in turns with it: `numpy.linalg.solve` of an 8 x 8 system, the
-NumPy oracle, an FMU that does nothing; costs of many loops beside those of ten.
+Writes `benchmark.md`, a CSV file for each of its chapters and a picture into one folder. As times depend on the
+machine, each is compared with a yardstick timed in turn with it: `numpy.linalg.solve` of an 8 x 8 system, the NumPy
+oracle, or an empty FMU; costs of many loops are compared with those of ten.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ from alfmu.studies.cost import cost, operations, parts
 from alfmu.studies.tables import Row
 
 KERNELS = ("vm", "compiled")
-"""Functions of a scene interpreted by the runtime, and compiled for it."""
+"""Kernels: functions of a scene interpreted by the runtime, or compiled."""
 
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-"""Of FMI, for hosts."""
+"""Folder of the FMI headers, for hosts."""
 
 SCRIPTS = Path(__file__).parent
 
 START = {"start.angle": 1.2, "start.angular_velocity": 2.0}
-"""A regular position of all mechanisms, where steps are timed [rad, rad/s]."""
+"""Start of all mechanisms [rad, rad/s]: a regular position, at which steps are timed."""
 
 SHORT = 1e-6
 """Internal step of the kernels [s], so short that a lap stays at the regular position."""
@@ -70,25 +70,25 @@ SHORT = 1e-6
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured."""
+    """Extent of the measurements."""
 
     rounds: int
-    """Laps of each way to make a step."""
+    """Number of laps of each way to make a step."""
     lap: float
     """Shortest lap [s]."""
     runs: int
-    """Of the five-bar's motion through FMI."""
+    """Number of runs of the five-bar's motion through FMI."""
     builds: int
-    """Processes that build each N-four-bar anew."""
+    """Number of processes that each build every N-four-bar."""
     loops: tuple[int, ...]
     coordinates: tuple[str, ...]
-    """Of the N-four-bars."""
+    """Coordinates of the N-four-bars."""
     horizon: float
     """Longest motion of which every single step is timed [s]."""
     passes: int
-    """How often it is."""
+    """Number of repetitions of this motion."""
     mechanisms: tuple[str, ...] = ()
-    """Whose steps are; all where there is none."""
+    """Mechanisms whose single steps are timed; all if empty."""
 
 
 QUICK = Effort(7, 1e-3, runs=3, builds=1, loops=(1, 10), coordinates=("natural",), horizon=1.0, passes=3)
@@ -100,18 +100,18 @@ FULL = replace(USUAL, loops=(*USUAL.loops, 1000))
 
 
 def solve_call() -> Call:
-    """The yardstick: `numpy.linalg.solve` of 8 equations."""
+    """Return the yardstick: `numpy.linalg.solve` of 8 equations."""
     random = np.random.default_rng(0)
     A, b = random.normal(size=(8, 8)) + 8 * np.eye(8), random.normal(size=8)
     return Call(clocked(partial(np.linalg.solve, A, b)))
 
 
 RK4 = {"solver.method": "rk4"}
-"""What all times are of: steps of a given length, each four evaluations."""
+"""Setting of all timed runs: steps of a given length, each with four evaluations."""
 
 
 def by_rk4(name: str, **options: str | int) -> alfmu.Equations:
-    """The equations of a mechanism, for steps of RK4."""
+    """Return the equations of a mechanism for RK4."""
     return with_defaults(alfmu.derive(alfmu.load(name, **options)), RK4)
 
 
@@ -119,21 +119,21 @@ AnyInstance = alfmu.Instance | oracle.Instance
 
 
 def begun(equations: alfmu.Equations, step_size: float = SHORT, **settings: float) -> alfmu.Instance:
-    """An instance at the regular position, with internal steps of `step_size` [s]."""
+    """Return an instance at the regular position, with internal steps of `step_size` [s]."""
     instance = alfmu.Instance(equations, Settings(step_size=step_size, method="rk4", **settings))
     start(instance)
     return instance
 
 
 def start(instance: AnyInstance) -> None:
-    """Initialise at the regular position."""
+    """Initialise an instance at the regular position."""
     for name, value in START.items():
         instance.set(name, value)
     instance.initialize()
 
 
 def reading(instance: alfmu.Instance) -> Call:
-    """Reading all outputs anew, as an input has been set."""
+    """Return the call that reads all outputs after an input was set."""
     name = instance.input_variables[0].name
     value = instance.get(name)
 
@@ -145,12 +145,12 @@ def reading(instance: alfmu.Instance) -> Call:
 
 
 def stepping(instance: AnyInstance, dt: float = SHORT, steps: int = 1, once: bool = False) -> Call:
-    """A communication step of so many internal ones of dt [s]; every lap begins from the instance's present state."""
+    """Return a communication step of `steps` internal steps of dt [s]; laps begin at the instance's present state."""
     return Call(clocked(partial(instance.step, steps * dt), partial(instance.restore, instance.save())), steps, once)
 
 
 def quick_share(instance: alfmu.Instance) -> float:
-    """Steps of the last lap that were quick ones [%]."""
+    """Return the share of quick steps in the last lap [%]."""
     steps = instance.memory["tally"][: len(KINDS)]
     return float(100.0 * steps[0] / steps.sum())
 
@@ -162,7 +162,7 @@ SCENES: dict[str, tuple[str, dict[str, str]]] = {
     **{f"slider_crank, {c}": ("slider_crank", {"coordinates": c}) for c in ("absolute", "joint", "mixed", "natural")},
     **{name: (name.split(",")[0], {}) for name in ("four_bar", "five_bar", "five_bar, frozen")},
 }
-"""Mechanism and options; where frozen, all parameters are constants."""
+"""Mechanism and options by scene; in a frozen scene all parameters are constants."""
 
 MANY = 64
 """Steps in one call."""
@@ -170,16 +170,16 @@ MANY = 64
 STEPS = ("step", f"step of {MANY}")
 
 INTERPRETED = "interpreted / compiled"
-"""What a step by interpreted functions takes over one by compiled ones."""
+"""Column with the ratio of step times: interpreted functions over compiled ones."""
 
 ONCE = ("empty call", "model", "model and factors", "accelerations")
 PARTS = ("model", "factorisation", "iterations")
 REST = "integration, projection, checks"
-"""Functions that are timed; parts of an evaluation, which are their differences; what the step has besides."""
+"""Timed functions (ONCE); parts of an evaluation, the differences of their times (PARTS); the rest of a step (REST)."""
 
 
 def step_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of step.csv: times of a step made in every way, and its operations by part."""
+    """Return the rows of step.csv: times of a step made in every way, and its operations by part."""
     rows = []
     for scene, (mechanism, options) in tqdm(SCENES.items(), "step", unit="scene"):
         derived = by_rk4(mechanism, **options)
@@ -192,7 +192,7 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> Results:
         calls |= functions(begun(traced))
         quick = {kernel: begun(prepared(traced, kernel)) for kernel in kernels}
         for kernel, instance in quick.items():
-            # A penalty of the user's own begins with the careful step.
+            # A penalty given by the user starts with the careful step.
             careful = begun(instance.equations, penalty=float(instance.penalty.max(initial=1.0)))
             calls |= {
                 f"{kernel} step": stepping(instance),
@@ -214,9 +214,9 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def functions(instance: alfmu.Instance) -> dict[str, Call]:
-    """The quick step as one function of CasADi's virtual machine, and what an evaluation in it is made of.
+    """Return calls of the quick step as one CasADi function, and of the parts of an evaluation.
 
-    The runtime has no way to time parts; CasADi makes the same operations in the same order.
+    The runtime cannot time parts; CasADi's virtual machine makes the same operations in the same order.
     """
     e, memory = whole(instance.equations), instance.memory
     memory["dt"][:] = SHORT
@@ -232,13 +232,13 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
         vm, x = ArrayFunctions(e), [np.array(each, float) for each in arguments]
         y = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         run = vm.bound(function, x, y)
-        run.alive = vm, x, y  # as long as the call, which knows their addresses
+        run.alive = vm, x, y  # keep them alive: the call uses their addresses
         calls[f"CasADi {name}"] = Call(clocked(run))
     return calls
 
 
 def part_shares(row: Row) -> Row:
-    """Shares of the parts in the time of the step as one function, the empty call taken off [%]."""
+    """Return the shares [%] of the parts in the time of the step as one function, without the empty call."""
     once = [row[f"CasADi {name} [us]"] for name in ONCE]
     whole = row["CasADi step, function alone [us]"] - once[0]
     # A step of RK4 has four evaluations.
@@ -249,14 +249,14 @@ def part_shares(row: Row) -> Row:
 # Every single step ------------------------------------------------------------------------------------------------
 
 FINER = 20
-"""By what the shorter steps are shorter."""
+"""Ratio of the default step to the shorter step."""
 
 SPREAD = ("slowest / median", f"slowest / median at 1/{FINER}")
-"""The slowest internal step over the median one, at the default step and at a shorter one."""
+"""Columns with the ratio of the slowest internal step to the median, at the default step and at a shorter one."""
 
 
 def spread_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of spread.csv: what the slowest internal step of a mechanism's own motion takes over the median one."""
+    """Return the rows of spread.csv: the slowest internal step of a mechanism's own motion over the median."""
     rows: list[Row] = []
     for name in tqdm(effort.mechanisms or mechanisms(), "spread", unit="mechanism"):
         traced = prepared(by_rk4(name))
@@ -273,7 +273,8 @@ def spread_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def single_steps(equations: alfmu.Equations, dt: float, effort: Effort) -> tuple[NDArray, str | None]:
-    """Time of each step of dt [us] from the start, the least of all passes; and what ended the motion early."""
+    """Return the time [us] of each step of dt [s] from the start, least of all passes, and the reason of an early
+    end."""
     instance = alfmu.Instance(equations)
     instance.set("solver.step_size", dt)
     instance.initialize()
@@ -306,7 +307,7 @@ STOP = 20.0
 """End of the motion [s]."""
 
 DT, SHORTER = 0.02, 0.001
-"""Communication steps [s], which are the internal ones too."""
+"""Communication steps [s], equal to the internal steps."""
 
 PASSING, REGULAR = "through singular positions", "between them"
 
@@ -317,7 +318,7 @@ MOTIONS: dict[str, dict[str, float]] = {
 """Start values of the motions: the five-bar's own, and one about the lowest position."""
 
 TIERS = ("quick steps", "careful steps", "steps on the branch", "patient steps")
-"""What a step can be made by."""
+"""Tiers by which a step can be made."""
 
 EMPTY_SLAVE = '''"""A slave that does nothing: what pythonfmu and fmpy cost by themselves."""
 
@@ -336,7 +337,7 @@ class EmptySlave(Fmi2Slave):
 
 
 def dostep_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of dostep.csv: the five-bar with each kernel beside an FMU that does nothing, for both steps."""
+    """Return the rows of dostep.csv: the five-bar with each kernel and an empty FMU, for both steps."""
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder, ExitStack() as stack:
         script = Path(folder) / "empty_slave.py"
         script.write_text(EMPTY_SLAVE, encoding="utf-8")
@@ -367,7 +368,7 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def driven(fmu: Fmu, points: Sequence[float], dt: float, start: Mapping[str, float]) -> Call:
-    """The whole motion of an FMU in steps of dt [s], by step; every lap begins where the motion does."""
+    """Return the whole motion of an FMU in steps of dt [s] as a call; every lap begins at the start of the motion."""
     do_step = fmu.slave.doStep
 
     def begin() -> None:
@@ -381,7 +382,7 @@ def driven(fmu: Fmu, points: Sequence[float], dt: float, start: Mapping[str, flo
 
 
 def tiers(kernel: str, points: Sequence[float], dt: float, start: Mapping[str, float]) -> Row:
-    """Steps of the same motion by what made them, counted in the library."""
+    """Return the number of steps of the same motion made by each tier, counted in the library."""
     instance, made = alfmu.Instance(prepared(by_rk4("five_bar"), kernel)), Counter()
     for name, value in start.items():
         instance.set(name, value)
@@ -398,7 +399,7 @@ def tiers(kernel: str, points: Sequence[float], dt: float, start: Mapping[str, f
 
 
 def native_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of native.csv: the five-bar as a native FMU, from C and through fmpy."""
+    """Return the rows of native.csv: the five-bar as a native FMU, from C and through fmpy."""
     if "compiled" not in kernels:
         return {}
     points = [i * DT for i in range(round(STOP / DT))]
@@ -426,7 +427,7 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
-    """Medians [s] of an initialisation, a doStep, a step of the kernel with the outputs at its end, in turns."""
+    """Return medians [s] of an initialisation, a doStep, and a step of the kernel with outputs, timed in turns."""
     unpacked = top / "native"
     sources = sorted(map(str, (unpacked / "sources").glob("*.c")))
     flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", "-DNDEBUG", f'-DGUID="{guid}"', f"-I{HEADERS}"]
@@ -439,7 +440,7 @@ def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
 
 
 def slave_of(folder: Path, guid: str, points: Sequence[float]) -> Call:
-    """The whole motion of an unpacked FMU through fmpy, by step."""
+    """Return the whole motion of an unpacked FMU through fmpy as a call."""
     slave = fmpy.fmi2.FMU2Slave(guid=guid, unzipDirectory=str(folder), modelIdentifier="five_bar", instanceName="one")
     slave.instantiate()
 
@@ -456,17 +457,17 @@ def slave_of(folder: Path, guid: str, points: Sequence[float]) -> Call:
 # Gradients --------------------------------------------------------------------------------------------------------
 
 DIFFERENTIATED = ("five_bar", "four_bar", "n_four_bar")
-"""Mechanisms whose runs are."""
+"""Mechanisms whose runs are differentiated."""
 
 LONGEST = 5.0
-"""Run that is differentiated [s]."""
+"""Longest differentiated run [s]."""
 
 DIRECTIONS = 20
-"""By which a run is differentiated forward at once."""
+"""Number of directions of one forward sweep."""
 
 
 def gradient_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of gradient.csv: what the gradient of a run by everything that it has takes over the run alone."""
+    """Return the rows of gradient.csv: time of the gradient of a run by all its numbers over the time of the run."""
     rows: list[Row] = []
     stop = min(LONGEST, effort.horizon)
     for name, method in tqdm([*product(DIFFERENTIATED, ("rk4", "auto"))], "gradient", unit="run"):
@@ -478,7 +479,7 @@ def gradient_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def differentiating(runs: Runs) -> dict[str, Call]:
-    """A run from its start, one with the derivatives of its end by all its numbers, and one forward by some."""
+    """Return calls of a run, a run with the gradient of its end by all numbers, and one with forward derivatives."""
     unit, last = runs.unit, [runs.columns(None)[0]]
 
     def gradient() -> None:
@@ -505,15 +506,15 @@ STRETCH = 16
 """Steps in one call."""
 
 BASE = 10
-"""Loops that costs per loop are compared with."""
+"""Number of loops whose cost per loop is the reference."""
 
 READY = ("derive [s]", "trace [s]", "peak memory [MB]", "compile [s]")
 SPENT = ("operations", "vm step [us]", "compiled step [us]")
-"""What is compared, per loop, with the same at ten loops."""
+"""Columns that are compared, per loop, with those at ten loops."""
 
 
 def scale_study(effort: Effort, kernels: Sequence[str]) -> Results:
-    """Rows of scale.csv, one an N-four-bar; each is built in processes of its own, the first of which compiles."""
+    """Return the rows of scale.csv, one for each N-four-bar; separate processes build it, the first one compiles."""
     cases = [(c, loops) for loops in effort.loops for c in effort.coordinates]
     builds: dict[tuple[str, int], list[tuple[Row, Laps]]] = {case: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="alfmu_") as cache:
@@ -534,7 +535,7 @@ def scale_study(effort: Effort, kernels: Sequence[str]) -> Results:
 
 
 def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], cache: str) -> tuple[Row, Laps]:
-    """Build an N-four-bar in this process: what that took, and laps of its steps."""
+    """Build an N-four-bar in this process; return the cost of building and the laps of its steps."""
     os.environ["XDG_CACHE_HOME"] = cache
     row: Row = {"memory after import [MB]": peak_memory()}
 
@@ -562,7 +563,7 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
 
 
 def peak_memory() -> float | None:
-    """Most memory [MB] that this process ever held, not what its parent held before it; None where nobody says."""
+    """Return the peak memory [MB] of this process, without that of its parent; None if the system does not tell."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM"))
@@ -571,7 +572,7 @@ def peak_memory() -> float | None:
 
 
 def scale_row(coordinates: str, loops: int, builds: Sequence[tuple[Row, Laps]]) -> Row:
-    """What all builds of an N-four-bar say: laps of all, medians of times to build, the rest from the first."""
+    """Return the row of an N-four-bar: laps of all builds, medians of build times, other numbers of the first build."""
     first, laps = builds[0]
     row: Row = {"coordinates": coordinates, "N": loops, **first, "builds": len(builds)}
     for name in ("derive", "trace"):
@@ -582,7 +583,7 @@ def scale_row(coordinates: str, loops: int, builds: Sequence[tuple[Row, Laps]]) 
 
 
 def scale_plot(rows: Sequence[Row]) -> Figure:
-    """Cost of a step, and of getting ready, against the number of loops."""
+    """Plot the cost of a step and of preparation over the number of loops."""
     figure = Figure(figsize=(12, 4.8), layout="constrained")
     panels = (("time of a step [us]", SPENT[1:]), ("time to get ready [s]", (*READY[:2], READY[3])))
     for axes, (title, columns) in zip(figure.subplots(1, 2), panels, strict=True):
@@ -712,7 +713,7 @@ STUDIES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure what the command line asks for."""
+    """Run the studies selected on the command line."""
     os.environ[VARIABLE] = "off"  # preparation is measured, too
     return Report(
         "benchmark",

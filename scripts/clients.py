@@ -1,14 +1,15 @@
 """Runs of alfmu's FMUs in other simulators, as the table of docs/howto/simulators.md: `python scripts/clients.py`.
 
-Each client is installed by pip into a virtual environment of its own, and makes each run in a process of its own. A
-cell is the largest difference from the library's own run. `--write` puts the table into the page; `--installed` takes
-the clients that this Python finds, and installs nothing.
+Each client is installed by pip into its own virtual environment, and makes each run in a separate process; clients that
+are in no registry are run if they are on PATH. A cell is the largest difference from the library's own run. `--write`
+puts the table into the page; `--installed` uses the clients that this Python finds, and installs nothing.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import json
 import os
 import re
@@ -28,7 +29,7 @@ Names, Numbers = dict[str, str], dict[str, float]
 
 PAGE = Path(__file__).parents[1] / "docs" / "howto" / "simulators.md"
 BEGIN, END = "<!-- clients: written by scripts/clients.py -->", "<!-- end of clients -->"
-"""Between these lines the page has the table."""
+"""Lines of the page between which the table is."""
 
 COLUMNS = {
     "co-simulation, FMI 2": "single2",
@@ -40,10 +41,10 @@ COLUMNS = {
     "state": "state",
     "derivatives": "derivatives",
 }
-"""Heads of columns, and methods of drivers that make their runs."""
+"""Column headings, and the methods of drivers that make their runs."""
 
 NONE = "–"
-"""A cell of what the client has no function for."""
+"""Cell for a run for which the client has no function."""
 
 STEP, STEPS, HALF = 0.02, 50, 25
 OUTPUTS, TORQUE = ("link1.angle", "A.force.x"), "A.torque"
@@ -55,7 +56,7 @@ LINKS = {
     "gearbox.motor_torque": "motor.load",
     "gearbox.load_torque": "load.torque",
 }
-"""All connected signals begin at zero, as fmpy has zeros on them in the first step."""
+"""Connections of the spindle. Their signals start at zero, as fmpy sets them to zero in the first step."""
 
 
 def write_files(folder: Path) -> dict[str, list[float]]:
@@ -66,7 +67,7 @@ def write_files(folder: Path) -> dict[str, list[float]]:
 
     for fmi in (2, 3):
         alfmu.export("five_bar", folder / f"five_bar{fmi}.fmu", fmi=fmi)
-    with contextlib.suppress(alfmu.ExportError):  # without zig and wasm-tools
+    with contextlib.suppress(alfmu.ExportError):  # zig or wasm-tools is missing
         alfmu.export("five_bar", folder / "wasm.fmu", fmi=3, platforms=["wasm32"])
     components = {
         "motor": blocks.motor(inertia=1e-3, inductance=2e-3, nominal=10.0),
@@ -109,7 +110,7 @@ class Fmpy:
     def ssp(self) -> list[float]:
         from fmpy.ssp.simulation import simulate_ssp
 
-        found = simulate_ssp("spindle.ssp", stop_time=ROUNDS * FINE - 1e-9, step_size=FINE)  # rows of steps' beginnings
+        found = simulate_ssp("spindle.ssp", stop_time=ROUNDS * FINE - 1e-9, step_size=FINE)  # rows at step beginnings
         return [float(found[name][-1]) for name in WATCHED]
 
     def half(self) -> tuple[Any, list[int], int]:
@@ -127,7 +128,7 @@ class Fmpy:
         return made, [references[name] for name in OUTPUTS], references[TORQUE]
 
     def state(self) -> list[float]:
-        """Return what follows a state that was saved as bytes, left behind, and restored."""
+        """Return the outputs after a state was serialised, left, restored, and run to the end."""
         made, outputs, _ = self.half()
         state = made.getFMUstate()
         data = made.serializeFMUstate(state)
@@ -188,7 +189,7 @@ class Ecos(Master):
 
 class Libcosim(Master):
     def of(self, execution: Any, name: str) -> tuple[int, int]:
-        """Return the slave of a variable, and its reference."""
+        """Return the slave and the reference of a variable."""
         component, _, variable = name.partition(".")
         slave = execution.slave_index_from_instance_name(component)
         return slave, next(v.reference for v in execution.slave_variables(slave) if v.name.decode() == variable)
@@ -221,7 +222,7 @@ class Libcosim(Master):
 
 
 class Wasmtime:
-    """A host of WebAssembly by the draft FMI-LS-WASM, which knows nothing of FMI; results of calls are its objects."""
+    """A generic WebAssembly host without FMI, for the draft FMI-LS-WASM; results of calls are its objects."""
 
     def __init__(self, path: str | Path = "wasm.fmu") -> None:
         import wasmtime
@@ -301,7 +302,7 @@ class Wasmtime:
 
 
 class Jco:
-    """Node and browsers, for which jco of npm makes JavaScript of a component."""
+    """Node and browsers; npm's jco translates a component to JavaScript."""
 
     def run(self, last: str) -> list[float]:
         host, place = Wasmtime.files("wasm.fmu"), Path(tempfile.mkdtemp(dir="."))
@@ -335,6 +336,28 @@ class Jco:
     )
 
 
+class Fmusim:
+    """The command of Reference-FMUs, up to 0.0.39."""
+
+    def run(self, fmi: int, interface: str, *more: str) -> list[float]:
+        given = ["--stop-time", str(STEPS * STEP), "--output-interval", str(STEP), "--output-file", "out.csv"]
+        given += [each for name in OUTPUTS for each in ("--output-variable", name)]
+        subprocess.run(["fmusim", "--interface-type", interface, *given, *more, f"five_bar{fmi}.fmu"], check=True)
+        with open("out.csv", newline="") as file:
+            *_, last = csv.DictReader(file)
+        assert float(last["time"]) == STEPS * STEP or "half" in more, f"ends at {last['time']} s"
+        return [float(last[name]) for name in OUTPUTS]
+
+    single2, single3 = partialmethod(run, 2, "cs"), partialmethod(run, 3, "cs")
+    exchange2 = partialmethod(run, 2, "me", "--solver", "cvode", "--tolerance", "1e-8")
+    exchange3 = partialmethod(run, 3, "me", "--solver", "cvode", "--tolerance", "1e-8")
+
+    def state(self) -> list[float]:
+        half = str(HALF * STEP)
+        self.run(2, "cs", "--stop-time", half, "--final-fmu-state-file", "half")
+        return self.run(2, "cs", "--start-time", half, "--initial-fmu-state-file", "half")
+
+
 CLIENTS = {
     "oldest fmpy": (Fmpy, ("fmpy==0.3.22", "numpy")),
     "newest fmpy": (Fmpy, ("fmpy", "numpy")),
@@ -342,13 +365,14 @@ CLIENTS = {
     "libcosim": (Libcosim, ("libcosimpy",)),
     "wasmtime": (Wasmtime, ("wasmtime",)),
     "jco": (Jco, ("npm:@bytecodealliance/jco",)),
+    "fmusim": (Fmusim, ()),
     "OMSimulator": (None, ("OMSimulator",)),
     "PyFMI": (None, ("pyfmi",)),
 }
-"""By name: how it is driven, and what is installed from PyPI or npm, the client first."""
+"""Clients by name: the driver, and the packages from PyPI or npm, that of the client first; none if it is on PATH."""
 
-SYSTEM = {"OpenModelica": "openmodelica", "fmusim": "fmusim"}
-"""Clients that could be packages of the system."""
+SYSTEM = {"OpenModelica": "openmodelica"}
+"""Clients that may be available as system packages."""
 
 
 _SAID: dict[str, Any] = {"capture_output": True, "text": True, "check": False}
@@ -357,7 +381,7 @@ _SAID: dict[str, Any] = {"capture_output": True, "text": True, "check": False}
 
 
 def cell(name: str, column: str, wanted: Sequence[float], folder: Path, python: str) -> str:
-    """Make one run in a process of its own; return its largest error, or how it ended."""
+    """Make one run in a separate process; return its largest error, or how it ended."""
     if not hasattr(CLIENTS[name][0], COLUMNS[column]):
         return NONE
     command = [python, str(Path(__file__).resolve()), "--drive", name, column]
@@ -375,7 +399,7 @@ def cell(name: str, column: str, wanted: Sequence[float], folder: Path, python: 
 
 
 def installed(packages: Sequence[str], place: Path) -> tuple[str, str]:
-    """Install packages into an environment at a place; return its Python, and why that failed if it did."""
+    """Install packages into a new environment in a folder; return its Python, and the reason of a failure or ""."""
     python, command = sys.executable, [shutil.which("npm") or "npm", "install", "--prefix", str(place)]
     if not packages[0].startswith("npm:"):
         venv.create(place, with_pip=True)
@@ -387,8 +411,13 @@ def installed(packages: Sequence[str], place: Path) -> tuple[str, str]:
 
 
 def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> list[str]:
-    """Return the cells of a client, or a second one alone, which says why there are none."""
+    """Return the cells of a client; if there are none, its name and a cell with the reason."""
     driver, packages = CLIENTS[name]
+    if not packages:
+        if not shutil.which(name):
+            return [name, f"**not tried**: neither apt nor PyPI has it, and no `{name}` is on PATH"]
+        version = subprocess.run([name, "--version"], **_SAID).stdout.split()[1]
+        return [f"{name} {version}", *(cell(name, each, wanted[each], folder, sys.executable) for each in COLUMNS)]
     python, why = (sys.executable, "") if here else installed(packages, folder / name)
     if why:
         return [name, f"**not tried**: installing `{packages[0]}` fails on {date.today():%Y-%m-%d} ({why})"]
@@ -406,7 +435,7 @@ def row(name: str, wanted: dict[str, list[float]], folder: Path, here: bool) -> 
 
 
 def rows(only: Iterable[str] = (), here: bool = False) -> list[list[str]]:
-    """Return the cells of all clients below a head; `here` takes clients that are installed."""
+    """Return the table of all clients with its head; `here` uses installed clients."""
     with tempfile.TemporaryDirectory(prefix="clients") as made:
         wanted = write_files(Path(made))
         found = [row(name, wanted, Path(made), here) for name in only or CLIENTS]

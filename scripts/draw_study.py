@@ -1,8 +1,8 @@
-"""Draw parameters, starts and inputs at random for each mechanism, run it, and count what came of it.
+"""Draw parameters, starts and inputs at random for each mechanism, run it, and count the outcomes.
 
-A run is wrong where energy less work is off by more than 1e-3 of the largest kinetic energy or work, computed here at
-every communication point; it is silent where nothing warned of it. Exit code 1 where one is silent, or ends in anything
-but an error of alfmu.
+A run is wrong if energy minus work changes by more than 1e-3 of the largest kinetic energy or work at any communication
+point; it is silent if no warning reports this. The exit code is 1 if a run is silent or ends in an error other than
+alfmu's own.
 """
 
 from __future__ import annotations
@@ -29,20 +29,21 @@ from alfmu.equations.interface import variables_of
 from alfmu.simulation import prepared, with_defaults
 
 WRONG = 1e-3
-"""Balance of energies over the energy of the motion."""
+"""Energy error over the energy of the motion [1] above which a run is wrong."""
 
 DECADES = 1.0
-"""Parameters are drawn so far from their default on either side, where they have one."""
+"""Parameters with a default other than zero are drawn within this many decades on either side of it."""
 
 STRONGEST = 1e3
 """Largest input [N, N.m]."""
 
 KINDS = ("right", "warned", "ended", "refused", "silent", "traceback")
-"""What comes of a run: right to 1e-3; wrong, and warned of; an error on the way, or at the start. The rest is bad."""
+"""Outcomes: right; wrong with a warning; an error in the run, at its start; bad ones: wrong and silent, foreign
+error."""
 
 
 def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
-    """Parameters and start values within their bounds, and constant inputs."""
+    """Return random parameters and start values within their bounds, and constant inputs."""
     values, inputs = {}, {}
     for v in variables_of(equations).parameters:
         if v.name.startswith(("solver.", "compliance.")) or v.type != "Real":
@@ -61,7 +62,7 @@ def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, 
 
 
 def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, float], stop: float) -> tuple[str, str]:
-    """One of KINDS, and what was said."""
+    """Return the outcome of a run, one of KINDS, and its messages."""
     unit = alfmu.Instance(equations)
     with Heard() as heard:
         try:
@@ -80,7 +81,7 @@ def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, fl
 
 
 def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:
-    """Runs an instance; the largest change of energy less work, over the largest kinetic energy or work."""
+    """Run an instance; return the largest change of energy minus work over the largest kinetic energy or work."""
     energy = equations.functions["energy"]
     first, off, scale = unit.get("monitor.energy"), 0.0, 1e-300
     for _ in range(round(stop / equations.interval)):
@@ -93,7 +94,7 @@ def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:
 
 @cache
 def judged(name: str, method: str) -> Equations:
-    """The mechanism, once in a process."""
+    """Return the scene of a mechanism, made once per process."""
     logging.getLogger("alfmu").addHandler(logging.NullHandler())
     logging.getLogger("alfmu").propagate = False
     equations = alfmu.derive(alfmu.load(name))
@@ -101,7 +102,7 @@ def judged(name: str, method: str) -> Equations:
 
 
 def one(name: str, method: str, stop: float, values: dict[str, float], inputs: dict[str, float]) -> tuple[str, str]:
-    """The outcome of a draw, in whichever process."""
+    """Return the outcome of a draw, in any process."""
     equations = judged(name, method)
     return outcome(equations, values, inputs, min(stop, equations.stop_time))
 
@@ -109,7 +110,7 @@ def one(name: str, method: str, stop: float, values: dict[str, float], inputs: d
 def counted(
     name: str, draws: int, method: str, stop: float, seed: int, show: bool = False, jobs: int = 1
 ) -> Counter[str]:
-    """How many draws of a mechanism came to what; the same whatever the number of processes."""
+    """Count the outcomes of draws of a mechanism, independent of the number of processes."""
     equations, random, found = judged(name, method), np.random.default_rng(seed), Counter()
     all_drawn = [drawn(equations, random) for _ in range(draws)]
     with tqdm(outcomes(name, method, stop, all_drawn, jobs), name, draws, leave=False, disable=None) as progress:
@@ -126,7 +127,7 @@ def counted(
 def outcomes(
     name: str, method: str, stop: float, all_drawn: list[tuple[dict[str, float], dict[str, float]]], jobs: int
 ) -> Iterator[tuple[str, str]]:
-    """What each draw came to, in their order, as soon as it is known."""
+    """Yield the outcomes of draws in order, as soon as each is known."""
     if jobs == 1:
         yield from (one(name, method, stop, *each) for each in all_drawn)
         return
@@ -137,7 +138,7 @@ def outcomes(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Count, print, and say by the exit code whether any run was bad."""
+    """Count and print the outcomes; return 1 if any run was bad, else 0."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--draws", type=int, default=1000, help="of each mechanism (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=sorted(mechanisms()), default=sorted(mechanisms()), metavar="NAME")

@@ -1,8 +1,8 @@
 """Call every function of native FMUs in legal and illegal order, under sanitizers.
 
-Runs `tests/native_fuzz.c` on several scenes. Says for each run its seed, how many calls there were, of which status,
-and the longest one, and at the end how many in all; returns 1 where a sanitizer reported something, a call did not come
-back, or a status was wrong.
+Runs `tests/native_fuzz.c` on several scenes. Prints for each run its seed, the number of calls by status and the
+longest call, and at the end the total; returns 1 if a sanitizer reported an error, a call did not return, or a status
+was wrong.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from alfmu.runtime import build
 SOURCE = Path(__file__).parents[1] / "tests" / "native_fuzz.c"
 
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-"""FMI's own."""
+"""Folder of the FMI headers."""
 
 CHECKS = {
     "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
     "thread": ("-fsanitize=thread",),
 }
-"""Sanitizers by what they watch."""
+"""Compiler flags of sanitizers, by what they check."""
 
 MOST_STEPS = 2000
-"""Internal steps of one call here, so that those which ask for more cost little."""
+"""Largest number of internal steps of one call, so that long steps are refused quickly."""
 
 PATIENCE = 3600
-"""Most time that one run may take [s]; a single call may take a minute."""
+"""Time limit of a run [s]; a single call may take a minute."""
 
 
 def locked() -> alfmu.Mechanism:
@@ -51,21 +51,21 @@ def locked() -> alfmu.Mechanism:
 
 @dataclass(frozen=True)
 class Case:
-    """A scene that is fuzzed."""
+    """A scene to fuzz."""
 
     mechanism: Callable[[], alfmu.Mechanism]
     parameters: dict[str, float | str] = field(default_factory=dict)
     outputs: list[str] | None = None
     share: int = 1
-    """Of all calls; long ones have less."""
+    """Share of all calls; scenes with slow calls have less."""
 
 
 RK4 = {"solver.method": "rk4"}
-"""Error control makes a million tries of a step that goes wrong, which is slow where everything is watched."""
+"""Avoids error control, which tries a failing step up to a million times: too slow with sanitizers."""
 
 
 def motor() -> alfmu.Mechanism:
-    """A slider-crank with a motor and a controller: states beside the motion."""
+    """Return a slider-crank with a motor and a controller, which have first-order states."""
     m = alfmu.load("slider_crank", coordinates="joint")
     voltage = parts.pi_controller(
         m, "speed", wanted=m.input("wanted", "rad/s"), measured=m.rate(m.coordinates[0].q), gain=1.0, time=0.5
@@ -90,7 +90,7 @@ CASES = {
 
 
 def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
-    """The command that runs the fuzzer on a scene, but for seed, calls and threads: program and what it is told."""
+    """Return the command that runs the fuzzer on a scene, without seed, calls and threads: program and arguments."""
     case = CASES[name]
     path = folder / f"{name}_{fmi}.fmu"
     how = {"parameters": case.parameters, "outputs": case.outputs}
@@ -112,14 +112,14 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
 
 
 def compiling(watched: str) -> list[str]:
-    """The command of the compiler with its sanitizers."""
+    """Return the command of the compiler with sanitizers."""
     flags = ["-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", f"-DMOST_STEPS={MOST_STEPS}"]
     return [*build.compiler(), *flags, *CHECKS[watched]]
 
 
 @cache
 def watching(sources: frozenset[tuple[str, bytes]], watched: str) -> tempfile.TemporaryDirectory[str]:
-    """A folder with what the sources of an FMU are compiled to: those of most FMUs are the same."""
+    """Return a folder with the object files of an FMU's sources, cached because most FMUs have the same sources."""
     made = tempfile.TemporaryDirectory(prefix="alfmu_")
     for name, text in sources:
         Path(made.name, name).write_bytes(text)
@@ -132,7 +132,7 @@ KINDS = ("input", "output")
 
 
 def first_run(references: Sequence[int]) -> tuple[int, int]:
-    """The first of numbers, and how many follow each other from there."""
+    """Return the first number, and the length of the run of consecutive numbers from it."""
     count = 0
     while count < len(references) and references[count] == references[0] + count:
         count += 1
@@ -140,7 +140,7 @@ def first_run(references: Sequence[int]) -> tuple[int, int]:
 
 
 def fuzzed(command: Sequence[str], seed: int, calls: int, threads: int) -> tuple[int, str]:
-    """How many calls a run of the fuzzer made (0 where it found something), and what it said."""
+    """Return the number of calls of a fuzzer run (0 if it found an error), and its output."""
     program, guid, *told = command
     given = [program, guid, str(seed), str(calls), str(threads), *told]
     try:

@@ -13,7 +13,7 @@ STIFFNESS = 8e5, 8e7
 
 
 def main() -> None:
-    """Integrate the minimal coordinates by DOP853 and by Radau; keep the first, print how far apart they are."""
+    """Integrate the minimal coordinates by DOP853 and by Radau; write the first result and print their difference."""
     columns = [flyball.TIMES]
     for stiffness in STIFFNESS:
         explicit = flyball.heights(stiffness)

@@ -1,8 +1,8 @@
 """Remake pictures of the docs: `film` (docs/five_bar.gif), `singular` (docs/singular.png), `cost` (theory/cost.md).
 
-The film is one period of the five-bar of Blajer (2002) from its singular position, so that it has no seam. The figure
-shows a four-bar linkage that passes a singular position. `cost DIR` puts the picture and the table of a report, which
-`alfmu report all -o DIR` wrote, between the markers of the page.
+The film shows one period of the five-bar of Blajer (2002) from its singular position, so it loops without a jump. The
+figure shows a four-bar linkage that passes a singular position. `cost DIR` puts the picture and the table of a report,
+which `alfmu report all -o DIR` wrote, between the markers of the page.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ def film(output: Path, fps: float) -> None:
 # A singular position ----------------------------------------------------------------------------------------------
 
 SPEED, TORQUE, STEP, BEFORE, STEPS = 3.0, 4.0, 0.02, 10, 30
-"""The motion: speed at the singular position [rad/s], torque [N.m], step [s], its number before and in all.
+"""The motion: speed at the singular position [rad/s], torque [N.m], step [s], number of steps before it and in all.
 
-A step ends at the singular position, nearly: the hardest case for a method that does not know of it."""
+A step ends almost exactly at the singular position, the hardest case for a method without provisions for it."""
 
 ZONES = {
     "S3: stages are brought to the branch": (BRANCH_MARGIN**0.5, "#d7e6f4"),
     "S4: reactions read are limits": (READ_ZONE * READ_DISTANCE, "#9cc4e4"),
     "S4: accelerations are limits": (LIMIT_ZONE * LEAST_DISTANCE, "#4f93c8"),
 }
-"""Distance [rad] below which each holds, the largest first, and its colour."""
+"""Distance [rad] below which each provision applies, the largest first, and its colour."""
 
 
 def distance(equations: alfmu.Equations, angle: float) -> float:
-    """The distance that alfmu measures at an angle [rad] of the crank."""
+    """Return the distance that alfmu measures at an angle [rad] of the crank."""
     i = alfmu.Instance(equations)
     i.set("start.angle", float(angle))
     i.initialize()
@@ -66,7 +66,7 @@ def singular(output: Path) -> None:
     """Draw the distance from a singular position, and the error of the angle, over a motion through it."""
     equations = study.scene("four_bar", coordinates="joint")
     acceleration, before = study.parallelogram(), -STEP * BEFORE
-    # The acceleration depends on the angle alone, so that a motion run backwards is one.
+    # The acceleration depends on the angle alone, so the motion is reversible.
     start = study.motion(acceleration, np.array([[0.0], [SPEED]]), TORQUE, np.array([0.0, -before]), 0.005)[-1, :, 0]
     start *= 1, -1
     fine = np.sort([*np.geomspace(1e-5, STEP * (STEPS - BEFORE), 120), *-np.geomspace(1e-5, -before, 120)])
@@ -113,17 +113,17 @@ LINES = {
     "MuJoCo, RK4": ("MuJoCo", "RK4", None, "-"),
     "SciPy's DOP853 on (9), in Python": ("SciPy on (9)", "DOP853", None, "-"),
 }
-"""Code, method, way and line of each line of the picture; colour and marker are those of the report."""
+"""Code, method, way to run and line style by label; colour and marker are those of the report."""
 
 
 def rows(folder: Path, name: str) -> list[dict[str, str]]:
-    """A CSV file of the report."""
+    """Return the rows of a CSV file of the report."""
     with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def error_over_time(errors: Sequence[dict[str, str]], mechanism: str) -> Figure:
-    """Error against run time of one mechanism."""
+    """Plot error over run time of one mechanism."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
     known = [r for r in errors if r["mechanism"] == mechanism and r["formulation"] in ("residual", "dae")]
@@ -144,7 +144,7 @@ def error_over_time(errors: Sequence[dict[str, str]], mechanism: str) -> Figure:
 
 
 def cost(report: Path, page: Path, mechanism: str) -> None:
-    """Put the picture and the table of a report into a page; ValueError where it has no markers."""
+    """Put the picture and the table of a report into a page; raise ValueError if it has no markers."""
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     _, marked, after = rest.partition(END)
     if not marked:
@@ -166,7 +166,7 @@ def cost(report: Path, page: Path, mechanism: str) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Remake one of them."""
+    """Remake one of the pictures."""
     line = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     kinds = line.add_subparsers(dest="kind", required=True)
     film_line, figure_line, cost_line = (kinds.add_parser(name) for name in ("film", "singular", "cost"))

@@ -1,8 +1,8 @@
-"""The singular benchmark: who gets through singular positions, with what error, in what time.
+"""The singular benchmark: which codes pass singular positions, with what error, in what time.
 
-Ten problems (`docs/singular_benchmark`) are run by every code that is installed, each pair in a process of its own with
-a limit of time. Writes `results.csv`, a picture and tables into a folder; `--write` puts them into the page, and
-`--references` makes problems and exact motions anew.
+Ten problems (`docs/singular_benchmark`) are run by every installed code, each pair in a separate process with a time
+limit. Writes `results.csv`, a picture and tables into a folder; `--write` puts them into the page, and `--references`
+remakes problems and exact motions.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ import alfmu
 from alfmu.studies.tables import Cell, Row, environment, markdown, rounded, write_csv
 
 BRANCH, OPEN, CLOSE = 0.05, 1e-3, 0.1
-"""Distance [m] from the nearest place of the branch, gap [m] of a closure, and error [m], above which a run has left
+"""Distance [m] from the nearest position on the branch, gap [m] of a closure, and error [m], above which a run has left
 its branch, has opened its loops, or is inaccurate."""
 
 LIMIT, LONG, BRIEF = 30.0, 300.0, 0.2
-"""Processor time [s] that a code has for a problem, and for the row of 1000 loops; runs below the last are repeated."""
+"""Limits of processor time [s] for a problem, and for the row of 1000 loops; runs below the last number are
+repeated."""
 
 QUICK = ("particle", "five_bar", "kite"), ("alfmu", "SciPy")
 OWN = [name for name in CODES if name.startswith("alfmu")]
@@ -45,7 +46,7 @@ BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 
 
 def branch_of(problem: Problem, motion: Motion) -> NDArray:
-    """The points (g, m, 3) at many places of the branch."""
+    """Return the points (g, m, 3) at many positions on the branch."""
     with np.errstate(invalid="ignore"):
         points = motion.geometry(np, list(motion.grid))[1]
     shape = motion.grid[0].shape
@@ -57,7 +58,7 @@ def branch_of(problem: Problem, motion: Motion) -> NDArray:
 
 
 def errors(problem: Problem, found: Found, reference: dict[str, NDArray], branch: NDArray) -> dict[str, float]:
-    """How far a run is off: its points, its branch, its loops, its force."""
+    """Return the errors of a run: points, distance from the branch, gaps of loops, force."""
     k, m = len(found.places), len(problem.points)
     axes = "xy" if problem.planar else "xyz"
     exact = np.zeros((k, m, 3))
@@ -118,7 +119,7 @@ def measured(name: str, code: str) -> None:
 
 
 def verdict(row: Row, stopped: str) -> str:
-    """What became of a run."""
+    """Return the outcome of a run."""
     number = {key: x for key, x in row.items() if isinstance(x, float)}
     if stopped or not math.isfinite(number["error [m]"]):
         return f"stopped: {' '.join(stopped.split())[:160]}" if stopped else "stopped: the state is NaN"
@@ -134,7 +135,7 @@ def _said(error: Exception) -> str:
 
 
 def spent(pid: int) -> float:
-    """Processor time of a process [s], where Linux tells it; a limit by `resource` would make its own clock coarse."""
+    """Return the processor time of a process [s], 0 if unknown; a limit by `resource` would make its clock coarse."""
     try:
         numbers = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
@@ -143,7 +144,7 @@ def spent(pid: int) -> float:
 
 
 def apart(name: str, code: str, limit: float) -> list[Row]:
-    """The rows of a code on a problem, by another process."""
+    """Return the rows of a code on a problem, run in another process."""
     base: Row = {"problem": name, "code": code}
     try:
         importlib.import_module(CODES[code].module)
@@ -169,11 +170,9 @@ def apart(name: str, code: str, limit: float) -> list[Row]:
 
 
 def class_row(name: str) -> Row:
-    """Pole or limit of forces where the motion passes its singular position, and what alfmu says 1e-4 rad beside."""
+    """Return the kind of the forces at the singular position, and the kind that alfmu reports 1e-4 rad from it."""
     problem, motion = loaded(name), PROBLEMS[name]()[1]
-    problem.runs[0].q = [motion.singular] * len(
-        problem.bodies
-    )  # guesses, of which each is 0 where this file declares it
+    problem.runs[0].q = [motion.singular] * len(problem.bodies)  # guesses of the assembly
     e = alfmu.derive(declared(problem))
     i = alfmu.Instance(e)
     parameters = CATALOGUE.get(name, ("", {}, {}))[2]
@@ -192,7 +191,7 @@ def class_row(name: str) -> Row:
 
 
 def best(rows: Sequence[Row], problem: str, code: str) -> Row:
-    """The most accurate row of a code on a problem; of lost ones that which kept the branch most often."""
+    """Return the most accurate row of a code on a problem; if all are lost, the row that kept the branch most often."""
     mine = [row for row in rows if (row["problem"], row["code"]) == (problem, code)]
     done = [row for row in mine if row["result"] in DONE]
     if done:
@@ -201,7 +200,7 @@ def best(rows: Sequence[Row], problem: str, code: str) -> Row:
 
 
 def cell(rows: Sequence[Row], problem: str, code: str) -> str:
-    """Least error and its time, or why there is none."""
+    """Return the least error and its time, or why there is none."""
     row = best(rows, problem, code)
     if row.get("result") in DONE:
         return f"{row['error [m]']:.0e} m, {rounded(row['seconds'], 2)} s"
@@ -210,13 +209,13 @@ def cell(rows: Sequence[Row], problem: str, code: str) -> str:
 
 
 def felt(rows: Sequence[Row], problem: str, code: str) -> Cell:
-    """The error of the force in the most accurate run that was not lost."""
+    """Return the error of the force in the most accurate run that was not lost."""
     row = best(rows, problem, code)
     return row.get("force error [N]") if row.get("result") in DONE else None
 
 
 def duel(rows: Sequence[Row], problem: str) -> Row:
-    """The rival that comes closest to alfmu at equal time, over all settings of all codes."""
+    """Return the other code that comes closest to alfmu at equal time, over all settings."""
     runs = [row for row in rows if row["problem"] == problem and row["result"] in DONE]
     own = [(row["seconds"], row["error [m]"]) for row in runs if row["code"] in OWN]
     found: Row = {"problem": problem}
@@ -241,7 +240,7 @@ def duel(rows: Sequence[Row], problem: str) -> Row:
 
 
 def picture(rows: Sequence[Row], names: Sequence[str]) -> Figure:
-    """Errors over times, a panel for each problem."""
+    """Plot errors over times, with a panel for each problem."""
     figure = Figure(figsize=(15, 3.4 * -(-len(names) // 4)), layout="constrained")
     panels = figure.subplots(-(-len(names) // 4), 4, squeeze=False).ravel()
     handles = {}
@@ -269,7 +268,7 @@ def picture(rows: Sequence[Row], names: Sequence[str]) -> Figure:
 
 
 def page(rows: Sequence[Row], names: Sequence[str], classes: Sequence[Row], command: str) -> str:
-    """The part of the page that results make."""
+    """Return the part of the page that shows the results."""
     codes = [code for code in CODES if any(row["code"] == code for row in rows)]
     facts = environment(command, [CODES[code].package for code in dict.fromkeys(codes)])
     duels = [duel(rows, name) for name in names]
@@ -301,7 +300,7 @@ def page(rows: Sequence[Row], names: Sequence[str], classes: Sequence[Row], comm
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what the command line asks for."""
+    """Run the selected part of the benchmark."""
     line = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     line.add_argument("--problems", nargs="*", choices=PROBLEMS, default=list(PROBLEMS), metavar="PROBLEM")
     line.add_argument("--codes", nargs="+", choices=CODES, default=list(CODES), metavar="CODE")
@@ -350,7 +349,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read(path: Path) -> list[Row]:
-    """The rows of a CSV file of results."""
+    """Return the rows of a CSV file of results."""
     words = ("problem", "code", "setting", "result", "branch kept")
     with path.open(encoding="utf-8") as file:
         return [{k: x if k in words else float(x) for k, x in row.items() if x} for row in csv.DictReader(file)]

@@ -1,6 +1,6 @@
 """Sizes of the C that `alfmu export --kind source` writes, as a table: `python scripts/source_sizes.py`.
 
-It takes ziglang, which compiles for x86-64 and for a Cortex-M7, and `size` of the binutils.
+It needs ziglang, which compiles for x86-64 and for a Cortex-M7, and `size` from binutils.
 """
 
 import re
@@ -22,13 +22,13 @@ ROWS = {
         "the same, not through singular positions (`--set solver.branch=paper`)",
     ),
 }
-"""What is exported, and how the table names it."""
+"""Exports by their names in the table."""
 
 TARGETS = (["-target", "x86_64-linux-musl"], ["-target", "thumb-linux-musleabihf", "-mcpu=cortex_m7"])
 
 
 def size(path: Path, target: list[str]) -> float:
-    """Kilobytes of code and tables."""
+    """Return the size of code and tables [kB]."""
     made = path.with_suffix(".o")
     command = [*(zig() or []), "-std=c99", "-Os", *target, "-c", str(path), "-o", str(made)]
     subprocess.run(command, check=True)

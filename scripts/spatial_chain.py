@@ -1,9 +1,9 @@
 """Cost of a step of a six-body chain in relative coordinates, beside Pinocchio's articulated-body algorithm.
 
 Both integrate the same chain, hinges about z, y, y, x, y, x with full matrices of inertia, by RK4 with steps of 1 ms.
-Times of the processor are those of the quickest of some runs. Pinocchio (`pip install -e ".[bench]"`) is called from
-Python, so that the time of its recursion is counted alone: that which a body adds to a call, times six, times the four
-evaluations of a step.
+Processor times are those of the fastest of several runs. As Pinocchio (`pip install -e ".[bench]"`) is called from
+Python, only its recursion is counted: the time that a body adds to a call, times six bodies, times four evaluations per
+step.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ CENTER, NEXT, STEP, STEPS = (0.1, 0.02, 0.05), (0.1, 0.0, 0.3), 1e-3, 1000
 
 
 def inertia(i: int) -> np.ndarray:
-    """Matrix of inertia (3, 3) [kg.m2] of body i, one that no frame makes diagonal at a glance."""
+    """Matrix of inertia (3, 3) [kg.m2] of body i, a full matrix."""
     A = np.random.default_rng(i).normal(size=(3, 3))
     E = 0.01 * A @ A.T
     return np.trace(E) * np.eye(3) - E
 
 
 def chain(bodies: int) -> alfmu.Mechanism:
-    """The chain, started with all angles at 0.1 rad times their number."""
+    """Return the chain; angle number i starts at 0.1 i rad."""
     m = alfmu.Mechanism("chain")
     m.gravity(0, 0, -9.81)
     before = m.spatial_ground.at()
@@ -44,7 +44,7 @@ def chain(bodies: int) -> alfmu.Mechanism:
 
 
 def aba(bodies: int) -> Callable[..., np.ndarray]:
-    """Pinocchio's recursion for the same chain: accelerations of q, v and torques."""
+    """Return Pinocchio's recursion for the same chain: a function of q, v and torques that returns accelerations."""
     import pinocchio as pin
 
     model, parent = pin.Model(), 0
@@ -64,7 +64,7 @@ def main() -> None:
     times = parser.parse_args().times
 
     def best(run: Callable[[], object]) -> float:
-        """Time of a step [us] of the quickest of some runs of so many steps."""
+        """Return the time of a step [us] in the fastest of several runs of STEPS steps."""
         return 1e6 * min(clocked(run).repeat(times, 1)) / STEPS
 
     equations = alfmu.derive(chain(6))

@@ -2,8 +2,8 @@
 
     python scripts/sweep_benchmark.py [--runs 20000] [--all 100000] [--repeat 3] [--fmpy 100]
 
-Every figure is told with the number of runs that it is from. Of what is repeated, the best is told, as other processes
-can only make it worse; beside times there are times of the processors, which those disturb less.
+Every figure is printed with its number of runs. Of repetitions the fastest counts, as other processes only add time;
+processor times, which they disturb less, are printed beside wall times.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ STOP, STEP = 1.0, 0.02
 
 
 def used() -> float:
-    """Time of processors [s] that this process and those that it started and ended took."""
+    """Return the processor time [s] of this process and its finished children."""
     each = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(x.ru_utime + x.ru_stime for x in each)
 
 
 def timed(run: Callable[[], object]) -> tuple[float, float]:
-    """Time and time of processors [s]."""
+    """Return wall and processor time [s] of a call."""
     begun, before = time.perf_counter(), used()
     run()
     return time.perf_counter() - begun, used() - before
 
 
 def by_fmpy(kind: str, runs: int, folder: Path) -> dict[str, tuple[float, float]]:
-    """Time of a run [s] and of its processor, by each way to call `simulate_fmu` in a loop."""
+    """Return wall and processor time [s] per run, for each way to call `simulate_fmu` in a loop."""
     import fmpy
 
     path = alfmu.export(alfmu.Recipe("five_bar", kind=kind), folder / f"{kind}.fmu")
@@ -70,7 +70,7 @@ def by_fmpy(kind: str, runs: int, folder: Path) -> dict[str, tuple[float, float]
 
 
 def swept(runs: int, workers: int, folder: Path) -> tuple[float, float]:
-    """Time and time of processors [s] of a sweep into a folder."""
+    """Return wall and processor time [s] of a sweep into a folder."""
     place = folder / f"sweep-{time.monotonic_ns()}"
     how = {"folder": place, "keep": KEEP, "stop_time": STOP, "communication_step": STEP, "workers": workers}
     found = timed(lambda: alfmu.sweep("five_bar", VARY, runs, kernel="auto", **how))
@@ -82,7 +82,7 @@ def swept(runs: int, workers: int, folder: Path) -> tuple[float, float]:
 
 
 def watched(cases: Iterable[int], most: dict[str, float]) -> Iterator[int]:
-    """Cases as they are done; the most memory [MB] of this process and of those that it started, as Linux tells it."""
+    """Yield finished cases, and record the peak memory [MB] of this process and its children (on Linux)."""
     for case in cases:
         if case % 1000 == 0:
             pid = os.getpid()

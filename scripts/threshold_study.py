@@ -1,8 +1,8 @@
-"""What each threshold of singular positions and of the start is worth: runs with half and with twice its value.
+"""Sensitivity to each threshold of singular positions and of the start: runs with half and with twice its value.
 
-Each variant runs in a process of its own, which sets the constant before anything is traced and, where C has it too,
-builds a runtime of its own. `docs/singular.md` has the figures, between two markers; `--write` puts them there. The
-other columns of that table are the constants themselves and their docstrings.
+Each variant runs in a separate process, which sets the constant before anything is traced and, if C uses it too, builds
+its own runtime. `--write` puts the figures between two markers of `docs/singular.md`. The other columns of that table
+are the constants themselves and their docstrings.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# Modules of alfmu that read the constants are imported by a variant alone, after it has set one.
+# Only a variant imports the modules of alfmu that read the constants, after it has set one.
 SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
-"""What every variant imports; they are forked with it."""
+"""Modules imported before variants are forked, as all of them need these."""
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "singular.md"
 BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
 MODULES = ("method.singular", "method.friction", "method.stepping", "kernel.thresholds")
 SOME = {"method.stepping": ("SHARE",)}
-"""The only constants that count of a module."""
+"""Constants to study, for modules that have others, too."""
 
 FACTORS = {"half": 0.5, "twice": 2.0}
 FAR = {"a hundredth": 0.01, "a hundredfold": 100.0}
-"""Factors by which a constant is told that nothing depends on: those of `--far` alone."""
+"""Factors of `--far`, which detect constants without any effect."""
 
 SAME = "same"
-"""Said of a variant whose runs are those of the default to the last bit."""
+"""Result of a variant whose runs equal those of the default to the last bit."""
 
 ROUGHLY = 0.02
 """Relative change up to which an error or a number of evaluations counts as unchanged."""
@@ -60,19 +60,19 @@ class Threshold:
     why: str
 
     def times(self, factor: float) -> float | int | tuple[float, ...]:
-        """The value times a factor; a whole number stays one, of at least 1."""
+        """Return the value times a factor; an integer stays an integer, at least 1."""
         if isinstance(self.value, tuple):
             return tuple(factor * x for x in self.value)
         return max(1, round(factor * self.value)) if isinstance(self.value, int) else factor * self.value
 
     @property
     def shown(self) -> str:
-        """The value as the page has it."""
+        """The value as shown in the page."""
         return ", ".join(f"{x:g}" for x in (self.value if isinstance(self.value, tuple) else (self.value,)))
 
     @property
     def row(self) -> str:
-        """The cells of its row in the page that repeat the module."""
+        """The cells of its row in the page that come from the module."""
         return f"| `{self.name}` | {self.shown} | {self.unit} | {self.noun}: {self.why} |"
 
 
@@ -81,7 +81,7 @@ FORM = re.compile(r"(?P<noun>[^\[\]]+) \[(?P<unit>[^\]]+)\]: (?P<why>.+)", re.S)
 
 
 def thresholds(modules: Sequence[str] = MODULES) -> list[Threshold]:
-    """The numbers that the modules name, in their order; ValueError where a docstring is of another form."""
+    """Return the constants of the modules in their order; raise ValueError if a docstring has another form."""
     found = []
     for module in modules:
         values = vars(import_module(f"alfmu.{module}"))
@@ -103,14 +103,14 @@ def thresholds(modules: Sequence[str] = MODULES) -> list[Threshold]:
 
 
 class Found(NamedTuple):
-    """What a case gives: its error, and the evaluations it took."""
+    """Result of a case: its error and its number of evaluations."""
 
     error: float
     evaluations: int
 
 
 def references(cases: Sequence[str]) -> dict[str, Any]:
-    """The exact motions that these cases are judged by; no constant of the modules is part of them."""
+    """Return the exact motions for these cases; they depend on no constant of the modules."""
     if set(cases) <= set(RUBBING):
         return {}
     import _passages as study
@@ -132,7 +132,7 @@ STARTS, FIVE_BAR = 50, {"A.torque": 3.0, "D.torque": -1.0}
 
 
 def _equations(mechanism: Any, **wanted: float | str) -> Any:
-    """A mechanism, or one of this name, made ready for the interpreter with these variables of the solver."""
+    """Return the scene of a mechanism, given by itself or its name, for the interpreter with these solver variables."""
     import alfmu
     from alfmu.simulation import prepared, with_defaults
 
@@ -142,7 +142,7 @@ def _equations(mechanism: Any, **wanted: float | str) -> Any:
 
 
 def _started(equations: Any, given: Mapping[str, float]) -> Any:
-    """An instance with these values, initialised."""
+    """Return an initialised instance with these values."""
     import alfmu
 
     i = alfmu.Instance(equations)
@@ -153,7 +153,7 @@ def _started(equations: Any, given: Mapping[str, float]) -> Any:
 
 
 def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
-    """A linkage from exactly its singular start over 5 s by steps of dt [s]: the error [rad] of its angle."""
+    """Run a linkage from its singular start over 5 s with steps of dt [s]; return the error [rad] of its angle."""
     import _passages as study
 
     import alfmu
@@ -166,7 +166,7 @@ def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, meth
 
 
 def _row(exact: Any) -> Found:
-    """A row of two four-bars in absolute coordinates over 10 s at 1e-9: the error [rad] at the end."""
+    """Run a row of two four-bars in absolute coordinates over 10 s at 1e-9; return the error [rad] at the end."""
     import _passages as study
 
     import alfmu
@@ -180,8 +180,8 @@ def _row(exact: Any) -> Found:
 
 
 def _pressed(_: Any) -> Found:
-    """A slider-crank whose light rod presses the slider against a stiff stop for 0.3 s: the error [rad, m] of its
-    coordinates, against implicit steps at 1e-11."""
+    """Run a slider-crank whose light rod presses the slider against a stiff stop for 0.3 s; return the error [rad, m]
+    of its coordinates, compared with implicit steps at 1e-11."""
     given = {"l1": 0.9034, "l2": 6.178, "m1": 218.8, "m2": 1.994e-4, "m3": 1.753, "radius": 0.0711, "stop": 1.639}
     given |= {"stiffness": 2.145e7, "dissipation": 0.8229, "onset": 5.549e-5}
     given |= {"start.angle": -0.1684, "start.angular_velocity": -1.781}
@@ -195,7 +195,7 @@ def _pressed(_: Any) -> Found:
 
 
 def _starts(exact: Any) -> Found:
-    """The four-bar from random starts over 2.5 s by steps of 0.02 s: the largest error [rad]."""
+    """Run the four-bar from random starts over 2.5 s with steps of 0.02 s; return the largest error [rad]."""
     import _passages as study
 
     runs = study.run_phases(0.02, study.phases(STARTS))
@@ -204,14 +204,14 @@ def _starts(exact: Any) -> Found:
 
 
 def _crank(exact: Any) -> Found:
-    """The slider-crank of equal links over 2 s by steps of 0.00125 s: the error [rad] of its crank."""
+    """Run the slider-crank of equal links over 2 s with steps of 0.00125 s; return the error [rad] of its crank."""
     import _passages as study
 
     return Found(*study.crank_run(exact))
 
 
 def _read(_: Any, torque: float) -> Found:
-    """Reactions of the four-bar at B, 1e-6 to 0.02 rad from its singular position: the error [N], poles aside."""
+    """Return the error [N] of the four-bar's finite reactions at B, 1e-6 to 0.02 rad from its singular position."""
     import _passages as study
     import numpy as np
 
@@ -222,13 +222,13 @@ def _read(_: Any, torque: float) -> Found:
     for distance in (1e-6, 1e-4, 1e-3, 4e-3, 0.02):
         i = _started(equations, {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY})
         forces = exact.multipliers(np.array([distance]), np.array([study.DRIVEN_SPEED]))[:, 0]
-        rows = (2,) if torque else (1, 2)  # A torque has a pole in the first.
+        rows = (2,) if torque else (1, 2)  # With a torque the first one has a pole.
         worst = max(worst, *(abs(i.get(f"multiplier[{k}]") - forces[k - 1]) for k in rows))
     return Found(float(worst), 0)
 
 
 def _locked(_: Any) -> Found:
-    """A point that runs into the cusp of y^2 = x^3: by how much [s] the time of the lock-up is off."""
+    """Run a point into the cusp of y^2 = x^3; return the error [s] of the time of the lock-up."""
     import alfmu
 
     m = alfmu.Mechanism("cusp")
@@ -241,7 +241,7 @@ def _locked(_: Any) -> Found:
 
 
 def _ended(run: Callable[[], object], why: str, exact: float) -> Found:
-    """A run that ends with an error that names a reason: by how much [s] its time is off."""
+    """Return the error [s] of the time at which a run ends with an error for this reason."""
     import alfmu
 
     try:
@@ -255,7 +255,7 @@ def _ended(run: Callable[[], object], why: str, exact: float) -> Found:
 
 
 def _assembled(_: Any) -> Found:
-    """A four-bar linkage assembled from 100 poor guesses: the share of them that are refused."""
+    """Assemble a four-bar linkage from 100 poor guesses; return the share of refused ones."""
     import casadi as ca
     import numpy as np
 
@@ -271,7 +271,7 @@ def _assembled(_: Any) -> Found:
     equations, refused = _equations(m, method="auto"), 0
     for angle in np.random.default_rng(1).uniform(-np.pi, np.pi, 100):
         try:
-            with warnings.catch_warnings(action="ignore", category=alfmu.AlfmuWarning):  # Guesses are meant to be poor.
+            with warnings.catch_warnings(action="ignore", category=alfmu.AlfmuWarning):  # about the poor guesses
                 _started(equations, {"start.a": float(angle)})
         except alfmu.AlfmuError:
             refused += 1
@@ -279,7 +279,7 @@ def _assembled(_: Any) -> Found:
 
 
 def _regular(_: Any, name: str, stop: float) -> Found:
-    """A mechanism over some time without a singular position: what it takes."""
+    """Run a mechanism without a singular position; return its position error and its number of evaluations."""
     import alfmu
 
     r = alfmu.simulate(_equations(name), stop, stop)
@@ -287,7 +287,7 @@ def _regular(_: Any, name: str, stop: float) -> Found:
 
 
 def _prescribed(_: Any) -> Found:
-    """A four-bar whose crank follows a law from exactly its singular start over 4 s: the error [N m] of the torque."""
+    """Run a four-bar with a crank law from its singular start over 4 s; return the error [N m] of the torque."""
     import casadi as ca
     import numpy as np
 
@@ -311,7 +311,7 @@ def _prescribed(_: Any) -> Found:
 
 
 def _beside(_: Any, name: str) -> Found:
-    """A parallelogram from rest in line, on a base that shakes or with a rotor, as in the tests: the error [rad]."""
+    """Run a parallelogram of the tests, on a shaking base or with a rotor, from rest; return the error [rad]."""
     sys.path.insert(0, str(ROOT / "tests"))
     import test_moving_base as moving
 
@@ -329,7 +329,7 @@ def _beside(_: Any, name: str) -> Found:
 
 
 def _rubs(_: Any, name: str) -> Found:
-    """Mechanisms with dry friction, as the tests have them: the error of what each is about."""
+    """Run a mechanism of the tests with dry friction; return the error of the quantity that the test checks."""
     sys.path.insert(0, str(ROOT / "tests"))
     import numpy as np
     import test_friction as rubbing
@@ -373,7 +373,7 @@ def _rubs(_: Any, name: str) -> Found:
 
 
 RUBBING = ("belt", "near jam", "wedge", "crank rubs", "dwell", "jam", "pentagon")
-"""Cases with dry friction, for constants of friction alone."""
+"""Cases with dry friction, used for constants of friction only."""
 
 CASES: dict[str, Callable[[Any], Found]] = {
     "five-bar": partial(_driven, name="five_bar", torques=FIVE_BAR, dt=0.02),
@@ -393,17 +393,17 @@ CASES: dict[str, Callable[[Any], Found]] = {
     **{name: partial(_beside, name=name) for name in ("shaken", "rotor")},
     **{name: partial(_rubs, name=name) for name in RUBBING},
 }
-"""Runs, by the name that the page gives them."""
+"""Cases by their names in the page."""
 
 DECIDING = (
     *("LAW_PASSES", "LAW_ENOUGH", "JAM_SETTLED", "JAM_PIVOT", "REST", "MOVING", "STOPPED", "NEARLY_STOPPED"),
     *("EXCEEDED", "IDLE", "IDLER", "SHARING_ROUNDS", "STEADY_SHARE", "NO_ROOM", "SLIDING_ROUNDS", "SEARCHED"),
     *("RIGHT_THERE", "SEEN_BETWEEN"),
 )
-"""Constants that decide of sticking and sliding."""
+"""Constants that decide between sticking and sliding."""
 
 OF_FRICTION = (*DECIDING, "SLOW_STEP", "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
-"""Constants that nothing without dry friction depends on."""
+"""Constants that affect mechanisms with dry friction only."""
 
 SLOW = {
     "bennett": ("ASIDE", "FAR_RATIO", "REGULAR", "RANKED"),
@@ -412,18 +412,18 @@ SLOW = {
     **dict.fromkeys(("shaken", "rotor"), ("FROZEN", "AWAY", "BESIDE", "SERVES", "TOO_NEAR")),
     **dict.fromkeys(("crank rubs", "pentagon"), DECIDING),
 }
-"""Cases that are slow to derive, or are about some constants: those that they are run for."""
+"""Constants for which a case is run, if it is slow to derive or concerns only these."""
 
 
 def about(name: str, case: str) -> bool:
-    """Whether a case is run for a constant."""
+    """Return whether a case is run for a constant."""
     if (name in OF_FRICTION) != (case in RUBBING):
         return False
     return case not in SLOW or name in SLOW[case]
 
 
 def _own_runtime() -> None:
-    """Build a runtime with the constants of this process, where they are not those of the library."""
+    """Build and use a runtime with the constants of this process if they differ from the library's."""
     from alfmu.kernel.tables import layout_header
     from alfmu.runtime import library
 
@@ -434,7 +434,7 @@ def _own_runtime() -> None:
     with tempfile.TemporaryDirectory(prefix="alfmu_thresholds_") as made:
         folder = Path(made)
         shutil.copytree(source / "c", folder / "c")
-        # To optimise takes longer than the runs, and changes no number.
+        # Optimisation takes longer than the runs, and changes no number.
         script = (source / "build.py").read_text(encoding="utf-8").replace('"-O2"', '"-O0"')
         (folder / "build.py").write_text(script, encoding="utf-8")
         (folder / "c" / "core" / "layout.h").write_text(header, encoding="utf-8")
@@ -444,7 +444,7 @@ def _own_runtime() -> None:
 
 
 def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequence[str]) -> dict[str, Found | str]:
-    """What the cases give with one constant changed, by name, module and value; the message where a case stopped."""
+    """Return the results of cases with one constant changed (name, module, value), or the message of a stopped case."""
     name, module, value = changed
     if module:
         setattr(import_module(f"alfmu.{module}"), name, value)
@@ -469,7 +469,7 @@ def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequ
 
 
 def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str]) -> str:
-    """What a change did, in the words of the page: the largest ratios of errors and evaluations, with their cases."""
+    """Return the effect of a change as text: the largest ratios of errors and evaluations, with their cases."""
     if all(x == usual[case] for case, x in found.items()):
         return SAME
     stopped = [case for case, x in found.items() if isinstance(x, str) and not isinstance(usual[case], str)]
@@ -489,13 +489,13 @@ def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str])
 
 
 def measured(page: str) -> dict[str, list[str]]:
-    """What the page has of each constant, by name: a cell for each factor."""
+    """Return the cells of the page by the name of the constant, one for each factor."""
     rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \| ([^|]+) \|$", page.split(BEGIN)[1].split(END)[0], re.M)
     return {name: list(cells) for name, *cells in rows}
 
 
 def table(rows: Mapping[str, Sequence[str]]) -> str:
-    """The tables of the page: constants as they are in the modules, and what was measured, by name."""
+    """Return the tables of the page: the constants in the modules, and the measured `rows` by name."""
     lines = []
     for module in MODULES:
         lines += [f"`alfmu.{module}`:", "", "| Name | Value | Unit | Why | Half | Twice |", "|---|---|---|---|---|---|"]
@@ -505,14 +505,14 @@ def table(rows: Mapping[str, Sequence[str]]) -> str:
 
 
 def write(cells: Mapping[str, Sequence[str]]) -> None:
-    """Put what was measured into the page, and constants as they are now; what was not measured stays."""
+    """Put the present constants and the measured cells into the page; other cells stay."""
     page = PAGE.read_text(encoding="utf-8")
     head, tail = page.split(BEGIN)[0], page.split(END)[1]
     PAGE.write_text(f"{head}{BEGIN}\n{table({**measured(page), **cells})}{END}{tail}", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure what the command line asks for."""
+    """Measure the constants selected on the command line."""
     parser = argparse.ArgumentParser(description="Halve and double each threshold, and compare errors and evaluations.")
     parser.add_argument("--only", nargs="*", metavar="NAME", help="some of the constants; without a name none")
     parser.add_argument("--cases", nargs="+", metavar="CASE", choices=CASES, help="some of the runs")
@@ -523,7 +523,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--write takes all cases, and half and twice")
     from alfmu.model.cache import VARIABLE
 
-    os.environ[VARIABLE] = "off"  # kept scenes have the constants of the code
+    os.environ[VARIABLE] = "off"  # cached scenes contain the constants of the code
     factors = FAR if chosen.far else FACTORS
     wanted = [x for x in thresholds() if chosen.only is None or x.name in chosen.only]
     jobs = [("", "", None), *((x.name, x.module, x.times(f)) for x in wanted for f in factors.values())]

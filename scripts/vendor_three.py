@@ -1,10 +1,10 @@
-"""Bundle what films in space use of three.js into one file, `alfmu/view/vendor/three.min.js`, with its licence.
+"""Bundle the used parts of three.js into one file, `alfmu/view/vendor/three.min.js`, with its licence.
 
     python scripts/vendor_three.py            write both files
     python scripts/vendor_three.py --check    exit with 1 where they differ from what would be written
 
-Needs npm, and a package registry once. `three/package.json` pins the versions, `three/package-lock.json` what they
-consist of; to take another version, change the one, run `npm install --package-lock-only` there, then this.
+Needs npm and, once, a package registry. `three/package.json` pins the versions, `three/package-lock.json` their
+contents; for another version, change the former, run `npm install --package-lock-only` there, then this script.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def main() -> int:
 
 
 def bundled(folder: Path) -> dict[str, bytes]:
-    """The bundle and the licence, by name."""
+    """Return the bundle and the licence, by name."""
     for path in SOURCE.iterdir():
         shutil.copy(path, folder)
     subprocess.run(["npm", "ci", "--silent", "--ignore-scripts"], cwd=folder, check=True)
@@ -56,7 +56,7 @@ def bundled(folder: Path) -> dict[str, bytes]:
         "--outfile=bundle.js",
         "--log-level=error",
     ]
-    # The wrapper of esbuild's package starts the program; without scripts at installation it still finds it.
+    # The wrapper in esbuild's package finds its program even if installation scripts are disabled.
     subprocess.run(["node_modules/.bin/esbuild", "three.js", *options], cwd=folder, check=True)
     text = (folder / "bundle.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
     licence = (folder / "node_modules" / "three" / "LICENSE").read_bytes()

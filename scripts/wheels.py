@@ -1,8 +1,8 @@
 """The source archive and a wheel for each platform, built on any machine by zig, opened and checked.
 
 `pip install ".[release]"`, then `python scripts/wheels.py`. The wheels are built from the source archive, in an
-environment of their own. A wheel has the runtime for all platforms and for browsers, and differs from the others in its
-tag alone. The exit code is 1 where a check finds something.
+isolated environment. Every wheel has the runtime for all platforms and for browsers; wheels differ only in their tags.
+The exit code is 1 if a check fails.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from alfmu.runtime.build import HERE, PLATFORMS, WEB, file_name
 ROOT = Path(__file__).parents[1]
 
 GLIBC = (2, 17)
-"""The newest symbols of glibc that a library may ask for, which is what `manylinux_2_17` promises."""
+"""Newest version of glibc whose symbols a library may need, as `manylinux_2_17` promises."""
 
 _FORMATS = {
     "linux64": ("ELF", 62),
@@ -42,7 +42,7 @@ _FORMATS = {
     "aarch64-darwin": ("Mach-O", 0x0100000C),
     WEB: ("WebAssembly", 1),
 }
-"""Platform -> the format of its libraries, and its number for the processor (of WebAssembly, the version)."""
+"""Platform -> format of its libraries, and the format's number for the processor (WebAssembly: the version)."""
 
 _RUN = """
 import alfmu
@@ -53,7 +53,7 @@ assert len(r.time) == 6, r
 
 
 def machine(data: bytes) -> tuple[str, int]:
-    """The format of a library, and its number for the processor; both empty where it is none."""
+    """Return the format of a library and its number for the processor; ("", 0) for an unknown format."""
     if data[:4] == b"\x7fELF":
         return "ELF", struct.unpack_from("<H", data, 18)[0]
     if data[:2] == b"MZ":
@@ -67,7 +67,7 @@ def machine(data: bytes) -> tuple[str, int]:
 
 
 def problems(path: Path, name: str) -> list[str]:
-    """What is wrong with a wheel for a platform: its names and tag, what it says of itself, files, libraries."""
+    """Return the errors of a wheel for a platform: in names, tag, metadata, files and libraries."""
     with zipfile.ZipFile(path) as archive:
         files = {file: archive.read(file) for file in archive.namelist() if not file.endswith("/")}
     [info] = {file.partition("/")[0] for file in files if file.partition("/")[0].endswith(".dist-info")}
@@ -89,7 +89,7 @@ def problems(path: Path, name: str) -> list[str]:
 
 
 def _unlike_their_record(files: dict[str, bytes], info: str) -> list[str]:
-    """Files that the wheel's record does not list, or lists with another digest."""
+    """Return the files that the wheel's record does not list, or lists with another digest."""
     rows = {file: digest for file, digest, _ in csv.reader(files[f"{info}/RECORD"].decode().splitlines())}
     digests = {
         file: base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=") for file, data in files.items()
@@ -99,7 +99,7 @@ def _unlike_their_record(files: dict[str, bytes], info: str) -> list[str]:
 
 
 def _missing_entries(files: dict[str, bytes], info: str) -> list[str]:
-    """Modules of entry points, and equations of mechanisms, that are not there."""
+    """Return the missing modules of entry points, and the missing READMEs of mechanisms."""
     entries = configparser.ConfigParser()
     entries.optionxform = str
     entries.read_string(files[f"{info}/entry_points.txt"].decode())
@@ -110,7 +110,7 @@ def _missing_entries(files: dict[str, bytes], info: str) -> list[str]:
 
 
 def _of_library(data: bytes, name: str) -> list[str]:
-    """What is wrong with the library of a platform."""
+    """Return the errors of the library for a platform."""
     if machine(data) != _FORMATS[name]:
         return [f"is {machine(data)}, not {_FORMATS[name]}"]
     wanted = (b"alfmu_scene_load", *(() if name == WEB else (b"fmi2DoStep", b"fmi3DoStep")))
@@ -122,7 +122,7 @@ def _of_library(data: bytes, name: str) -> list[str]:
 
 
 def runs(path: Path) -> list[str]:
-    """What goes wrong where a mechanism of a wheel for this machine runs, with the packages of this environment."""
+    """Return the errors of a run of a mechanism from this machine's wheel, with the packages of this environment."""
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder, zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
         command = [sys.executable, "-P", "-c", _RUN.format(folder=folder)]
@@ -132,7 +132,7 @@ def runs(path: Path) -> list[str]:
 
 
 def built(out: Path, names: list[str]) -> dict[str, Path]:
-    """Build the source archive, and the wheels of platforms from it; platform -> its wheel."""
+    """Build the source archive, and from it the wheels of platforms; return the wheels by platform."""
     with DefaultIsolatedEnv() as environment, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         builder = ProjectBuilder.from_isolated_env(environment, ROOT, quietly)
         environment.install(builder.build_system_requires)

@@ -287,6 +287,9 @@ static void states(void)
     CHECK(fmi2FreeFMUstate(c, &foreign) == fmi2Error);
     CHECK(fmi2FreeFMUstate(c, &again) == fmi2OK && !again);
     CHECK(fmi2FreeFMUstate(c, &again) == fmi2OK);
+    CHECK(fmi2GetFMUstate(c, &again) == fmi2OK);
+    CHECK(fmi2FreeFMUstate(c, again) == fmi2OK); /* as fmusim 0.0.39 does */
+    again = NULL;
     CHECK(fmi2DeSerializeFMUstate(c, bytes, size - 8, &again) == fmi2Error);
     for (size_t k = 0; k < 128; k++) { /* the heads */
         bytes[k] = (fmi2Byte)(bytes[k] ^ 0x55);

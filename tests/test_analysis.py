@@ -744,3 +744,17 @@ def test_the_command_line_shows_writes_and_draws(tmp_path, monkeypatch, capsys):
     assert "small motions are not linear" in capsys.readouterr().err
     assert main(["linearize", "hung.py", "--at", "0,1", "--film", "x.gif"]) == 1
     assert "one state" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("load", [-5.0, 25.0])
+def test_a_drum_on_a_soft_spring_rests_many_turns_away(load: float):
+    """Load over stiffness, 50 and 250 rad from the start."""
+    m = alfmu.Mechanism("drum")
+    drum = m.body("drum", mass=1.0, inertia=0.1)
+    turn = m.coordinate("turn", "rad", independent=True)
+    axle = m.revolute("axle", m.ground.at(0, 0), drum.at(0, 0), coordinate=turn)
+    m.spring_damper(axle, stiffness=0.1)
+    m.drive(axle, load)
+    m.gravity(0, 0)
+    (rest,) = alfmu.equilibrium(m)
+    assert rest.coordinates["turn"] == pytest.approx(load / 0.1, rel=1e-12)

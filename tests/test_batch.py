@@ -203,6 +203,12 @@ def test_one_thread_at_a_time_moves_a_batch():
     np.testing.assert_allclose(batch.time, 0.2, rtol=1e-14)
 
 
+def run_interrupted(batch: Batch) -> None:
+    """A timer on a machine that stalls may fire before the first step."""
+    threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
+    all(not batch.step(0.5).any() for _ in range(1000))
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no such signal to a thread")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_interrupt_waits_for_all_members(threads):
@@ -210,9 +216,8 @@ def test_an_interrupt_waits_for_all_members(threads):
     batch.initialize()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores interrupts
     try:
-        threading.Timer(0.02, lambda: signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)).start()
         with pytest.raises(KeyboardInterrupt):
-            all(not batch.step(0.5).any() for _ in range(1000))
+            run_interrupted(batch)
     finally:
         signal.signal(signal.SIGINT, before)
     assert len({*batch.time}) == 1

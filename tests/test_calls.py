@@ -79,6 +79,7 @@ GOOD: dict[str, Callable[[SimpleNamespace], dict[str, Any]]] = {
     "spatial_screw": lambda x: {**x.space, "axis": x.axis, "lead": 0.1},
     "universal": lambda x: {**x.space, "axis": x.axis, "second_axis": (1, 0, 0)},
     "spatial_weld": lambda x: x.space,
+    "spare": lambda x: {"of": x.m.spherical("loop", x.at, x.box.at())},
     "gear": lambda x: {**x.wheels, "radii": (0.5, 0.5)},
     "belt": lambda x: {**x.wheels, "radii": (0.1, 0.1)},
     "rack": lambda x: {"name": "n", "pinion": x.wheel.at(), "guide": x.G, "radius": 0.1, "side": "left"},

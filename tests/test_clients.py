@@ -27,12 +27,12 @@ def most(column: str) -> float:
 @pytest.fixture(scope="module")
 def measured(clients):
     """Rows of clients that can be installed beside each other, by name."""
-    names = ("newest fmpy", "ecos", "libcosim", "wasmtime")
+    names = ("newest fmpy", "ecos", "libcosim", "wasmtime", "fmusim")
     return dict(zip(names, clients.rows(names, here=True)[1:], strict=True))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["newest fmpy", "ecos", "libcosim", "wasmtime"])
+@pytest.mark.parametrize("name", ["newest fmpy", "ecos", "libcosim", "wasmtime", "fmusim"])
 def test_what_is_installed_gives_the_numbers_of_the_library(clients, measured, name):
     """fmpy is, which has a function for every column but one."""
     found = measured[name]

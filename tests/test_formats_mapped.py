@@ -306,6 +306,40 @@ def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
         alfmu.imported(path, leave="tyres")
 
 
+UNKNOWN = {
+    "xml": "<mujoco><default><joint wobble='1'/></default><worldbody><body name='b'><joint name='j' hum='2'/>"
+    "<geom size='0.1'/></body></worldbody><sway/></mujoco>",
+    "urdf": "<robot name='r'><link name='w'/><link name='b'><inertial><mass value='1'/><inertia ixx='1' iyy='1' "
+    "izz='1'/></inertial></link><joint name='j' type='continuous'><parent link='w'/><child link='b'/><dynamics hum='2' "
+    "damping='1'/><sway/><axis xyz='0 1 0' wobble='1'/></joint></robot>",
+    "sdf": "<sdf version='1.9'><model name='m'><link name='b'><sway/></link><joint name='j' type='revolute' "
+    "wobble='1'><parent>world</parent><child>b</child><axis><xyz>0 1 0</xyz><hum>2</hum></axis></joint></model></sdf>",
+}
+
+
+@pytest.mark.parametrize("kind", UNKNOWN)
+def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_path: Path):
+    """Attributes, inherited ones and elements; only the first of an element was told, and none could be left."""
+    path = tmp_path / f"arm.{kind}"
+    path.write_text(UNKNOWN[kind])
+    with pytest.raises(alfmu.InputError, match="refused for 3 reasons") as told:
+        alfmu.imported(path)
+    assert all(each in str(told.value) for each in ("wobble", "hum", "sway"))
+    assert str(told.value).count("--option leave=unknown leaves it out") == 3
+    found = alfmu.imported(path, leave="unknown")
+    assert "unknown elements and attributes, which the user leaves out" in found.warnings[0]
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+
+
+def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        "<mujoco><worldbody><body><joint name='j' type='ball' limited='true' range='0 0'/><geom size='1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    assert "limits of ball joints" in alfmu.imported(path).warnings[0]
+
+
 def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "inner").mkdir()
     path = tmp_path / "inner" / "m.sdf"
@@ -419,7 +453,7 @@ def test_meshes_give_inertia(kind: str, how: str, tmp_path: Path):
 
 
 @MUJOCO
-@pytest.mark.parametrize("how", ["legacy", "convex", "exact"])
+@pytest.mark.parametrize("how", ["legacy", "convex", "exact", "shell"])
 def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_path: Path):
     import mujoco
 
@@ -443,3 +477,51 @@ def test_meshes_that_are_not_convex_have_the_inertia_of_mujoco(how: str, tmp_pat
     assert body.mass == pytest.approx(model.body_mass[1], rel=1e-6)
     np.testing.assert_allclose(body.center, model.body_ipos[1], atol=1e-7)
     np.testing.assert_allclose(body.inertia, np.diag(turn @ np.diag(model.body_inertia[1]) @ turn.T), rtol=1e-6)
+
+
+def test_a_mesh_as_a_shell_has_its_area_as_mass(tmp_path: Path):
+    """A cube of 0.2 m: mass 1000 A, and 5/3 of the moment of the solid cube of this mass; of the geom or the mesh."""
+    path = tmp_path / "m.xml"
+    corners = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
+    for mesh, geom in (("", 'shellinertia="true"'), ('inertia="shell"', "")):
+        path.write_text(
+            f'<mujoco><asset><mesh name="c" vertex="{corners}" {mesh}/></asset><worldbody><body><joint/>'
+            f'<geom type="mesh" mesh="c" {geom}/></body></worldbody></mujoco>'
+        )
+        (body,) = alfmu.imported(path).mechanism.spatial_bodies
+        assert body.mass == pytest.approx(1000 * 6 * 0.2**2)
+        np.testing.assert_allclose(body.inertia, body.mass * 0.2**2 / 6 * 5 / 3, rtol=1e-12)
+
+
+def test_shapes_of_bodies_that_stand_still_need_no_inertia(tmp_path: Path):
+    """A base whose mesh is missing was refused, as if it moved."""
+    path = tmp_path / "m.xml"
+    text = (
+        '<mujoco{}><asset><mesh name="a" file="none.stl"/></asset><worldbody><body name="base"><geom type="mesh" '
+        'mesh="a"/><geom type="box" mesh="a"/><body name="arm">{}<inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/>'
+        "</body></body></worldbody></mujoco>"
+    )
+    path.write_text(text.format("", '<joint name="j"/>'))
+    (note,) = alfmu.imported(path).notes
+    assert "shapes of bodies that stand still have no mass here" in note
+    path.write_text(text.format("", '<joint name="j"/>').replace('name="base">', 'name="base"><joint/>'))
+    with pytest.raises(alfmu.InputError, match=r"there is no file 'none\.stl'"):
+        alfmu.imported(path)
+    path.write_text(text.format("><compiler settotalmass='3'/", '<joint name="j"/>'))
+    with pytest.raises(alfmu.InputError, match=r"there is no file 'none\.stl'"):
+        alfmu.imported(path)
+
+
+@pytest.mark.parametrize(
+    ("soft", "part"),
+    [('<flexcomp name="flag" type="grid"/>', "flag_0"), ('<composite prefix="p" type="cable"/>', "pB_last")],
+)
+def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tmp_path: Path):
+    path = tmp_path / "m.xml"
+    text = f'<equality><connect body1="b3" body2="{part}" anchor="0 0 0"/></equality>'
+    path.write_text(arm(after=text).replace("<worldbody>", f"<worldbody>{soft}").replace('"b3"', '"world"'))
+    with pytest.raises(alfmu.InputError, match=f"{part}' is part of a flexible body; --option leave=flexible"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="flexible")
+    assert "flexible, which the user leaves out (2 from" in found.warnings[0]
+    assert not found.mechanism.closures

@@ -19,6 +19,7 @@ from drives import drive
 from fmpy.fmi1 import FMICallException
 from test_motion import crank
 from test_rubbing_motions import belt
+from test_source import with_binary
 
 import alfmu
 from alfmu.model.settings import METHODS
@@ -34,12 +35,15 @@ kinds = pytest.mark.parametrize("kind", ["native2", "native3", "python2"])
 
 
 @pytest.fixture(scope="session")
-def made(fmu_of) -> Callable[..., Path]:
+def made(fmu_of, tmp_path_factory) -> Callable[..., Path]:
     """`made("native3", "five_bar", ...)`: the path of that FMU."""
 
     def get(kind: str, name: str = "five_bar", **parameters) -> Path:
         given = {f"solver.{each}": value for each, value in parameters.items()}
-        return fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, reference=False)
+        path = fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, reference=False)
+        if kind.startswith("source"):
+            return with_binary(path, int(kind[-1]), tmp_path_factory.mktemp("built") / "own.fmu")
+        return path
 
     return get
 
@@ -219,7 +223,7 @@ def by_another_process(code: str, **environment: str) -> str:
 
 @pytest.mark.slow
 @on_glibc
-@kinds
+@pytest.mark.parametrize("kind", ["native2", "native3", "python2", "source2", "source3"])
 def test_a_host_that_unmasks_traps_lives_and_keeps_them(made, kind):
     """From the end of the initialisation on; the numbers are those of a host that does not."""
     path = made(kind)
@@ -231,7 +235,7 @@ def test_a_host_that_unmasks_traps_lives_and_keeps_them(made, kind):
 
 
 @on_glibc
-@pytest.mark.parametrize("kind", ["native2", "native3"])
+@pytest.mark.parametrize("kind", ["native2", "native3", "source2", "source3"])
 def test_a_host_that_rounds_in_another_way_has_the_same_numbers(made, kind):
     upward, libm = 0x800, ctypes.CDLL("libm.so.6")
     hosts = [Host(made(kind)) for _ in range(2)]

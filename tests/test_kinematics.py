@@ -144,6 +144,46 @@ def test_all_solutions():
     np.testing.assert_allclose(places, [(z.real, z.imag) for z in tools], atol=1e-11)
 
 
+def four_bar_in_space(size: float = 1.0) -> Mechanism:
+    """Bodies stand along the ground's axes at the start, where their e1 to e3 are zero."""
+    m = Mechanism("space")
+    m.gravity(0, 0, 0)
+    points = {"O": (0.0, 0.0), "A": (0.0, 0.3), "B": (0.8, 0.5), "C": (0.8, 0.0)}
+    points = {name: size * np.array(place) for name, place in points.items()}
+    bodies, middles = {None: m.spatial_ground}, {None: np.zeros(2)}
+    for name, ends in (("crank", "OA"), ("coupler", "AB"), ("rocker", "CB")):
+        middles[name] = np.mean([points[end] for end in ends], 0)
+        bodies[name] = m.spatial_body(name, mass=1.0, inertia=(0.1 * size**2,) * 3, position=(*middles[name], 0.0))
+    for name, one, two in (
+        ("O", None, "crank"),
+        ("A", "crank", "coupler"),
+        ("C", None, "rocker"),
+        ("B", "coupler", "rocker"),
+    ):
+        ends = [bodies[x].at(*map(float, points[name] - middles[x])) for x in (one, two)]
+        m.spatial_revolute(name, *ends, axis=(0, 0, 1))
+    return m
+
+
+def test_solutions_of_bodies_with_euler_parameters_are_closed():
+    found = kinematics(four_bar_in_space(), ["O"], ["C"]).solutions({"O": 0.4})
+    tip = cmath.rect(0.3, math.pi / 2 + 0.4)
+    way, sides = 0.8 - tip, (abs(0.8 + 0.2j), 0.5)
+    bend = triangle(sides[0], abs(way), sides[1])
+    ends = [tip + cmath.rect(sides[0], cmath.phase(way) + side * bend) for side in (1, -1)]
+    got = sorted((each["coupler"][:2] for each in found), key=lambda x: -x[1])
+    wanted = sorted([[((tip + end) / 2).real, ((tip + end) / 2).imag] for end in ends], key=lambda x: -x[1])
+    np.testing.assert_allclose(got, wanted, atol=1e-10)
+    assert max(each.gap for each in found) < 1e-12
+
+
+def test_singular_positions_are_judged_alike_at_any_size():
+    """The numbers of a linkage in proportion are the same."""
+    judged = [kinematics(four_bar_in_space(size), ["O"], ["C"]).transmission() for size in (1.0, 0.01, 2.0, 10.0)]
+    numbers = np.array([[each.constraint, each.parallel, each.serial] for each in judged])
+    np.testing.assert_allclose(numbers, numbers[[0]].repeat(4, 0), rtol=1e-9)
+
+
 @pytest.mark.parametrize("sort", SORTS)
 def test_turned_and_shifted(sort: str):
     """Numbers of the verdict and efforts are the same in other axes and coordinates."""
@@ -707,6 +747,28 @@ def test_transmission_angle_of_a_slider_crank():
     push.gravity(0, 0)
     with pytest.raises(InputError, match=r"slider: guide has no dead position up to .*give the range as span="):
         kinematics(push, ["guide"], ["slide"]).cycle()
+
+
+def test_a_pinion_turns_many_times_between_dead_positions():
+    """A slider-crank whose slide is a rack: the crank and the rod in line hold it, far more than one turn apart."""
+    m = Mechanism("rack")
+    crank, rod, slide = (m.bar(name, mass=1.0, length=a) for name, a in (("crank", 0.1), ("rod", 0.3), ("slide", 0.1)))
+    pinion = m.body("pinion", mass=1.0, inertia=1e-3)
+    lean = math.asin(0.1 * math.sin(0.7) / 0.3)
+    stroke = 0.1 * math.cos(0.7) + 0.3 * math.cos(lean)
+    m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=m.coordinate("angle", "rad", start=0.7))
+    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=-0.7 - lean))
+    P = m.revolute("P", m.ground.at(0, 0.005), pinion.at(0, 0), coordinate=m.coordinate("turn", "rad"))
+    place = m.coordinate("stroke", "m", start=stroke)
+    guide = m.prismatic("guide", m.ground.at(0, 0), slide.start, coordinate=place)
+    m.rack("teeth", pinion.at(0, 0), guide, radius=0.005, side="left", phase=-stroke / 0.005)
+    m.revolute("C", rod.end, slide.start)
+    m.gravity(0, 0)
+    m.drive(P, m.input("torque", "N.m"))
+    cycle = kinematics(m, watch=["guide"]).cycle(rows=41)
+    ends = (np.array([0.2, 0.4]) - stroke) / 0.005
+    np.testing.assert_allclose(cycle.facts["dead"], ends, rtol=1e-10)
+    np.testing.assert_allclose(cycle["P"], np.linspace(*ends, 41), rtol=1e-10)
 
 
 # Limits, laws, names ------------------------------------------------------------------------------------------------

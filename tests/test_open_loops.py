@@ -1,6 +1,7 @@
 """Loops that are open where a mechanism is declared or read from a file: closed over all coordinates, and told."""
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -231,3 +232,62 @@ def test_start_values_that_do_not_close_the_loops_say_where_they_would(tmp_path:
         alfmu.Instance(m).initialize()
     reached = float(str(caught.value).split("start.th is ")[1].split()[0])
     assert 0.5 * np.sin(reached) <= 0.3 + 1e-6
+
+
+PARALLELOGRAM = """<mujoco><compiler angle="radian"/><option><flag contact="disable"/></option><worldbody>
+<body name="left"><joint name="a" axis="0 1 {askew}"/>{arm}
+<body name="top" pos="0.3 0 -0.4"><joint name="b" axis="{askew} 1 0"/>
+<inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/><site name="p" pos="0.2 {off} 0"/>
+<site name="pp" pos="0.2 0.1 {off}"/></body></body>
+<body name="right" pos="0.2 0 0"><joint name="c" axis="0 1 0"/>{arm}<site name="q" pos="0.3 0 -0.4"/>
+<site name="qq" pos="0.3 0.1 -0.4"/></body></worldbody><equality>{loops}</equality></mujoco>"""
+
+
+@pytest.mark.parametrize("second", ["", '<connect site1="pp" site2="qq"/>'])
+@pytest.mark.parametrize(("askew", "off"), [(0.0, 1e-7), (1e-8, 0.0), (3e-6, 2e-6)])
+def test_a_loop_closed_several_times_but_for_rounding_moves(
+    askew: float, off: float, second: str, tmp_path: Path
+) -> None:
+    """The energy of a parallelogram whose axes and points are rounded is that of a pendulum: it stood, or did not
+    begin."""
+    path = tmp_path / "parallelogram.xml"
+    arm = '<inertial pos="0.15 0 -0.2" mass="1.2" diaginertia="0.025 0.025 0.025"/>'
+    loops = f'<connect site1="p" site2="q"/>{second}'
+    path.write_text(PARALLELOGRAM.format(askew=askew, off=off, arm=arm, loops=loops))
+    found = alfmu.imported(path)
+    (note,) = found.notes
+    assert "joints of its loops constrain some directions more than once" in note
+    run = alfmu.simulate(found.mechanism, 0.5, 0.05)
+    angle, rate = run["a.angle"] - run["a.angle"][0], run["a.angular_velocity"]
+    # Both arms turn, with their middles at half of the length 0.5 m, and the top moves along a circle of that radius.
+    inertia, moment = 2 * (0.025 + 1.2 * 0.25**2) + 2 * 0.5**2, (2 * 1.2 * 0.25 + 2 * 0.5) * 9.81
+    begin = np.arctan2(-0.3, 0.4)
+    energy = moment * (np.cos(begin + angle) - np.cos(begin))
+    assert abs(angle[-1]) > 0.5
+    assert inertia / 2 * rate**2 == pytest.approx(energy, abs=1e-5)
+    made: dict[str, Callable[[], alfmu.Mechanism]] = {}
+    exec(found.source("made"), made)
+    assert made["made"]().spatial_joints[-1].directions == found.mechanism.spatial_joints[-1].directions
+
+
+def test_a_loop_that_is_askew_is_rigid(tmp_path: Path) -> None:
+    """An axis that is off by more than rounding is not left out, and is warned of."""
+    path = tmp_path / "parallelogram.xml"
+    arm = '<inertial pos="0.15 0 -0.2" mass="1.2" diaginertia="0.025 0.025 0.025"/>'
+    path.write_text(PARALLELOGRAM.format(askew=1e-3, off=0, arm=arm, loops='<connect site1="p" site2="q"/>'))
+    assert "its closed loops permit no motion here" in alfmu.imported(path).moved
+
+
+def test_directions_to_spare_are_those_of_a_joint_that_closes_a_loop() -> None:
+    m = alfmu.Mechanism("m")
+    body, held = (m.spatial_body(name, mass=1.0, inertia=(1, 1, 1), relative=True) for name in ("body", "held"))
+    th = m.coordinate("th")
+    m.spatial_revolute("A", m.spatial_ground.at(), body.at(), axis=(0, 0, 1), coordinate=th)
+    m.spatial_revolute("C", m.spatial_ground.at(1, 0, 0), held.at(), axis=(0, 0, 1), coordinate=m.coordinate("ph"))
+    B = m.spherical("B", body.at(0.5, 0, 0), held.at(-0.5, 0, 0))
+    with pytest.raises(alfmu.DeclarationError, match="m: A closes no loop in space"):
+        m.spare("A", "x")
+    with pytest.raises(alfmu.DeclarationError, match="B keeps no direction 'rotation1'; it keeps x, y, z"):
+        m.spare("B", "rotation1")
+    m.spare(B, "z")
+    assert B.directions == ("x", "y")

@@ -229,7 +229,7 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
     assert re.search(r"a step of 0\.02 s \(internal steps: 1\): \d+ operations as a rule, \d+ at most", said)
     compiled(["-std=c99", "-Os", "-c", path.name, "-o", "five_bar.o"], tmp_path)
     assert tables < sizes(tmp_path / "five_bar.o") < 56_000
-    assert memory < 21_000
+    assert memory < 16_000
     plain = Plain(path)
     instance = alfmu.Instance("five_bar", outputs=SMALL["outputs"])
     for name, value in {**RK4, **SMALL["parameters"]}.items():

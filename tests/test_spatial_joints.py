@@ -404,6 +404,34 @@ def test_a_screw_that_constraints_close_keeps_its_thread_over_many_turns():
     assert i.counters.position_error < 1e-12
 
 
+@pytest.mark.parametrize("absolute", [True, False])
+def test_the_turns_of_a_screw_are_told_by_its_way_also_where_constraints_close_it(absolute: bool):
+    """A nut ten turns up, held by a spring of turns: a linear oscillator; kinematics moves it by more than a turn."""
+    m = alfmu.Mechanism("jack")
+    m.gravity(0, 0, -9.81)
+    where = {"position": (0, 0, 0.5)} if absolute else {"relative": True}
+    nut = m.spatial_body("nut", mass=1.5, inertia=(2e-4, 2e-4, 3e-4), **where)
+    pair = {"axis": (0, 0, 1), "first": m.spatial_ground.at(), "second": nut.at()}
+    if not absolute:
+        turn, place = m.coordinate("turn", "rad"), m.coordinate("place", "m", start=0.5, independent=True)
+        m.cylindrical("sleeve", **pair, coordinates=[turn, place])
+    thread = m.spatial_screw("thread", **pair, lead=0.05)
+    m.spring_damper(thread, stiffness=0.1, rest=70.0, name="spring")
+    pitch = 0.05 / (2 * np.pi)
+    run = alfmu.simulate(m, 1.0, 0.1, parameters={"solver.relative_tolerance": 1e-9})
+    middle, pace = 70.0 - 1.5 * 9.81 * pitch / 0.1, np.sqrt(0.1 / (3e-4 + 1.5 * pitch**2))
+    angle = middle + (0.5 / pitch - middle) * np.cos(pace * run.time)
+    assert run["thread.angle"] == pytest.approx(angle, abs=1e-6)
+    assert run["nut.z"] == pytest.approx(pitch * angle, abs=1e-8)
+    assert run["spring.torque"] == pytest.approx(0.1 * (angle - 70.0), abs=1e-6)
+    k = alfmu.kinematics(m, ["thread"])
+    for moved in (
+        k.forward({"thread": 80.0}),
+        *k.solutions({"thread": 80.0}),
+    ):  # none half a turn off, none upside down
+        assert moved["nut.z"] == pytest.approx(80.0 * pitch, abs=1e-10)
+
+
 # What it costs --------------------------------------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ from .situation import Vector
 __all__ = ["STRAIGHT", "Way", "polished", "ways"]
 
 TOUCHED = 1e-7
-"""Size of a quadratic equation over the largest [1] below which it counts as zero."""
+"""Relative size of a quadratic equation [1] below which it counts as zero."""
 
 BESIDE = 0.02
 """Distance from a singular position [rad, sizes] at which a branch must close the loops and be regular."""
@@ -27,17 +27,17 @@ STRAIGHT = 0.2
 """Largest deviation of a branch from its initial direction over that distance [1]."""
 
 DENSITY = 3
-"""Logarithm of a number of directions [1]: branches are searched from so many times 2^motions directions, as there may
-be 2^(motions - 1); a row of three four-bars has all of its own from half as many."""
+"""Branches are searched from 2^(motions + DENSITY) directions [1], as there may be 2^(motions - 1) branches; half as
+many directions find all branches of a row of three four-bars."""
 
 PASSES = 60
-"""Most steps of Newton's method [1]: each halves the error at a double solution."""
+"""Largest number of steps of Newton's method [1]: each halves the error at a double solution."""
 
 ROOT = 1e-9
 """Residual of the quadratic equations of a branch [1] below which a direction is a solution."""
 
 ALIKE = 1e-3
-"""Difference of directions [1] below which they are one branch."""
+"""Difference of directions [1] below which they count as one branch."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Way:
     """A branch that begins at a singular position."""
 
     way: Vector
-    """Its direction (n,)."""
+    """Direction (n,) of the branch."""
     ends: bool
-    """Whether it continues in one direction only."""
+    """Whether the branch continues in one direction only."""
     singular: bool
-    """Whether positions on it are singular, too."""
+    """Whether positions on the branch are singular, too."""
 
 
 def ways(loops: Loops, y: Vector, motions: int) -> list[Way]:

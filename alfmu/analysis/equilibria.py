@@ -45,8 +45,9 @@ SAME = 1e-5
 """Largest difference [rad, sizes] of positions that count as one equilibrium; if a stiffness vanishes, Newton's method
 ends some 1e-6 from it."""
 
-STEPS = 80
-"""Most steps of Newton's method from a position [1]."""
+STEPS, SHORTENED = 80, 1000
+"""Largest number of steps of Newton's method from a position, and of those that are shortened to `STEP` [1]: 300 rad,
+as to the position of rest of a drum on a soft spring of many turns."""
 
 HELD = 1e-7
 """Unbalanced generalised force over the largest load [1] above which reactions at a singular position do not balance
@@ -59,10 +60,10 @@ PACE = 0.05
 """Step along a motion of one degree of freedom [rad, sizes]: equilibria closer to each other may be missed."""
 
 ROUND = 1000
-"""Most steps along such a motion [1]: 50 rad."""
+"""Largest number of steps along such a motion [1]: 50 rad."""
 
 MOST_WAYS = 64
-"""Most such searches [1]: one in both directions of each branch at each singular position that is reached."""
+"""Largest number of such searches [1]: one in each direction of every branch at every singular position reached."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +80,19 @@ class Equilibrium:
     states: Mapping[str, float]
     """States of the mechanism by name, at their equilibrium values."""
     outputs: Mapping[str, float]
-    """All outputs at rest, reactions among them; joints that share a load carry the least."""
+    """All outputs at rest, including reactions; those of redundant constraints have least norm."""
     stability: str
     """"stable", "asymptotically stable", "unstable" or "not judged"."""
     reason: str
     """Reason why the stability is not judged, or the criterion that decides it."""
     eigenvalues: NDArray[np.complex128] = field(repr=False)
-    """Eigenvalues of small motions about it [1/s]; empty if unknown."""
+    """Eigenvalues of small motions about the equilibrium [1/s]; empty if unknown."""
     residual: float
     """Residual of the balance: the largest generalised force on a coordinate [N, or N.m]."""
     connected: bool
     """Whether a path from the start was found on which the loops stay closed."""
     isolated: bool
-    """Whether no other equilibria are arbitrarily close to it."""
+    """Whether the equilibrium is isolated, not one of a continuous family."""
     energy: float
     """Potential energy of gravity and springs [J]."""
     loads: Vector = field(repr=False)
@@ -110,7 +111,7 @@ class Equilibrium:
 
     @property
     def held_by(self) -> list[str]:
-        """Efforts of prescribed motions that hold it, as lines of text."""
+        """Efforts of the prescribed motions that hold the mechanism, as lines of text."""
         where, units = self.situation, {v.name: v.unit for v in self.situation.equations.outputs}
         rows = zip(where.equations.rows, where.held, strict=True)
         motions = [row.name for row, on in rows if on and row.direction == "motion"]
@@ -119,7 +120,7 @@ class Equilibrium:
 
     @property
     def kept(self) -> Vector:
-        """Values stored beside the parameters that determine it: displacements of locks, and signals."""
+        """Stored values that determine the equilibrium beside the parameters: displacements of locks, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
 
     @property
@@ -136,7 +137,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether it was found stable."""
+        """Whether the equilibrium was found stable."""
         return self.stability in ("stable", "asymptotically stable")
 
     @property
@@ -282,8 +283,8 @@ def equilibrium(
     not judged.
 
     Inputs and laws of time that prescribe motion are held at their values at that time. Dry friction is left out:
-    positions where it balances the loads lie around the equilibria without it. States are in equilibrium, too; those
-    that have no value of their own at rest, as the integral of a controller, determine the position.
+    positions where it balances the loads lie around the equilibria without it. States are in equilibrium, too; states
+    without an equilibrium value of their own, such as the integral of a controller, determine the position.
 
     Raises AlfmuError if a name or a value is invalid, or the loops cannot be closed, InputError if a law of time
     prescribes motion at that time.
@@ -376,7 +377,7 @@ class _Search:
             yield from self._around(starts // 2)
 
     def _on_the_ways(self) -> Iterator[Vector]:
-        """Yield positions near which the load along a motion of one freedom vanishes, on all branches from
+        """Yield positions near which the load along a motion with one degree of freedom vanishes, on all branches from
         the start."""
         loops, home = self.loops, self.loops.home
         (way,) = loops.motions(home).T
@@ -457,7 +458,7 @@ class _Search:
         loops = self.loops
         count = starts if loops.freedom == 1 else starts - starts // 2
         for place in loops.scattered(count if loops.situation.held.any() else 0):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None:
                 yield y
 
@@ -465,7 +466,7 @@ class _Search:
 
     @property
     def _nothing(self) -> float:
-        """Load that counts as none; places far from the origin have round-off."""
+        """Load that counts as zero; positions far from the origin have more round-off."""
         return max(BALANCED, ROUND_OFF * float(np.abs(self.loops.home).max(initial=0.0))) * self.largest
 
     def _at_rest(self, y: Vector) -> bool:
@@ -476,10 +477,10 @@ class _Search:
 
     def balanced(self, y: Vector) -> Vector | None:
         """Return an equilibrium by Newton's method in steps along the motions, None if there is none."""
-        loops, damping, stalled = self.loops, 0.0, 0
+        loops, damping, stalled, made, shortened = self.loops, 0.0, 0, 0, 0
         N, r, lam = loops.balance(y)
         self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
-        for _ in range(STEPS if self.largest > 0 else 0):
+        while self.largest > 0 and made < STEPS and shortened < SHORTENED:
             size = float(np.linalg.norm(r))
             if size == 0.0 or stalled > 2:
                 break
@@ -489,16 +490,19 @@ class _Search:
             U, s, V = np.linalg.svd(K)
             low = max(damping, 1e-13) * max(s[0], 1e-100)
             dz = V.T @ (s / (s**2 + low**2) * (U.T @ r))
-            dz *= min(1.0, STEP / max(np.abs(N @ dz).max(), 1e-100))
+            part = min(1.0, STEP / max(np.abs(N @ dz).max(), 1e-100))
+            dz *= part
             ahead = loops.closed(y + N @ dz, y)
             moved = None if ahead is None else loops.balance(ahead)
             if ahead is not None and moved is not None and np.linalg.norm(moved[1]) < size:
                 stalled += int(np.linalg.norm(moved[1]) > 0.5 * size and size <= self._nothing)
                 y, (N, r, lam) = ahead, moved
+                made, shortened = made + (part == 1.0), shortened + (part < 1.0)
                 damping = damping / 10 if damping > 1e-6 else 0.0
             elif size <= self._nothing:
                 break
             else:
+                made += 1
                 damping = max(10 * damping, 1e-3)
                 if damping > 1e4:
                     break

@@ -26,7 +26,7 @@ FRAMES = 60
 
 
 def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) -> Result:
-    """Return one vibration in a shape (coordinate -> complex change) about a state: positions alone, with loops closed.
+    """Return one vibration in a shape (coordinate -> complex change) about a state: positions only, loops closed.
 
     The largest change of a coordinate is `amplitude` [rad, lengths over the size of the mechanism]. Raises InputError
     if the loops cannot be closed at that amplitude.

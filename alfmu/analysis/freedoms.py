@@ -38,7 +38,7 @@ _SHOWN = 8
 """Number of coordinates, rates or times in a text."""
 
 MOST = 6
-"""Most motions at a singular position whose branches are searched [1]."""
+"""Largest number of motions at a singular position whose branches are searched [1]."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Branch:
     """A motion that begins at a singular position."""
 
     way: Mapping[str, float]
-    """Rates of the coordinates by name, the largest 1 [m or rad]."""
+    """Rates of the coordinates by name, scaled so that the largest is 1 [m or rad]."""
     ends: bool
-    """Whether it continues in one direction only."""
+    """Whether the branch continues in one direction only."""
     singular: bool
-    """Whether the positions on it are singular, too."""
+    """Whether the positions on the branch are singular, too."""
 
     def __repr__(self) -> str:
         return f"Branch({self.said()})"
@@ -68,11 +68,11 @@ class SingularPosition:
     """A position with more independent velocities than degrees of freedom."""
 
     time: float
-    """Time at which the motion passes it [s]."""
+    """Time at which the motion passes the position [s]."""
     coordinates: Mapping[str, float]
     """Coordinates by name [m or rad]."""
     angles: tuple[str, ...]
-    """Names of those in rad."""
+    """Names of the coordinates in rad."""
     motions: int
     """Independent velocities that constraints allow there."""
     branches: tuple[Branch, ...]
@@ -80,7 +80,7 @@ class SingularPosition:
     followed: int | None
     """Index of the branch of the motion; None if unknown."""
     reason: str
-    """Reason why branches cannot be determined; empty if they are."""
+    """Reason why branches cannot be determined; empty if they can."""
 
     def __repr__(self) -> str:
         return f"SingularPosition(t = {self.time:.6g} s, {counted(len(self.branches), 'branch')})"
@@ -92,7 +92,7 @@ class Group:
 
     rows: tuple[str, ...]
     redundant: int
-    """How many of them are redundant."""
+    """Number of redundant constraints among them."""
 
     def __repr__(self) -> str:
         return f"Group({self.redundant} of {', '.join(self.rows)})"
@@ -108,7 +108,7 @@ class Freedoms:
     redundant: int
     """Constraints that depend on the others at every position."""
     freedom_here: int
-    """Independent velocities at the start; more than `freedom` where it is singular."""
+    """Independent velocities at the start; more than `freedom` if the start is singular."""
     independent: tuple[str, ...]
     """Coordinates that describe the motions best."""
     groups: tuple[Group, ...]
@@ -236,7 +236,7 @@ def mobility(
     analysed. The motion is followed from the start to `stop_time` [s], by default that of the mechanism's own
     experiment, 0 for the start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives
     inputs over time and `progress` shows progress, as for `simulate`. With `time` [s] only the position that laws of
-    time prescribe then is analysed. Prescribed motions count as constraints, dry friction does not.
+    time prescribe at that time is analysed. Prescribed motions count as constraints, dry friction does not.
 
     Raises AlfmuError if a name or a value is invalid, or the loops cannot be closed.
     """
@@ -404,7 +404,7 @@ class _Way:
                     if loops.freedom != freedom:
                         freedom = loops.freedom
                         self.changes.append((t, freedom))
-                elif where.equations.followed:  # their stored numbers change at each instant
+                elif where.equations.followed:  # signals store new polynomials at each instant
                     loops = Loops(where)
                 y, v = where.state.q / loops.scale, where.state.v / loops.scale
                 size = float(loops.sizes(y)[-1]) if loops.rank else 1.0

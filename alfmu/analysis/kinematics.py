@@ -47,21 +47,25 @@ Columns = dict[str, tuple[str, Sequence[float] | Vector]]
 """Units and values of columns by name."""
 
 SINGULAR = 1e-5
-"""Singular value [1] at and below which a position is singular: where two assemblies meet, loops that close to 1e-12
-place it to the square root of that, 1e-6."""
+"""Singular value [1] up to which a position is singular: where two assemblies meet, loops closed to 1e-12 determine the
+position only to the square root of that, 1e-6."""
 
 STARTS = 64
-"""Default number of places from which all solutions are searched [1]: 32 find the four of a robot with five bars, 256
-all of a delta robot, whose platform may also turn over."""
+"""Default number of positions from which all solutions are searched [1]: 32 find the four solutions of a five-bar
+robot, 256 all of a delta robot, whose platform may also turn over."""
 
 SAME = 1e-6
 """Largest difference [rad, sizes] of positions that count as one solution."""
 
+ALIKE = 1e-6
+"""Largest change of the constraint matrix over its largest entry [1] with which loops are as they were: loops that
+close to 1e-12 place what is nearly singular to the square root of that."""
+
 PACE, MOST = 0.05, 4000
-"""Step of the search for dead positions [rad, sizes], and most such steps [1]: 200 rad."""
+"""Step of the search for dead positions [rad, sizes], and largest number of such steps [1]: 200 rad."""
 
 HALVED = 12
-"""Most halvings of a step towards given values [1], before they count as out of reach."""
+"""Largest number of halvings of a step [1], before the given values count as out of reach."""
 
 AGREES = 1e-9
 """Relative difference [1] above which rates of redundant actuators contradict each other."""
@@ -79,7 +83,7 @@ class Position:
     gap: float
     """Largest gap of the loops [units of a row]."""
     beyond: Mapping[str, float]
-    """Limit stops that it is beyond, and how far [rad or m]."""
+    """Penetration [rad or m] of each limit stop that the position violates."""
     q: Vector = field(repr=False)
     """All coordinates (n,), with time if laws move something."""
 
@@ -121,7 +125,7 @@ class Transmission:
     constraint: float
     parallel: float
     serial: float
-    """NaN if nothing is watched."""
+    """Least rate of the watched values [1]; NaN if nothing is watched."""
     size: float
     """Length of the mechanism [m]."""
 
@@ -181,7 +185,7 @@ class _Quantities:
 
 
 class _Steered(Loops):
-    """Loops closed at given values of quantities; `steered` sets these values, of which there are none at first."""
+    """Loops with additional rows for quantities of given value; none at first, `steered` adds them."""
 
     def __init__(self, situation: Situation, of: _Quantities):
         self.of, self.rows, self.goal = of, np.zeros(0, int), np.zeros(0)
@@ -210,7 +214,7 @@ class _Steered(Loops):
         return self._seen[1]
 
     def missed(self, y: Vector) -> Vector:
-        """Return the distances of quantities from their given values, of wrapped angles modulo whole turns."""
+        """Return the deviations of quantities from their given values; those of wrapped angles modulo whole turns."""
         apart = self.look(y)[0][self.rows] - self.goal
         turned = np.remainder(apart + np.pi, 2 * np.pi) - np.pi
         return np.where(self.of.wrapped[self.rows], turned, apart) * self.weights[self.rows]
@@ -223,9 +227,12 @@ class _Steered(Loops):
         return np.vstack([super().matrix(y), np.pad(given, ((0, 0), (0, len(y) - self.moving)))])
 
     def sizes(self, y: Vector) -> Vector:
-        """Return these with lengths over the longest arm."""
-        shorter = np.where(self.units == "m", self.arm / self.size, 1.0)
-        return np.asarray(np.linalg.svd(self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
+        """Return the singular values with lengths of coordinates and rows over the longest arm, equal at every size."""
+        shorter, e = np.where(self.units == "m", self.arm / self.size, 1.0), self.situation.equations
+        units = np.where([row.unit == "m" for row in e.rows], self.arm, self.situation.units)
+        units[e.lengths] = 1.0
+        rows = np.append(1 / (self._weights * units[self._rows]), np.ones(len(self.rows)))
+        return np.asarray(np.linalg.svd(rows[:, None] * self.matrix(y) * shorter, compute_uv=False)[: self.rank], float)
 
     def loads(self, y: Vector) -> Vector:
         return np.zeros(len(y))  # loads do not change the solved positions
@@ -237,7 +244,7 @@ class _Steered(Loops):
         return np.asarray(V[:r].T @ ((U[:, :r].T @ right) / np.maximum(s[:r], 1e-300)), float)
 
     def lasting(self, y: Vector) -> Matrix:
-        """Return motions (n, freedom) with orthonormal body rates; any basis if bodies do not tell motions apart."""
+        """Return motions (n, freedom) with orthonormal body rates; an arbitrary basis if some motion moves no body."""
         of, N = self.of.of_bodies, self.motions(y)[: self.moving]
         rates = np.vstack([self.look(y)[1][of] * self.weights[of, None], self.look(y)[2]]) @ N
         _, s, V = np.linalg.svd(rates, full_matrices=False)
@@ -253,8 +260,8 @@ class Kinematics:
     """A mechanism by its actuated joints: positions, Jacobians, efforts and cycles. `alfmu.kinematics` makes it.
 
     Values are given by the names of joints, coordinates, watched points, bodies and outputs, such as `{"A": 0.3}` or
-    `{"tool": (0.2, 0.1)}`; those of all actuated joints also in their order. A body in the plane is x, y [m] of its
-    centre of mass and its angle [rad], one in space x, y, z and its Euler parameters e0 to e3.
+    `{"tool": (0.2, 0.1)}`; values of all actuated joints may also be a sequence in their order. A body in the plane is
+    x, y [m] of its centre of mass and its angle [rad], one in space x, y, z and its Euler parameters e0 to e3.
     """
 
     def __init__(
@@ -350,7 +357,7 @@ class Kinematics:
         found: list[Vector] = []
         angles = [i for i in rows if self._of.units[i] == "rad" and not self._of.wrapped[i]]
         for place in (begin, *loops.scattered(starts)):
-            y = loops.closed(place)
+            y = loops.assembled(place)
             if y is not None and not any(self._loops.same(y.copy(), other, SAME) for other in found):
                 kept = np.abs(loops.look(y)[1][angles]).max(axis=0, initial=0.0) > 0  # given angles keep their turns
                 kept = np.pad(kept, (0, len(y) - len(kept))) & (loops.units == "rad")
@@ -709,12 +716,13 @@ class Kinematics:
     ) -> Result:
         """Return a motion of one actuated joint, by default the first, at unit rate [rad/s or m/s]; the others rest.
 
-        The joint makes a whole turn, moves between its dead positions, or over `span` [rad or m]. Columns: the joint,
-        all values, rates of watched values (`tool.x/A`, per unit of the joint), `tool.advantage` (mechanical advantage:
-        the force along the path of the watched point over the effort of the joint), `transmission_angle` [rad] at the
-        hinge `transmission` (by default the one between a coupler and a driven link on the ground), `manipulability`,
-        and the numbers of `Transmission`. `facts` has `dead`, displacements at which the joint turns back, and
-        `toggles`, by name the displacements at which a watched point or value turns back; plots mark them.
+        The joint makes as many turns as bring the loops back, moves between its dead positions, or over `span` [rad or
+        m]. Columns: the joint, all values, rates of watched values (`tool.x/A`, per unit of the joint),
+        `tool.advantage` (mechanical advantage: the force along the path of the watched point over the effort of the
+        joint), `transmission_angle` [rad] at the hinge `transmission` (by default the one between a coupler and a
+        driven link on the ground), `manipulability`, and the numbers of `Transmission`. `facts` has `dead`,
+        displacements at which the joint turns back, and `toggles`, by name the displacements at which a watched point
+        or value turns back; plots mark them.
         """
         at = 0 if joint is None else self._index(joint)
         joint, begin = self.actuated[at], self.start if near is None else near
@@ -733,7 +741,7 @@ class Kinematics:
         found = dict(ends)
         middle = int(np.argmin(np.abs(grid - begin.actuated[joint])))
         for way in (range(middle, rows), range(middle - 1, -1, -1)):
-            near = begin  # and no dead position, from which no straight way leads
+            near = begin  # not a dead position, from which straight lines lead nowhere
             for x in (grid[k] for k in way if grid[k] not in ends):
                 found[x] = near = self.forward({**fixed, joint: x}, near)
         positions = [found[x] for x in grid]
@@ -794,7 +802,8 @@ class Kinematics:
         return found
 
     def _range(self, at: int, begin: Position) -> tuple[float, float, dict[float, Position]]:
-        """Return the range of a joint (a whole turn, or the one between dead positions) and its dead positions."""
+        """Return the range of a joint (turns that bring the loops back, or the way between dead positions) and its dead
+        positions."""
         from scipy.optimize import brentq
 
         if "constraint" in self.transmission(begin).singular:
@@ -819,6 +828,11 @@ class Kinematics:
             y = loops.closed(a + part * (b - a), a)
             return a if y is None else y
 
+        def is_back(y: Vector) -> bool:
+            """Return whether loops are as at the beginning; a screw, a rack or a gear may have moved them on."""
+            here, there = (np.abs(loops.matrix(each)) for each in (y, y0))  # Euler parameters may change their signs.
+            return bool(np.abs(here - there).max(initial=0.0) <= ALIKE * there.max(initial=0.0))
+
         first = loops.motions(y0, 1)[:, 0]
         first *= np.sign(speed(y0, first)) or 1.0
         for sign in (1, -1):
@@ -829,9 +843,14 @@ class Kinematics:
                     y = middle(float(part), a, b)
                     ends[start + moved + step(a, y)] = self._position(y)
                     break
-                moved, a = moved + step(a, b), b
-                if abs(moved) >= turn:
-                    return start, start + turn, {}
+                before, moved = moved, moved + step(a, b)
+                turns = abs(moved) // turn
+                if not ends and turns > abs(before) // turn:
+                    left = sign * turns * turn - before
+                    part = brentq(lambda t, a=a, b=b, x=left: step(a, middle(t, a, b)) - x, 0.0, 1.0, xtol=1e-15)
+                    if is_back(middle(float(part), a, b)):
+                        return start, start + turns * turn, {}
+                a = b
             else:
                 text = f"{self.name}: {self.actuated[at]} has no dead position up to {plain(moved, unit)} from here"
                 raise InputError(f"{text}; give the range as span=")

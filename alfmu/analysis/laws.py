@@ -18,27 +18,27 @@ from .situation import Situation, State
 __all__ = ["Driving", "check_at_rest", "driving", "held_still", "moved_by_law", "prescribed"]
 
 RESTING = 1e-9
-"""First and second rate [m/s, rad/s, m/s2, rad/s2] below which a prescribed motion is at rest; round-off leaves 1e-15
-of laws near 1, and a nanometre per second is negligible."""
+"""First and second rate [m/s, rad/s, m/s2, rad/s2] below which a prescribed motion is at rest; round-off of laws near 1
+is 1e-15, and a nanometre per second is negligible."""
 
 
 @dataclass(frozen=True)
 class Driving:
-    """An input of a linearisation: one of the mechanism, or a derivative of a signal that is not an input."""
+    """An input of a linearisation: an input of the mechanism, or a derivative of a signal that is no input."""
 
     name: str
     unit: str
     value: float
     signal: int = -1
-    """Index of its signal; -1 if it is no signal."""
+    """Index of its signal; -1 if it is not a signal."""
     level: int = 0
-    """Its derivative of the signal: 0 value, 1 rate, 2 acceleration."""
+    """Order of the derivative of the signal: 0 value, 1 rate, 2 acceleration."""
 
 
 def driving(where: Situation) -> list[Driving]:
     """Return inputs of the mechanism, followed by rates and accelerations of signals that are not inputs.
 
-    Signals have the values of the motion, not those set since.
+    Signals have their values in the present motion, not values set since.
     """
     e = where.equations
     found = [Driving(v.name, v.unit, float(x)) for v, x in zip(e.inputs, where.state.u, strict=False)]

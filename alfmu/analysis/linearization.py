@@ -43,12 +43,12 @@ AMPLITUDE = 0.25
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode dq = shape exp(eigenvalue t); of a pair of eigenvalues the upper one."""
+    """A mode dq = shape exp(eigenvalue t); of a complex pair, the eigenvalue with positive imaginary part."""
 
     eigenvalue: complex
     """[1/s]"""
     shape: Mapping[str, complex]
-    """Changes of the coordinates by name, the largest 1 [m or rad], and of states."""
+    """Changes of coordinates and states by name; the largest change of a coordinate is 1 [m or rad]."""
 
     @property
     def frequency(self) -> float:
@@ -364,7 +364,8 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
 
 
 def save(found: Sequence[Linearization], path: str | Path) -> None:
-    """Write linearisations as `.json` (one alone, several as a list) or as `.mat`, several along a third dimension.
+    """Write linearisations as `.json` (one object, or a list of several) or as `.mat` (several along a third
+    dimension).
 
     Raises InputError for another suffix, else WriteError.
     """

@@ -2,7 +2,7 @@
 
 Coordinates are divided by their sizes (`Loops.scale`): 1 for angles, the size of the mechanism for lengths, so that
 steps of all coordinates are comparable. Rows are divided by their units. The letters y, N stand for q and a basis of
-motions in these coordinates. If time is the last coordinate it is in y, and in no motion.
+motions in these coordinates. If time is the last coordinate, y includes it, and no motion changes it.
 """
 
 from __future__ import annotations
@@ -29,27 +29,31 @@ __all__ = ["CLOSED", "REACH", "STEP", "Loops", "WithStates", "arm_of", "evenly",
 CLOSED = 1e-12
 """Largest gap of closed loops [units of a row]."""
 
+ASSEMBLED = 1e-3
+"""Largest difference of the slopes of gaps and of constraints [units of a row] of joints closed as at the start of a
+run: elsewhere a row of unit slope differs by 2 or more."""
+
 STEP = 0.3
 """Longest step [rad, or sizes]: short enough for a linear step to lead to the nearest assembly."""
 
 REACH = 3.0
-"""Size of a mechanism [1] over its longest arm: the coordinates of linkages vary by about so much."""
+"""Size of a mechanism over its longest arm [1]: coordinates of linkages vary by about this size."""
 
 CORRECTIONS = 60
-"""Most corrections until the loops of a position must be closed [1]."""
+"""Largest number of corrections until the loops of a position must be closed [1]."""
 
 HALVED = 6
-"""Most halvings of a correction [1] that opens loops more than it closes them; the position is abandoned after two such
+"""Largest number of halvings of a correction [1] that increases the gaps; the position is abandoned after two such
 corrections."""
 
 SETTLED = 20
-"""Most steps of Newton's method for the equilibrium of states [1]; one suffices if rates are linear in the states."""
+"""Largest number of Newton steps for the equilibrium of states [1]; one suffices if rates are linear in the states."""
 
 FARTHER = 10.0
-"""Largest change of loads by states in a step of STEP, over the largest stiffness times a size [1]."""
+"""Largest change of loads due to states in a step of length STEP, over the largest stiffness times a size [1]."""
 
 NOTHING = 1e-10
-"""Singular value over the largest [1]: corrections are damped in directions that constraints fix less."""
+"""Singular value over the largest [1], below which corrections in that direction are damped."""
 
 
 class Loops:
@@ -107,7 +111,7 @@ class Loops:
                 break
 
     def unsettled(self) -> list[str]:
-        """Return states whose rates no values of the states bring to zero at home, such as the integral of a
+        """Return the states whose rates cannot be zero at the home position for any values, such as the integral of a
         controller."""
         e = self.situation.equations
         if not e.states:
@@ -117,7 +121,7 @@ class Loops:
         return plain._unsettled()
 
     def _unsettled(self) -> list[str]:
-        """Return these states at the last evaluated position."""
+        """Return the unsettled states at the last evaluated position."""
         names = [x.name for x in self.situation.equations.states]
         if not np.isfinite(self._by_x).all():
             return names
@@ -126,7 +130,7 @@ class Loops:
         return [name for name, part in zip(names, free, strict=True) if part > NOTHING]
 
     def gaps(self, y: Vector) -> Vector:
-        """Return how far each constraint in force is open, in units of its row."""
+        """Return the gap of each constraint in force, in units of its row."""
         self._at(y)
         return self._weights * self._values[1][self._rows]
 
@@ -145,7 +149,7 @@ class Loops:
         return self._weights[:, None] * C[self._rows] * self.scale
 
     def along_time(self, y: Vector) -> NDArray[np.float64]:
-        """Return this matrix with the partial time derivatives of rows in the column of time, if there is one."""
+        """Return the constraint matrix with the partial time derivatives of its rows in the column of time."""
         found, e = self.matrix(y), self.situation.equations
         found[:, e.dependent] = self._weights * self.situation.value("Phi_dot", self.state(y))[self._rows]
         return found
@@ -200,6 +204,18 @@ class Loops:
             y = y + d
         return y if self.opened(y) <= CLOSED else None
 
+    def assembled(self, y: Vector) -> Vector | None:
+        """Return the same if joints are closed as at the start of a run: at opposite axes, or half a turn off a thread,
+        constraints hold, but the slopes of gaps are other ones than theirs."""
+        found = self.closed(y)
+        if found is None or not self._rows.any():
+            return found
+        s = self.state(found)
+        slopes, constraints = (
+            self.weighted(self.situation.value(name, s).reshape(self._C.shape)) for name in ("gaps_matrix", "C")
+        )
+        return found if np.abs(slopes - constraints).max() <= ASSEMBLED else None
+
     def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
         """Yield positions on the branch of the motion that begins at y in direction `way`, a step apart, up to
         its end."""
@@ -216,7 +232,7 @@ class Loops:
             yield y
 
     def scattered(self, count: int) -> Iterator[Vector]:
-        """Yield places within a size of home, with open loops, the same each time."""
+        """Yield positions within one size of home, with open loops, the same each time."""
         units = np.pad(self.units, (0, len(self.home) - len(self.units)))
         spread = np.where(units == "rad", np.pi, 1.0)[: self.moving]
         middle = np.where(np.isin(units, ("rad", "m")), self.home, 0.0)[: self.moving]
@@ -249,8 +265,8 @@ class Loops:
         e = self.situation.equations
         if not e.lengths:
             return []
-        C = self.situation.value("C", self.situation.state)
-        return [np.flatnonzero(np.abs(C[row]) > 0) for row in e.lengths]
+        pattern = np.array(ca.DM(e.functions["C"].sparsity_out(0)))  # at the start three of the four may be zero
+        return [np.flatnonzero(pattern[row]) for row in e.lengths]
 
     def nearer(self, y: Vector, to: Vector) -> Vector:
         """Return the equivalent position, by whole turns and signs of Euler parameters, that is nearest to
@@ -386,8 +402,8 @@ class WithStates(Loops):
 
 
 def arm_of(situation: Situation) -> float:
-    """Return the longest arm from a centre of mass to a joint [m], which is the same wherever the mechanism stands; 0
-    if bodies have neither joints nor bars."""
+    """Return the longest arm from a centre of mass to a joint [m], independent of the position of the mechanism; 0 if
+    bodies have neither joints nor bars."""
     m = situation.source.declared
     if not m or not (m.joints or m.spatial_joints or any(body.length is not None for body in m.bodies)):
         return 0.0

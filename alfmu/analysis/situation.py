@@ -122,13 +122,13 @@ class Situation:
     state: State
     p: Vector
     held: NDArray[np.bool_]
-    """Which constraints (l,) are in force."""
+    """Whether each constraint (l,) is in force."""
     units: Vector
     """Units of the rows (l,), as found at the start."""
     shares: Vector
     """Weights (l,) whose inverses are the compliances by which redundant constraints share a load."""
     count_freedoms: Callable[[Vector, str], tuple[Mobility, Vector]]
-    """Computes the result of `mobility`, for a position and a word of `COUNTED_ROWS`."""
+    """Computes the result of `mobility` for a position and an element of `COUNTED_ROWS`."""
     rubs: bool = False
     """Whether dry friction counts: sticking joints are fixed, sliding ones have their friction law."""
 
@@ -156,8 +156,7 @@ class Situation:
         return self.mobility(self.state.q)[0]
 
     def mobility(self, q: Vector) -> tuple[Mobility, Vector]:
-        """Return degrees of freedom near a position (n,), and a regular position near it, by the rule of
-        the runtime."""
+        """Return degrees of freedom near a position (n,), and a regular position near it, by the runtime's rule."""
         return self.count_freedoms(q, "in force" if self.rubs else "without friction")
 
     def at_rest(self, q: Vector) -> State:
@@ -269,7 +268,7 @@ def _by_rk4(equations: Equations) -> Equations:
 
 
 def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
-    """Return numbers p with signals as polynomials from the time of q (n,), up to the acceleration."""
+    """Return parameters p with signals as quadratic polynomials that start at the time in q (n,)."""
     p = p.copy()
     for begin in signal_numbers(equations):
         numbers = p[begin + 1 : begin + 1 + COEFFICIENTS]
@@ -326,7 +325,7 @@ def begun(
                 f"{where.name}: {elsewhere[0]} prescribes a motion or switches a joint; set() it in the "
                 "Instance, and make a step"
             )
-    elif elsewhere or (rubs and e.frictions):  # the start is another, or joints that slid now stick
+    elif elsewhere or (rubs and e.frictions):  # the start differs, or sliding joints now stick
         return subject(mechanism, {**parameters, **given}, time, rubs)
     return _with_inputs(where, given)
 

@@ -35,10 +35,10 @@ __all__ = ["ZERO", "Small", "independent", "ordered", "small_motions"]
 Matrix = NDArray[np.float64]
 
 WELL = 20.0
-"""Condition number [1] up to which the independent coordinates of a start are used for a linearisation."""
+"""Condition number [1] up to which a linearisation uses the independent coordinates of the start."""
 
 EARLIER = 0.3
-"""Relative weight [1] by which the coordinate declared last counts less than the first, if both describe a motion."""
+"""Relative reduction of weight [1] of the last coordinate against the first, if both describe a motion."""
 
 ZERO = 1e-7
 """Real part over the largest eigenvalue [1] below which it counts as zero: round-off moves a double root by its square
@@ -48,11 +48,10 @@ SETTLED = 1e-13
 """Relative change of the multipliers of dry friction [1] at which Newton's method has converged."""
 
 PASSES = 50
-"""Most iterations of it [1]: without convergence the joints jam."""
+"""Largest number of its iterations [1]: without convergence the joints jam."""
 
 CONSISTENT = 1e-6
-"""Relative part of a change of the constraints that no motion follows [1], above which the position is too close to a
-singular one."""
+"""Relative residual of a change of the constraints [1], above which the position is too close to a singular one."""
 
 SYMMETRIC = 1e-9
 """Relative asymmetry of a stiffness [1] below which loads count as conservative."""
@@ -102,7 +101,7 @@ class Small:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A [1/s], the slowest first, the upper one of a pair first."""
+        """Eigenvalues of A [1/s], the slowest first; of a pair, the one with positive imaginary part first."""
         return ordered(np.linalg.eigvals(self.A).astype(complex))[0]
 
     def stability(self, isolated: bool) -> tuple[str, str]:
@@ -128,7 +127,7 @@ class Small:
 
 
 def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
-    """Return eigenvalues, the slowest first and the upper one of a pair first, and their permutation."""
+    """Return eigenvalues in the order of `Small.eigenvalues`, and their permutation."""
     size = np.abs(values)
     clean = np.where(np.abs(values.imag) <= 1e-12 * size, values.real + 0j, values).astype(complex)
     order = np.lexsort((-clean.imag, clean.real, np.round(np.log(np.maximum(size, 1e-12)), 9)))
@@ -178,7 +177,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     W = g_lam[:, held] / units
 
     def shared(lam: Matrix, more: Matrix) -> Matrix:
-        """Return multipliers with the same effect as lam, with U' (W lam) = U' more for the dependencies U of redundant
+        """Return multipliers with the effect of lam and U' (W lam) = U' more, for the dependencies U of redundant
         rows."""
         if not left.size:
             return lam
@@ -313,8 +312,8 @@ def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) ->
 
 
 def _check(where: Situation, missed: Matrix, *sizes: Matrix) -> None:
-    """Raise InputError if a change that constraints require is missed by a motion, beyond a share of what acts there:
-    forces move what is light by any amount, with its round-off."""
+    """Raise InputError if the residual `missed` of a change of the constraints exceeds a share of the largest terms
+    `sizes`: their round-off may be large, as forces move light bodies by any amount."""
     if np.abs(missed).max(initial=0.0) > CONSISTENT * max(1.0, *(np.abs(each).max(initial=0.0) for each in sizes)):
         raise InputError(
             f"{where.name}, t = {where.state.t:.6g} s: the position is too near a singular one to be linearised, as "
@@ -323,8 +322,8 @@ def _check(where: Situation, missed: Matrix, *sizes: Matrix) -> None:
 
 
 def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list[int]:
-    """Return the coordinates that best describe the motions N (n, f); wanted ones, or those of a start, if they
-    suffice."""
+    """Return the coordinates that best describe the motions N (n, f): wanted ones or those of the start, if
+    suitable."""
     from scipy.linalg import qr
 
     f = N.shape[1]
@@ -333,6 +332,6 @@ def independent(where: Situation, N: Matrix, wanted: Sequence[int] = ()) -> list
     for choice in (list(wanted), telling(where.equations)):
         if len(choice) == f and f and np.linalg.cond(N[choice]) < WELL and np.linalg.norm(N[choice], 2) > 1 / WELL:
             return sorted(choice)
-    # Of coordinates that describe them equally well, the one declared first is preferred.
+    # Prefer the coordinate declared first if several describe the motions equally well.
     weights = 1 - EARLIER * np.arange(len(N)) / len(N)
     return sorted(int(i) for i in qr((weights[:, None] * N).T, mode="r", pivoting=True)[1][:f])

@@ -105,7 +105,7 @@ def simulated(found: Prepared, stop_time: float | None, communication_step: floa
 
 
 def _tell_what_was_forgotten(of: Prepared) -> None:
-    """Warn once of coordinates that nothing determines at the start."""
+    """Warn once of coordinates that are undetermined at the start."""
     if of.unit.equations.kept.latest(_tell_what_was_forgotten, lambda: of) is not of:
         return
     with contextlib.suppress(AlfmuError):  # freedoms may be undefined where a run has ended

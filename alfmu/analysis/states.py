@@ -36,8 +36,7 @@ def states(
     parameters: Mapping[str, float | str],
     inputs: Mapping[str, Signal],
 ) -> list[Situation]:
-    """Return situations of a mechanism at a word of `PLACES`, an `Equilibrium`, or instants [s] of the motion from the
-    start.
+    """Return situations of a mechanism at an element of `PLACES`, an `Equilibrium`, or times [s] of the motion.
 
     Raises InputError if `at` is none of these, AlfmuError if the mechanism does not reach it.
     """
@@ -68,8 +67,8 @@ def rest(
 ) -> Equilibrium:
     """Return the equilibrium in which equations with their defaults start.
 
-    `start` is one, or "equilibrium" for `Equilibria.nearest` with the inputs at 0 s. Raises InputError if there is
-    none, or if it belongs to another mechanism.
+    `start` is an `Equilibrium`, or "equilibrium" for `Equilibria.nearest` with the inputs at 0 s. Raises InputError if
+    there is none, or if it belongs to another mechanism.
     """
     if isinstance(start, Equilibrium):
         _check_own(equations, start)

@@ -27,7 +27,7 @@ GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 
 _OWN = "alfmu.catalogue."
-"""Where alfmu's own mechanisms are, in a folder `mechanisms`."""
+"""Package of alfmu's own mechanisms, in its folder `mechanisms`."""
 
 Factory = Callable[..., Mechanism]
 
@@ -40,13 +40,13 @@ def mechanisms() -> list[str]:
 
 
 def known() -> list[str]:
-    """Return names of all mechanisms: those that are registered, then those of the documentation's gallery."""
+    """Return names of all mechanisms: registered ones, then those of the documentation's gallery."""
     own = mechanisms()
     return [*own, *(name for name in gallery.names() if name not in own)]
 
 
 def registered(*groups: str) -> list[str]:
-    """Return names that are registered in groups of entry points, in alphabetical order."""
+    """Return the names registered in groups of entry points, in alphabetical order."""
     return sorted({e.name for group in groups for e in entry_points(group=group)})
 
 
@@ -56,7 +56,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
 
     A Python file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a
     `Mechanism` object. MJCF (`.xml`), SDF and URDF files are read as `alfmu.imported` does, with the same options.
-    Raises InputError if there is no such name, file, declaration or option, or where something does not map.
+    Raises InputError if there is no such name, file, declaration or option, or if part of a file cannot be mapped.
     """
     if isinstance(mechanism, Mechanism):
         if chosen:
@@ -96,7 +96,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
 
 
 def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:
-    """Options of a mechanism: name -> the values it takes (empty: any)."""
+    """Return the options of a mechanism: name -> its values (empty: any)."""
     factory = _factory(mechanism)
     return _taken(factory, _hints(mechanism, factory))
 
@@ -109,7 +109,7 @@ def _taken(factory: Factory, hints: dict[str, Any]) -> dict[str, tuple[Any, ...]
 
 
 def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
-    """Options of a mechanism, also of one that `load` returned: name -> the values it takes, or a word for them."""
+    """Return the options of a mechanism, also of a loaded one: name -> its values, or a word for them."""
     if isinstance(mechanism, Mechanism):
         return mechanism._choices
     factory = _factory(mechanism)
@@ -118,7 +118,7 @@ def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
 
 
 def _in_words(takes: dict[str, tuple[Any, ...]], hints: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the values that options take, or a word for them."""
+    """Return the values of options, or a word for them."""
     words = {int: "whole number", float: "number", str: "text"}
     return {
         name: list(map(str, values)) or [words.get(hints.get(name, object), "any")] for name, values in takes.items()
@@ -131,7 +131,7 @@ def _hints(mechanism: str | Path, factory: Factory) -> dict[str, Any]:
 
 
 def _whole(what: str, value: Any) -> int:
-    """Return a whole number; a command line or a file may give it as 10.0 or as text."""
+    """Return an integer, also from 10.0 or text of a command line or a file."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -186,17 +186,17 @@ def _from_file(path: Path) -> Factory:
 
 
 def executed(path: Path) -> dict[str, Any]:
-    """Run a user's Python file; returns its names. Raises InputError if it is not there or fails, with the line."""
+    """Run a user's Python file and return its names; raise InputError, with the line, if it is missing or fails."""
     if not path.is_file():
         raise InputError(f"there is no file {path}")
     return _guarded(path, lambda: runpy.run_path(str(path), run_name=path.stem))
 
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
-    """Run a user's code; errors in a user's file, or in the package of a name, get its line."""
+    """Run a user's code; add the line to errors in a user's file or in the package of a name."""
     try:
         with warnings.catch_warnings():
-            # Results of NumPy functions of symbols differ between versions of CasADi.
+            # NumPy functions of symbols have different results in different versions of CasADi.
             warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
             return run()
     except (Exception, SystemExit) as error:
@@ -215,7 +215,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
 
 
 def _place(frames: traceback.StackSummary, name: str | Path) -> str:
-    """Return the file of the package that registers a name, nearest to where its code failed; empty if none ran."""
+    """Return the file, in the package that registers a name, nearest to the failure in its code; empty if none ran."""
     modules = [entry.module for entry in entry_points(group=GROUP) if entry.name == str(name)]
     packages = {module.removeprefix(_OWN).partition(".")[0] for module in modules}
     files = [f.filename for f in frames if packages & {Path(f.filename).stem, *Path(f.filename).parts}]

@@ -1,6 +1,6 @@
 """The command line: parse, call, print.
 
-A command is declared, and run, in one of the modules COMMANDS.
+Each command is declared and run in one of the modules COMMANDS.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
-    """Return a handler that shows a warning of alfmu as one line, once."""
+    """Return a handler that prints each warning of alfmu once, as one line."""
     seen: set[str] = set()
 
     def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
@@ -117,7 +117,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
-    """Return the parser, and those of the commands by name."""
+    """Return the parser, and the parsers of the commands by name."""
     from importlib.metadata import version
 
     parser = argparse.ArgumentParser(

@@ -238,7 +238,7 @@ def _analysed(
 
 
 def _save(chosen: argparse.Namespace, path: Path | None, write: Callable[[Path], object]) -> None:
-    """Write a file that is asked for, and tell of it."""
+    """Write a requested file, and print its path."""
     if path:
         wrote = once_written(path)
         write(path)

@@ -127,7 +127,7 @@ def run_and_keep(
 ) -> None:
     """Run with progress, and write the rows as a table and a plot, also if the run ends early.
 
-    Notes are printed if it reaches its end.
+    Notes are printed if the run reaches its end.
     """
     table = _table_path(chosen, name)
     try:

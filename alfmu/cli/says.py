@@ -26,7 +26,7 @@ def failed(why: str, code: int = 1) -> int:
 
 
 def fall_silent() -> None:
-    """Redirect output whose reader is gone, so that the interpreter does not report it at exit."""
+    """Redirect output to a closed pipe, so that the interpreter does not report an error at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -39,12 +39,12 @@ def perhaps(word: str, words: Collection[str]) -> str:
 
 
 def once_written(path: Path) -> str:
-    """Return the message to print once a file is written, before it is."""
+    """Return the message to print after a file is written; call it before writing."""
     return f"replaced {path}" if path.exists() else f"wrote {path}"
 
 
 def say(chosen: Namespace, text: str) -> None:
-    """Print a message, to stderr if stdout has JSON."""
+    """Print a message, to stderr if stdout is used for JSON."""
     print(text, file=sys.stderr if chosen.json else sys.stdout)
 
 
@@ -59,7 +59,7 @@ class GettingReady:
     """Shows on a terminal the stages of preparing a mechanism; consecutive ones share a delay."""
 
     AFTER = 2.0
-    """Time [s] after which it is shown."""
+    """Time [s] after which the display appears."""
 
     def __init__(self) -> None:
         self._begun = self._ended = -math.inf
@@ -84,7 +84,7 @@ class GettingReady:
 
 @contextmanager
 def checking() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal the current check, if it takes longer than a second."""
+    """Show the current check on a terminal if it takes longer than a second."""
     from tqdm import tqdm
 
     with tqdm(desc="checking", unit="check", delay=1.0, disable=None, leave=False) as bar:
@@ -110,8 +110,8 @@ def handling(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[
 
 @contextmanager
 def between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[..., Iterable[Any]]]:
-    """Return a progress that an interrupt ends between two steps, with FMU and rows intact; a second one ends it at
-    once."""
+    """Return a progress display with which an interrupt ends the run between two steps, with FMU and rows intact; a
+    second interrupt ends it at once."""
     asked: list[int] = []
 
     def ask(number: int, frame: object) -> None:

@@ -29,8 +29,8 @@ _PLAIN: dict[str, Any] = {
 
 @cache
 def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
-    """Return the structures by name, and what each pointer points to: its type, and how many there are, which follows
-    the pointer in a comment in brackets; there is nothing else behind a pointer."""
+    """Return the structures by name, and for each pointer the type and the number of its elements; the headers give
+    this number in brackets in a comment behind the pointer."""
     text = "".join((build.SOURCES / "core" / name).read_text(encoding="ascii") for name in ("linear.h", "scene.h"))
     text = re.sub(r"/\* (\[[^\]]+\])?.*?\*/", r"\1", text, flags=re.DOTALL)
     for macro, names, kind in (("SCENE_NUMBERS", NUMBERS, "int"), ("SCENE_REALS", REALS, "double")):
@@ -58,7 +58,7 @@ def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
 
 
 def _count(text: str, owner: Structure) -> int:
-    """Return a sum of products of fields, thresholds and numbers."""
+    """Return the value of a text, a sum of products of fields, thresholds and numbers."""
 
     def of(x: str) -> int:
         return int(x) if x.isdigit() else int(getattr(owner, x, 0) or getattr(thresholds, x, 0))
@@ -77,9 +77,9 @@ def loaded(scene: Scene) -> Structure:
 
 
 def tables(scene: Structure, texts: bool, words: int, used: Container[str]) -> tuple[str, int]:
-    """Return the scene as a constant of C, and the bytes of its arrays, which are those that the C uses.
+    """Return the scene as a constant of C with the arrays `used` by the C, and their size in bytes.
 
-    Texts that only messages use are empty unless they are asked for; words of programs have so many bytes.
+    Texts that only messages use are empty unless `texts` is set; the words of programs have `words` bytes each.
     """
     arrays: dict[str, str] = {}
     size = ctypes.sizeof(scene)

@@ -107,10 +107,10 @@ def model_description(
 ) -> bytes:
     """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
-    `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
-    A native FMU may have directional derivatives, and of the interfaces "me" (Model Exchange) and "cs";
-    `states` are those that an importer may integrate, with their rates, beside its event indicators. An FMU of sources
-    has memory for one instance (`once`).
+    `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model. A
+    native FMU may have directional derivatives and the interfaces "me" (Model Exchange) and "cs" (co-simulation);
+    `states` are those that an importer may integrate, with their rates, and `indicators` its event indicators. An FMU
+    of sources has memory for one instance (`once`).
     """
     e, native = equations, variables is not None
     variables = interface(e).causalities if variables is None else enumerated(variables, choices)
@@ -188,8 +188,8 @@ def _structure(
     """Add the model structure: reactions and accelerations depend directly on every input, other outputs on none.
 
     A Boolean input takes effect in the next step. In Model Exchange outputs and rates depend on all states, whose
-    references are `states`, followed by those of the rates; outputs of a communication step do not. FMI 2 counts
-    variables from 1, FMI 3 names their references.
+    references are `states`, followed by those of the rates; outputs of a communication step do not. FMI 2 refers to
+    variables by index from 1, FMI 3 by value reference.
     """
     structure, first = ET.SubElement(root, "ModelStructure"), 1 if fmi == 2 else 0
     inputs = [str(i + first) for i, (c, v) in enumerate(variables) if c == "input" and v.type == "Real"]
@@ -316,7 +316,7 @@ def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], outpu
         return []
     later = {f"solver.{name}" for name in _LATER}
     moving = {v.name for each in e.followed for v in e.inputs[each.input : each.input + 1 + each.derivatives]}
-    if output.name == "monitor.iterations":  # counts the iterations of the start, which differ between methods
+    if output.name == "monitor.iterations":  # the number of iterations at the start depends on the method
         later -= {"solver.method"}
     return [
         i

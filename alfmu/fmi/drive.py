@@ -100,7 +100,7 @@ def kind_of(type_name: str) -> str:
 class Fmu:
     """A co-simulation FMU of FMI 2 or 3, unpacked and instantiated; close it, or use it in a `with` statement.
 
-    Of an FMI 3 FMU it has the scalar variables.
+    Of an FMI 3 FMU only the scalar variables are available.
     """
 
     def __init__(self, path: str | Path):

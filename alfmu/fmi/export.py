@@ -203,7 +203,7 @@ def packed_scene(
         equations = starting_at(equations, rest.q, rest.states, rest.kept)
     native.checked(equations)
     scene = prepared(equations, kernel or DEFAULT)
-    Instance(scene).initialize()  # an FMU that cannot start is not worth writing
+    Instance(scene).initialize()  # refuses an FMU that cannot start
     return every, scene
 
 
@@ -254,11 +254,11 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
 
 
 RESIDUAL = Settings.formulation
-"""The only formulation of sources."""
+"""The only formulation available in source FMUs."""
 
 
 def _fixed(recipe: Recipe) -> Recipe:
-    """Return the recipe of sources, whose steps are those of RK4; ExportError where it asks for others."""
+    """Return the recipe of a source FMU, which steps by RK4; raise ExportError if it asks for another method."""
     for name, only in (("solver.method", "rk4"), ("solver.formulation", RESIDUAL)):
         if (asked := recipe.parameters.get(name, only)) != only:
             raise ExportError(
@@ -279,7 +279,8 @@ def _plain(equations: Traced, path: Path) -> Path:
 
 
 def _interfaces(recipe: Recipe, equations: Traced) -> tuple[str, ...]:
-    """Return the interfaces of a native FMU, of "me" and "cs"; ExportError if it cannot have what the recipe asks."""
+    """Return the interfaces of a native FMU, from "me" and "cs"; raise ExportError if the wanted ones are
+    impossible."""
     why = obstacle(complete(equations)) if recipe.interface != "cs" else ""
     if why and recipe.interface:
         raise ExportError(

@@ -10,7 +10,7 @@ __all__ = ["tree"]
 
 
 class _Plain(ET.TreeBuilder):
-    """Builds a tree and rejects document types, and so entities."""
+    """Builds a tree; rejects document types, and with them entities."""
 
     def doctype(self, name: str, public: str | None, system: str | None) -> None:
         raise InputError("it declares a document type")

@@ -56,7 +56,7 @@ class Feature:
 
     what: str
     files: tuple[str, ...]
-    """Its own files. Without it, headers that others include declare functions that do nothing."""
+    """The files of this part. Without them, headers that other files include declare functions that do nothing."""
     needed: Callable[[Traced], object]
 
 
@@ -120,7 +120,7 @@ def sources(
     """Return the C files by name: one header, and one file per folder of the runtime, without these features.
 
     They have no comments, and leave out `binding` and the functions of the other version of FMI. The texts `instead`
-    replace those of files; for plain C (`fmi` 0) they have `plain.c`, which comes last.
+    replace those of files; for plain C (`fmi` 0) they contain `plain.c`, which comes last.
     """
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
@@ -146,16 +146,16 @@ def sources(
 
 
 _TYPES = "fmi.h"
-"""Types of FMI, which hosts that compile these files have in headers of their own: in no header here."""
+"""Header with the types of FMI, left out because hosts that compile these files have their own."""
 
 _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 """Folders of the runtime that an FMU needs."""
 
 _APART = ("files.c", "fmi2.c", "fmi3.c")
-"""Files that stay files of their own, as headers of the system and the two versions of FMI share names."""
+"""Files that are not merged, because system headers and the two versions of FMI share names."""
 
 _FEATURE = re.compile(r"^#if HAS_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
-"""Declarations of a header where its feature is there, and where it is left out."""
+"""Matches the alternative declarations in a header, with its feature and without it."""
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
@@ -219,7 +219,7 @@ def libraries_in(path: Path, kind: str) -> dict[str, str]:
         files = archive.namelist()
 
         def of(name: str, fmi3: str) -> str | None:
-            if kind == "python":  # the folder `binaries` has those of pythonfmu
+            if kind == "python":  # the folder `binaries` contains libraries of pythonfmu
                 return next((each for each in files if each == f"resources/{file_name(name)}"), None)
             places = tuple(f"binaries/{each}/" for each in (name, fmi3))
             return next((each for each in files if each.startswith(places)), None)

@@ -135,7 +135,7 @@ class Recipe(Brief):
     communication_step: float | None = None
     """Communication step of the default experiment [s]; None for the mechanism's own."""
     kind: str = "native"
-    """One of KINDS."""
+    """Kind of the FMU, one of KINDS."""
     kernel: str | None = None
     """Kernel of an FMU of kind python, of `alfmu.kernel.KERNELS`; on platforms without its compiled functions it
     interprets them."""
@@ -149,7 +149,7 @@ class Recipe(Brief):
     integrate the mechanism."""
     derivatives: bool | None = None
     """Whether a native FMU gives directional derivatives, and adjoint ones with FMI 3; it is smaller without them. None
-    for those that a kind has."""
+    for the default of its kind."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None
@@ -253,7 +253,7 @@ class Recipe(Brief):
 
 
 def of(which: str | Path | Mechanism | Recipe) -> Recipe:
-    """Return the mechanism or else the recipe of a name or a file."""
+    """Return a default recipe for the name of a registered mechanism, else the recipe of a name or a file."""
     from ..catalogue.registry import mechanisms
 
     return Recipe(which) if isinstance(which, str) and which in mechanisms() else load(which)

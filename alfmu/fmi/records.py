@@ -48,7 +48,7 @@ AGREES = 1e-6
 motions amplify the round-off of another platform."""
 
 _STEPS = 1000
-"""Most internal steps of a run; large scenes take a tenth."""
+"""Largest number of internal steps of a run; a tenth of it for large scenes."""
 
 _VALUES = 1600
 """Largest number of values stored for a run, unless `_ROWS` has more."""
@@ -66,7 +66,7 @@ _TRIES = 12
 """Number of amplitudes of moving inputs to try."""
 
 _BEGIN = 16
-"""Part of a run with moving inputs that is tried first [1]: wild motions take long, and are told from it."""
+"""The first 1/_BEGIN of a run with moving inputs is tried first, to detect wild motions, which take long."""
 
 _HEAVIER = 1.1
 """Factor on masses in the run with moving inputs [1]: always feasible, and visible in the motion."""
@@ -188,7 +188,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
 
 
 def _change(e: Equations, still: Result, kept: list[str], parameters: Any, inputs: Any, row: int) -> float:
-    """Return the change due to moving inputs up to a row, infinite if it is no number."""
+    """Return the change due to moving inputs up to a row, infinite if it is NaN."""
     result = run(Instance(e), still.time[row], still.time[1], inputs=inputs, parameters=parameters)
     changes = [_apart(result[name], still[name]) for name in kept]
     return max(changes) if np.isfinite(changes).all() else math.inf
@@ -223,7 +223,7 @@ def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size:
         start, amplitude = float(v.start), float(f"{size * (v.nominal or 1.0):.1e}")
         followed = next((f for f in e.followed if f.input == i), None)
         wave = np.sin(rate * times) ** 2
-        if not followed:  # its table is three times as short
+        if not followed:  # rounding shortens its table to a third
             wave = wave.round(2)
         columns[v.name] = start + amplitude * wave * (1 if i % 2 == 0 else -1)
         low, high = (-math.inf if v.minimum is None else v.minimum), (math.inf if v.maximum is None else v.maximum)

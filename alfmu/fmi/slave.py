@@ -34,7 +34,7 @@ COMPILED = "compiled-"
 """Prefix of the file names of compiled functions."""
 
 _STOP = -1
-"""Stands for the stop time in place of a value reference."""
+"""Marks the stop time in place of a value reference."""
 
 OPTIONS = "options.json"
 """File name of the options of the mechanism."""

@@ -14,7 +14,7 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 from ..equations.interface import default_settings
-from ..kernel.arrangement import KINDS, OPERANDS
+from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
 from ..kernel.tables import PROGRAMS, identified, packed
@@ -29,13 +29,13 @@ from .constants import Structure, literal, loaded, tables
 __all__ = ["facts", "source"]
 
 _INSTANCE = 96
-"""Numbers in whose place an Instance without messages fits on every machine."""
+"""Size of an Instance without messages, in numbers: an upper bound for every machine."""
 
 _TEXT = 256
 """Longest message of an FMU."""
 
 MOST_ITERATIONS = 1000
-"""Iterations of a loop without a fixed number: the largest solver.max_iterations."""
+"""Assumed iterations of a loop without a fixed number: the largest value of solver.max_iterations."""
 
 STATES = 2
 """Number of saved states for which an FMU has memory."""
@@ -46,10 +46,10 @@ _RESERVED = frozenset(
     acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmax fmin fmod free frexp hypot
     ldexp log log1p malloc memcpy memset pow remainder sin sinh sqrt tan tanh""".split()  # noqa: SIM905
 )
-"""Names in C that a model may not have."""
+"""C names that a model must not have."""
 
 _STEPS = 1000
-"""Most internal steps of a communication step, if that of the default experiment has fewer."""
+"""Largest number of internal steps of a communication step, unless twice that of the default experiment is more."""
 
 
 def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
@@ -61,6 +61,8 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
     state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
+    if kept.library.alfmu_share_places(kept.address) < 0:
+        raise MemoryError
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -89,6 +91,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
         "#if !defined(assert)\n#define assert(true) ((void)0)\n#endif",
         *(f"#include <{each}.h>" for each in _SYSTEM),
+        *["#if defined(__unix__) || defined(__APPLE__) || defined(_WIN32)\n#include <fenv.h>\n#endif"] * (fmi > 0),
         *[f'#include "{name}.h"'] * (not fmi),
         *(f"#define {key} {number}" for key, number in defined.items()),
     ]
@@ -104,7 +107,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
 _SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
 
 _OPERATION = re.compile(r"(\(X\) \\\n\t)?\bX\((\d+), .*\)(?=[ \\]*\n)")
-"""An operation of the interpreter, with its kind; the first of a list, which has one at least, after its head."""
+"""Matches an operation in a list of the interpreter, with its kind; the first one includes the head of the list."""
 
 
 def facts(path: Path) -> list[str]:
@@ -151,7 +154,7 @@ _HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
 
 def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
     """Remove functions and programs that the C does not use from a scene. Return the line on its work, the kinds of
-    operations, and whether functions have wide places."""
+    operations, and whether a function uses wide addresses."""
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
@@ -175,10 +178,10 @@ def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tupl
 
 def _operations(f: Structure) -> Counter[int]:
     """Return how many operations of each kind a function makes."""
-    found, places, at = Counter[int](), f.narrow or f.wide, 0
+    found, places, at, head = Counter[int](), f.narrow or f.wide, 0, NARROW_HEAD if f.narrow else 2
     while at < f.words:
         found[places[at]] += places[at + 1]
-        at += 2 + places[at + 1] * OPERANDS[KINDS[places[at]]]
+        at += head + places[at + 1] * OPERANDS[KINDS[places[at]]]
     return found
 
 
@@ -242,7 +245,7 @@ _INSTEAD = {
     r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
     r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
 }
-"""What stands in place of headers, extensions of compilers, memory, files and scenes that are loaded."""
+"""Replacements for headers, compiler extensions, memory allocation, files and loaded scenes, by pattern."""
 
 
 def _named(text: str, name: str) -> str:
@@ -254,7 +257,7 @@ def _named(text: str, name: str) -> str:
 
 
 def _prefixed(text: str, fmi: int) -> str:
-    """Return C whose FMI functions take the prefix by which several models can be linked together."""
+    """Return C whose FMI functions have the model's prefix, so that several models can be linked together."""
     macro = f"FMI{fmi}_FUNCTION_PREFIX"
     names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
     for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):

@@ -27,7 +27,7 @@ _BESIDE = 1e-2
 """Distance [m, rad] of a position near the closed one: far from round-off, near on the scale of mechanisms."""
 
 _CORRECTIONS = 12
-"""Most corrections that close the loops there: each at least halves a gap near a singular position."""
+"""Largest number of corrections that close the loops there: each at least halves a gap near a singular position."""
 
 _GOOD = 0.1
 """Least share of a motion over the largest for which a driven joint is preferred as independent."""
@@ -42,14 +42,21 @@ _CLOSED = 1e-12
 _NEARLY = 1e-9
 """Gap that is accepted if corrections gain no more, as near singular positions and with truncated digits."""
 
+_ROUGH = 1e-5
+"""Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint counts as
+equal to others except for rounded numbers: files give a right angle as 1.5708."""
+
+_APART = (0.1, 0.3, -0.3)
+"""Distances [mechanism's size, rad] along the motion at which this equality is tested."""
+
 _LONGEST = 0.3
 """Longest correction [rad, mechanism's size]: short enough for a linear correction to lead to a near position."""
 
 _MOST = 200
-"""Most corrections: some ten suffice; near a singular position each gains a factor of two."""
+"""Largest number of corrections: some ten suffice; near a singular position each halves the gap."""
 
 _TRIES = 48
-"""Number of positions around the given one from which a nearer one is searched if the first is far or missing."""
+"""Number of other starting positions for the search of a closed position if the first one is far or missing."""
 
 _FAR = 0.5
 """Distance [rad, mechanism's size] above which a nearer position is searched."""
@@ -74,7 +81,11 @@ class Closed:
     way: float
     """Largest change of a coordinate [rad, mechanism's size]."""
     beyond: tuple[str, ...]
-    """Coordinates outside their limits, if the loops do not close within them."""
+    """Names of coordinates outside their limits, if the loops do not close within the limits."""
+    spare: dict[str, tuple[str, ...]]
+    """Directions of joints, by joint, that other joints already suppress except for rounding; they are not closed."""
+    missed: float
+    """Largest gap in these directions at this position [m, rad]."""
 
 
 class Loops:
@@ -92,19 +103,24 @@ class Loops:
         self.names = [c.name for c in coordinates]
         self.driven = {name for name in driven if name in self.names}
         residuals, plain, lengths = [], [], []
+        self._rows: list[tuple[str, str]] = []
+        """Joints and directions of constraints; other constraints have no direction."""
         for closing in mechanism.closures:
             if isinstance(closing, SpatialJoint):
+                self._rows += [(closing.name, direction) for direction in closing.directions]
                 for direction in closing.directions:
                     residuals.append(closing.gap(direction))
                     plain.append(closing.residual(direction))
                     lengths.append(not direction.startswith("rotation"))
             elif isinstance(closing, Constraint):
+                self._rows.append((closing.name, ""))
                 residuals.append(closing.expression)
                 plain.append(closing.expression)
                 lengths.append(closing.unit == "m")
         q, phi = ca.vertcat(*(c.q for c in coordinates)), ca.vertcat(*residuals)
         self._both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
         self._plain = ca.Function("gaps", [q], [ca.vertcat(*plain)])
+        self._kept = np.ones(len(self._rows), dtype=bool)
         self.given = vector([values[name] for name in self.names])
         metres = np.array([c.unit == "m" for c in coordinates])
         rows = np.array(lengths, dtype=bool)
@@ -124,10 +140,61 @@ class Loops:
         self._start = self.given / self.units
         self._low, self._high = np.minimum(low, self._start), np.maximum(high, self._start)
 
-    def at(self, x: Array) -> tuple[Array, Array]:
-        """Return gaps and their Jacobian at coordinates, in units of the mechanism's size."""
+    def _all(self, x: Array) -> tuple[Array, Array]:
         gaps, matrix = (np.array(found) for found in self._both(x * self.units))
         return gaps.ravel() / self._row_units, matrix * self.units / self._row_units[:, None]
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Return gaps and their Jacobian at coordinates, in units of the mechanism's size."""
+        gaps, matrix = self._all(x)
+        return gaps[self._kept], matrix[self._kept]
+
+    def _spare(self, x: Array) -> bool:
+        """Leave out directions of joints that other joints suppress except for rounded numbers, which make loops rigid
+        or keep them open; return whether there are any.
+
+        The other joints must suppress them far from the position, too: here the position may merely be singular.
+        """
+        gaps, matrix = self._all(x)
+        exact = np.abs(gaps).max(initial=0.0) <= _CLOSED
+        along = _motions(matrix, _ROUGH)
+        way = along @ np.linspace(1.0, 2.0, along.shape[1])
+        way /= max(np.abs(way).max(initial=0.0), 1e-300)
+        kept = self._kept
+        for part in _APART:
+            tried, gaps, matrix = self._corrected(x + part * way, kept)
+            if kept.all():
+                if np.abs(gaps).max(initial=0.0) > _ROUGH:
+                    return False
+                kept = self._enough(matrix)
+                if kept.all() or (exact and np.linalg.matrix_rank(matrix, rtol=_RANK) <= kept.sum()):
+                    return False
+                _, gaps, _ = self._corrected(tried, kept)
+            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY and np.abs(gaps[~kept]).max() > _ROUGH:
+                return False
+        self._kept = kept
+        return True
+
+    def _corrected(self, x: Array, kept: Array) -> tuple[Array, Array, Array]:
+        """Return a position near one at which the kept constraints are met, with all gaps and their Jacobian."""
+        gaps, matrix = self._all(x)
+        for _ in range(_CORRECTIONS):
+            x = x - np.linalg.lstsq(matrix[kept], gaps[kept], rcond=_ROUGH)[0]
+            gaps, matrix = self._all(x)
+        return x, gaps, matrix
+
+    def _enough(self, matrix: Array) -> Array:
+        """Return which constraints suffice: all that belong to no joint, and those of joints in order."""
+        least = _ROUGH * np.linalg.norm(matrix, 2)
+        kept = np.array([not direction for _, direction in self._rows], dtype=bool)
+        done = np.linalg.svd(matrix[kept], full_matrices=False)
+        basis = done[2][done[1] > least]
+        left = matrix - matrix @ basis.T @ basis
+        while (sizes := np.where(kept, 0.0, np.linalg.norm(left, axis=1))).max() > least:
+            i = np.flatnonzero(sizes > _HALF * sizes.max())[0]
+            kept[i], own = True, left[i] / sizes[i]
+            left = left - np.outer(left @ own, own)
+        return kept
 
     def _followed(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
         """Apply corrections of least weighted length until loops are closed or nothing is gained; return the remaining
@@ -157,7 +224,7 @@ class Loops:
         return x, float(np.abs(gaps).max(initial=0.0))
 
     def _near(self, x: Array, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the nearest closed position by weights, from a closed one near it, moving towards the given values."""
+        """Return the nearest closed position by weights, moving from a closed position towards the given values."""
         best, left = x, self._followed(x, self._ready, low, high)[1]
         for _ in range(_CORRECTIONS):
             along = _motions(self.at(best)[1])
@@ -175,9 +242,11 @@ class Loops:
         return float(np.linalg.norm((x - self._start) / self._ready))
 
     def _closest(self, low: Array, high: Array) -> tuple[Array, float]:
-        """Return the nearest closed position found from the given one and, if that is far, from around it."""
+        """Return the nearest closed position found from the given one and, if that is far, from other positions."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
+        if left <= _ROUGH and len(self._kept) and self._kept.all() and self._spare(best):
+            best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:
             return best, left
         if left <= _NEARLY:
@@ -205,7 +274,7 @@ class Loops:
         beyond = tuple(n for n, v, a, b in zip(self.names, x, self._low, self._high, strict=True) if not a <= v <= b)
         chosen = self._independent(x)
         start = self._start
-        gap = float(np.abs(np.array(self._plain(self.given))).max(initial=0.0))
+        gap = float(np.abs(np.array(self._plain(self.given))[self._kept]).max(initial=0.0))
         # Independent coordinates keep the given values exactly, if these lead to a position near this one.
         held = np.array([name in chosen for name in self.names])
         from_there = np.where(held, start, x)
@@ -215,16 +284,21 @@ class Loops:
         if left > _NEARLY:
             x = start
         values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
-        return Closed(values, chosen, gap, left, float(np.abs(x - start).max(initial=0.0)), beyond)
+        spare: dict[str, tuple[str, ...]] = {}
+        for (name, direction), is_kept in zip(self._rows, self._kept, strict=True):
+            if not is_kept:
+                spare[name] = (*spare.get(name, ()), direction)
+        missed = float(np.abs(np.array(self._plain(x * self.units))[~self._kept]).max(initial=0.0))
+        return Closed(values, chosen, gap, left, float(np.abs(x - start).max(initial=0.0)), beyond, spare, missed)
 
     def _independent(self, x: Array) -> set[str]:
         """Return coordinates whose values determine all others, driven ones preferred."""
         q = x * self.units
-        motions = _motions(np.array(self._both(q)[1]))
+        motions = _motions(np.array(self._both(q)[1])[self._kept])
         # At a singular position, a position near it determines how many coordinates are independent.
         beside = q + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
         for _ in range(_CORRECTIONS):
-            left, matrix = (np.array(found) for found in self._both(beside))
+            left, matrix = (np.array(found)[self._kept] for found in self._both(beside))
             beside = beside - np.linalg.lstsq(matrix, left.ravel(), rcond=_RANK)[0]
         if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - q) < 10 * _BESIDE:
             motions = _motions(matrix)
@@ -239,7 +313,7 @@ class Loops:
         return chosen
 
 
-def _motions(matrix: Array) -> Array:
+def _motions(matrix: Array, rank: float = _RANK) -> Array:
     """Return the motions (n, freedoms) that constraints allow."""
     _, sizes, turned = np.linalg.svd(matrix)
-    return turned[np.sum(sizes > _RANK * sizes.max(initial=0.0)) :].T
+    return turned[np.sum(sizes > rank * sizes.max(initial=0.0)) :].T

@@ -42,22 +42,22 @@ _PARALLEL = 1e-14
 """Entry of a rotation matrix up to which frames are parallel: round-off of some successive rotations."""
 
 _RATE = 200.0
-"""Frequency [rad/s] of what a joint carries on its end stop: a blow lasts some 15 ms, and steps of 1 ms follow it."""
+"""Natural frequency [rad/s] of a joint's load on its end stop: steps of 1 ms resolve the impact of some 15 ms."""
 
 _SAG, _SAG_M = 0.01, 1e-3
-"""Most penetration [rad, m] of an end stop by the weight that the joint carries."""
+"""Largest static penetration [rad, m] of an end stop under the weight that the joint carries."""
 
 _ONSET, _ONSET_M = 0.01, 1e-3
 """Penetration [rad, m] over which an end stop of a file stiffens."""
 
 _RESTITUTION = 0.3
-"""Restitution of end stops of files, where formats give none: a blow on rubber or on a gearbox."""
+"""Default restitution of end stops from files, as of an impact on rubber or on a gearbox."""
 
 _CREEP = 0.01
 """Rate [rad/s, m/s] between approach and return at end stops of files."""
 
 _LIGHT = 1e-7
-"""Share of the inertia that its parent carries up to which a link counts as a frame without inertia."""
+"""Inertia of a link, over the inertia that its parent carries, up to which it counts as a frame without inertia."""
 
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
@@ -80,16 +80,23 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
     guessed = _Declaring(linkage, description)
     mechanism, notes, warned = guessed.script.mechanism, [], ""
     chosen = {c.name for c in mechanism.coordinates}
-    values = guessed.values
+    values, spare = guessed.values, dict[str, tuple[str, ...]]()
     if mechanism.closures:
         closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
-        chosen, values = closed.independent, closed.values
+        chosen, values, spare = closed.independent, closed.values, closed.spare
         if not chosen:
             notes.append("its closed loops permit no motion here; a redundant constraint or an axis may be misaligned")
+            warned = notes[-1]
+        if spare:
+            left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
+            notes.append(
+                "joints of its loops constrain some directions more than once, and agree there only to "
+                f"{closed.missed:.1g} m or rad, as numbers in the file are rounded; these directions are left out: {left}"
+            )
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))
-            warned = notes[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
-    final = _Declaring(linkage, description, chosen, values)
+            warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
+    final = _Declaring(linkage, description, chosen, values, spare)
     return final.script, final.renamed, notes, warned
 
 
@@ -110,7 +117,7 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
 
 
 class _Declaring:
-    """One pass: with guesses for all coordinates, or with independent coordinates at closed loops."""
+    """One pass: it declares guesses for all coordinates, or independent coordinates at closed loops."""
 
     def __init__(
         self,
@@ -118,8 +125,9 @@ class _Declaring:
         description: str,
         chosen: set[str] | None = None,
         closed: Mapping[str, float] | None = None,
+        spare: Mapping[str, tuple[str, ...]] | None = None,
     ):
-        self.linkage, self.chosen, self.closed = linkage, chosen, closed or {}
+        self.linkage, self.chosen, self.closed, self.spare = linkage, chosen, closed or {}, spare or {}
         self.given: set[str] = set()
         self.limits: dict[str, tuple[float, float]] = {}
         self.taken, self.renamed = set(_AVOIDED), dict[str, str]()
@@ -257,8 +265,8 @@ class _Declaring:
         )
 
     def _started(self, name: str, value: float, rate: float, unit: str) -> Named | float:
-        """Return the start of a coordinate of a body: a quantity that the user gives if the coordinate
-        is independent."""
+        """Return the start of a coordinate of a body: a start quantity if the coordinate is independent, else a
+        number."""
         self.values[name] = value = self.closed.get(name, value)
         self.given.add(name)
         if self.chosen is None or name not in self.chosen:
@@ -334,8 +342,8 @@ class _Declaring:
         return self.values[str(self.coordinates[joint][0].value.name())]
 
     def _stiffness(self, joint: Joint, which: int = 0) -> float:
-        """Return the stiffness of an end stop, from inertia and weight of all that the joint carries, or of what the
-        joints before it carry if that is nothing."""
+        """Return the stiffness of an end stop, from the inertia and weight that the joint carries, or if there is none,
+        that the joints before it carry."""
         M, momenta, columns = self.linkage.masses
         at = columns[joint][which]
         parent = next(link for link in self.linkage.links if joint in link.joints).parent
@@ -409,6 +417,8 @@ class _Declaring:
         springs = any(map(any, (joint.damping, joint.stiffness, joint.friction)))
         method = _METHODS.get(joint.kind, joint.kind)
         made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
+        if name in self.spare:
+            self.script.do("spare", name, *self.spare[name])
         self._spring(joint, made)
 
     def _turned(self, name: str, marker: Named, e: Array) -> Named:
@@ -422,7 +432,7 @@ class _Declaring:
         return origin
 
     def _along(self, terms: Sum, referred: bool = False, rates: bool = False) -> Named:
-        """Return a sum of coordinates or of their rates, if `referred` from the references of their joints."""
+        """Return a sum of coordinates, counted from the joints' references if `referred`, or the sum of their rates."""
         found = []
         for joint, factor in terms:
             each = self.coordinates[joint][0]

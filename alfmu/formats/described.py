@@ -54,7 +54,7 @@ class _Edge:
 
 @dataclass(frozen=True, eq=False)
 class _Limited:
-    """An input, or else terms of a linear expression, with limits."""
+    """An input, or a linear expression given by its terms, with limits."""
 
     name: str = ""
     start: float = 0.0
@@ -87,13 +87,13 @@ class _Describing:
         """Inputs ("u"), limited efforts ("l"), displacements ("q") and rates ("v") of joints, Euler parameters ("e") of
         balls and their rates ("w") by their symbols."""
         self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
-        """Expressions, and the same without limits, by keys of the former."""
+        """Expressions, each with its form without limits, by the key of the expression."""
         self.coupled: set[Joint] = set()
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
         self.poses: dict[Any, Pose] = dict.fromkeys(grounds, Pose())
         self.spins: dict[Any, tuple[Array, Array]] = dict.fromkeys(grounds, (np.zeros(3), np.zeros(3)))
-        """Velocity and spin of the frames of bodies in ground axes."""
+        """Velocity and angular velocity of the frames of bodies in ground axes."""
         self.inertia: dict[Any, Inertial] = {}
         self.links: dict[Any, Link | None] = dict.fromkeys(grounds)
         for part in (self._bodies, self._joints, self._forces, self._closures, self._tree, self._merge):
@@ -118,7 +118,7 @@ class _Describing:
         return self.number(ca.jtimes(expression, self.symbols[0], self.symbols[1]))
 
     def fixed(self, expression: Any) -> ca.SX:
-        """Return an expression with the numbers of parameters."""
+        """Return an expression with numbers in place of parameters."""
         return ca.substitute(symbolic(expression), self.symbols[2], ca.SX(ca.DM(self.values[2])))
 
     def constant(self, part: str, what: str, *values: Any) -> list[float]:
@@ -239,7 +239,7 @@ class _Describing:
     # Forces -----------------------------------------------------------------------------------------------------
 
     def _motion(self, of: Any, what: str) -> Joint:
-        """Return the motion of a joint that a force acts along; refuse others."""
+        """Return the joint motion along which a force acts; refuse any other direction."""
         name = getattr(of, "name", "")
         if name not in self.motions:
             self.refuse(name or what, f"{what} acts between points or along an expression; files hold those of joints")
@@ -274,7 +274,7 @@ class _Describing:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
 
     def _rated(self) -> None:
-        """Take kinetic energies of rates as inertia of motors, and forces along Euler parameters as dampers."""
+        """Convert kinetic energies of rates to motor inertia, and forces along Euler parameters to dampers."""
         balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
         for along, given in (*((None, x) for x in (*self.m.potential, *self.m.kinetic)), *self.m.generalized):
             x = self.fixed(given)
@@ -326,7 +326,7 @@ class _Describing:
         return found | {("1", None): float(ca.substitute(x, stack(symbols), ca.SX.zeros(len(symbols))))}
 
     def _drive(self, joint: Joint, effort: ca.SX) -> None:
-        """Take an effort along a joint as motors, which may be limited, a spring and a damper."""
+        """Convert an effort along a joint to motors, which may be limited, a spring and a damper."""
         own = [("1", None), ("q", joint), ("v", joint)]
         terms = self._linear(self._unlimited(effort))
         inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
@@ -350,7 +350,7 @@ class _Describing:
         self._spring(joint, -k, -d, bias)
 
     def _unlimited(self, x: ca.SX) -> ca.SX:
-        """Return an expression with a symbol of its own for each input, and each linear part, that has limits."""
+        """Return an expression in which a new symbol replaces each limited input and each limited linear part."""
         if not x.n_dep() or key_of(x) in self.known:
             return self.known.get(key_of(x), (x, x))[1]
         parts = [self._unlimited(x.dep(i)) for i in range(x.n_dep())]
@@ -433,7 +433,7 @@ class _Describing:
         self.linkage.couplings.append(coupling)
 
     def _polynomial(self, name: str, expression: Any) -> bool:
-        """Take a constraint as a displacement that is a polynomial in another one, if it is so."""
+        """Convert a constraint to a polynomial of one displacement in another; return False if it is not one."""
         x = self.fixed(expression)
         places = [(s, *self.along.get(key_of(s), ("", None))) for s in ca.symvar(x)]
         for (q, kind, joint), (by, other, leader) in (places, places[::-1]) if len(places) == 2 else ():
@@ -450,7 +450,7 @@ class _Describing:
     # The tree ---------------------------------------------------------------------------------------------------
 
     def _closes(self, edge: _Edge) -> bool:
-        """Return whether a joint may close a loop in this format."""
+        """Return whether this format can close a loop by this joint."""
         used = self.coupled | {joint for motor in self.linkage.motors for joint, _ in motor.along}
         forced = (any((*x.damping, *x.stiffness, *x.friction, x.armature, *x.limits, x in used)) for x in edge.joints)
         return edge.kind in self.form.closures and not any(forced)
@@ -534,8 +534,7 @@ class _Describing:
         self.refuse(edge.name, f"its bodies have no mass, and {self.form.name} closes no loop by such a joint")
 
     def _merge(self) -> None:
-        """Remove links without mass that are not needed, pass their joints on to their child, and put parents before
-        children."""
+        """Remove unneeded massless links, move their joints to their child, and sort parents before children."""
         links = self.linkage.links
         for link in list(links):
             children = [each for each in links if each.parent is link]

@@ -31,7 +31,7 @@ _COMMON = {
     "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "ignore"], "leave": str, "folders": str,
     "drives": str,
 }  # fmt: skip
-"""Options of all formats, with the values they take; the first is the default, as no text is of others."""
+"""Options of all formats with their values; the first value is the default, or the empty text."""
 
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "mujoco": ("MJCF", {"key": str} | _COMMON),
@@ -53,9 +53,9 @@ class Imported:
     notes: tuple[str, ...]
     """Further remarks, such as loops that are open in the file."""
     moved: str
-    """Coordinates that closing the loops moved, if far."""
+    """Coordinates that were moved far to close the loops, or that this leaves no motion."""
     renamed: dict[str, str]
-    """New names by kinds and old names."""
+    """New names by kind and old name."""
     _source: Callable[[str], str]
 
     def source(self, function: str | None = None) -> str:
@@ -67,11 +67,11 @@ def imported(path: str | Path, **options: Any) -> Imported:
     """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
     Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
-    and slider); `limits`, of joints, are end stops (`stop`, the default) or not taken (`ignore`); `contacts="leave"`
-    leaves contacts out; `leave`, words of other things to leave out although they affect the motion; `folders`, where
-    included files may stand, beside that of the file. MJCF: `key`, the keyframe at the start. SDF: `model`, one of
-    several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises InputError with file,
-    line and element of all that cannot be mapped.
+    and slider); `limits`, whether limits of joints become end stops (`stop`, the default) or are ignored (`ignore`);
+    `contacts="leave"` leaves contacts out; `leave`, kinds of other elements to leave out although they affect the
+    motion; `folders` with included files, beside that of the file. MJCF: `key`, the keyframe at the start. SDF:
+    `model`, one of several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises
+    InputError with file, line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -132,7 +132,11 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.name = linkage.name or path.stem
     linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
-    linkage.causes += root.unread({node for nodes in linkage.left_out.values() for node in nodes})
+    for node, why in root.unread({node for nodes in linkage.left_out.values() for node in nodes}):
+        if "unknown" in leaves:
+            linkage.warn("unknown elements and attributes, which the user leaves out", node)
+        else:
+            linkage.causes.append(why)
     if not linkage.joints and not linkage.causes:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     linkage.judge()

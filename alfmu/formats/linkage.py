@@ -23,10 +23,10 @@ from .solids import Inertial
 __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon"]
 
 ANYWHERE = 1e15
-"""Limit [rad, m, N.m, N] from which on files mean that there is none."""
+"""Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons")
-"""Words of what a user may leave out although it affects the motion: of `free` joints, what resists their motion."""
+LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons", "unknown")
+"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -52,7 +52,7 @@ class Joint:
     point: Array = field(default_factory=lambda: np.zeros(3))
     axes: tuple[Array, ...] = ()
     reference: float = 0.0
-    """Value at which the link is at its pose."""
+    """Value of the coordinate at which the link is at its pose."""
     start: tuple[float, ...] = (0.0,)
     """Start values; of a free link, the position of its frame and the Euler parameters in ground axes."""
     rates: tuple[float, ...] = (0.0,)
@@ -64,16 +64,16 @@ class Joint:
     friction: tuple[float, ...] = (0.0,)
     """Dry friction, a constant torque [N.m] or force [N]."""
     effort: tuple[float, float] | None = None
-    """Limits of the effort of all motors on it together."""
+    """Limits of the total effort of all motors on the joint."""
     armature: float = 0.0
     lead: float = 0.0
     follows: tuple[Joint, float, float] | None = None
-    """Another joint, a factor and an offset: its coordinate is factor * other + offset."""
+    """Another joint, a factor and an offset: this joint's coordinate is factor * other + offset."""
     limits: tuple[tuple[float, float], ...] = ()
     """Lower and upper limits of its coordinates, if any: loops are closed within them."""
 
     def seen_from(self, pose: Pose, sign: float) -> None:
-        """Change the axes of its numbers to those of a frame at a pose; a sign of -1 lets it lead the other way."""
+        """Transform point and axes into a frame at a pose; a sign of -1 reverses the joint."""
         if self.kind != "free":
             self.point = pose.inverse.at(self.point)
             self.axes = tuple(sign * pose.turn.T @ axis for axis in self.axes)
@@ -153,7 +153,7 @@ Sum = tuple[tuple["Joint", float], ...]
 
 @dataclass(eq=False)
 class Coupling:
-    """The coordinate of one joint, or a sum of several, from its reference, as a constant or a polynomial in another
+    """A sum of joint coordinates, from its value at the references, equal to a constant or to a polynomial in another
     sum."""
 
     name: str
@@ -165,7 +165,7 @@ class Coupling:
 
 @dataclass(eq=False)
 class Tendon:
-    """A spring, a damper and limits along a sum of coordinates, which do nothing by default."""
+    """A spring, a damper and limits along a sum of coordinates; none is active by default."""
 
     name: str
     node: Node
@@ -194,14 +194,14 @@ class Motor:
     ratio: float = 0.0
     """Damping ratio, which gives a bias per rate with the inertia at the reference."""
     lag: float = 0.0
-    """Time constant by which the input is filtered [s]."""
+    """Time constant [s] of the filter of the input."""
     control: tuple[float, float] | None = None
     force: tuple[float, float] | None = None
     start: float = 0.0
 
 
 class LeftOut(InputError):
-    """What the user leaves out."""
+    """The user leaves this element out."""
 
 
 @dataclass(eq=False)
@@ -223,19 +223,19 @@ class Linkage:
     limited: list[Node] = field(default_factory=list)
     """Elements with limits of joints."""
     leaves: Sequence[str] = ()
-    """Words of what the user leaves out although it affects the motion."""
+    """Kinds of elements that the user leaves out although they affect the motion."""
     causes: list[str] = field(default_factory=list)
-    """Messages on all that is refused."""
+    """Messages on all refused elements."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     left_out: dict[str, list[Node]] = field(default_factory=dict)
     """Ignored elements without effect on the motion, by kind."""
     warned: dict[str, list[Node]] = field(default_factory=dict)
-    """Ignored elements that act only if a limit is reached, by kind."""
+    """Ignored elements that may affect the motion, by kind."""
 
     posed: bool = False
     """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
-    """Elements of further remarks, by remark."""
+    """Elements to which further remarks apply, by remark."""
 
     def note(self, what: str, *nodes: Node) -> None:
         """Add a further remark."""
@@ -250,7 +250,7 @@ class Linkage:
         self.warned.setdefault(what, []).extend(nodes)
 
     def pass_over(self, node: Node, left: Mapping[str, str], *harmless: str) -> None:
-        """Record children that have no effect, and plugins; those that nobody reads besides are refused in the end."""
+        """Record children without effect, and plugins, as ignored; other unread children are refused in the end."""
         for child in node.all(*left):
             self.leave(left[child.tag], child)
         self.warn("plugins, which are programs", *node.all("plugin"))
@@ -264,7 +264,7 @@ class Linkage:
 
     @contextmanager
     def trying(self, node: Node | None = None) -> Iterator[None]:
-        """Keep the refusal of an element, so that all are told at once; what was not read of it is not judged."""
+        """Store the refusal of an element, to report all together; unread parts of the element are not checked."""
         try:
             yield
         except LeftOut:
@@ -276,23 +276,23 @@ class Linkage:
                 self.causes.append(str(error))
 
     def refuse(self, part: str, why: str) -> None:
-        """Keep the refusal of a part of a mechanism that is written."""
+        """Store the refusal of a part of the mechanism that is being exported."""
         self.causes.append(f"{self.name}: {part}: {why}")
 
     def without(self, word: str, node: Node, why: str) -> None:
-        """Refuse an element that affects the motion, or leave it out if the user says its word."""
+        """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""
         if word not in self.leaves:
             node.fail(f"{why}; --option leave={word} leaves it out")
         node.take()
         self.warn(f"{word}, left out by option", node)
 
     def skip(self, word: str, node: Node, why: str) -> Never:
-        """The same, of an element of which nothing more is read."""
+        """Do the same as `without`, and stop reading the element."""
         self.without(word, node, why)
         raise LeftOut(why)
 
     def judge(self) -> None:
-        """Raise InputError with all that was refused, the most frequent first."""
+        """Raise InputError with all refusals, the most frequent kind first."""
         kinds: dict[str, list[str]] = {}
         for cause in self.causes:
             why = cause.split(": ", 2)[-1]
@@ -315,8 +315,8 @@ class Linkage:
 
     @cached_property
     def twists(self) -> tuple[Array, dict[Link | None, list[int]], dict[Joint, range]]:
-        """Return spins, and velocities at the ground's origin, per rate (n, 6) at the references; the rates that move
-        each link; and the rates of each joint."""
+        """Return twists (n, 6), the angular velocity and the velocity at the ground's origin per unit of each rate, at
+        the references; the rates that move each link; and the rates of each joint."""
         found, paths = list[Array](), dict[Link | None, list[int]]({None: []})
         columns, known = dict[Joint, range](), dict[Link, Pose]()
         for link in self.links:
@@ -336,7 +336,8 @@ class Linkage:
     def masses(self) -> tuple[Array, Array, dict[Joint, range]]:
         """Return the mass matrix of the open tree at the references, momenta (3, n) per rate, and columns of joints.
 
-        A diagonal entry is the inertia of all that a joint carries, and the size of a momentum its mass times its arm.
+        A diagonal entry is the inertia carried by a joint; the magnitude of its momentum is the carried mass times its
+        arm.
         """
         twists, paths, columns = self.twists
         M, momenta = np.diag([j.armature for j in columns for _ in columns[j]]), np.zeros((3, len(twists)))

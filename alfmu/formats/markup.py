@@ -29,10 +29,10 @@ DEEPEST = 200
 MOST = 200_000
 """Largest number of elements of a file."""
 
-_UNKNOWN = "alfmu does not know what {} does to the motion; leave it out if it does nothing"
+_UNKNOWN = "alfmu does not know what {} does to the motion; --option leave=unknown leaves it out"
 
 _NAMESPACES = ("xmlns", "xsi:", "xml:")
-"""Beginnings of attributes that are of XML itself, not of a format."""
+"""Prefixes of attributes that belong to XML itself, not to a format."""
 
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
@@ -46,11 +46,12 @@ _FLAGS = {"true": True, "1": True, "false": False, "0": False}
 
 
 class Attributes(dict[str, str]):
-    """Attributes of an element, which record the names that were read."""
+    """Attributes of an element, which record the names that were read, and those that are not known."""
 
     def __init__(self, given: Mapping[str, str]):
         super().__init__(given)
         self.taken: set[str] = set()
+        self.unknown: set[str] = set()
 
     def __getitem__(self, name: str) -> str:
         self.taken.add(name)
@@ -77,14 +78,14 @@ class Node:
     children: list[Node] = field(default_factory=list)
     text: str = ""
     taken: bool = False
-    """Whether it was read."""
+    """Whether the element was read."""
 
     def __post_init__(self, given: Mapping[str, str]) -> None:
         self.attributes = Attributes(given)
 
     @property
     def path(self) -> str:
-        """Its path from the root, with names in brackets."""
+        """The element's path from the root, with names in brackets."""
         name = self.attributes.get("name") or self.attributes.get("class", "")
         own = f"{self.tag}[{name[:60]}]" if name else self.tag
         return f"{self.parent.path}/{own}" if self.parent is not None else own
@@ -95,7 +96,7 @@ class Node:
         return f"{self.file}, line {self.line}: {self.path}"
 
     def fail(self, why: str) -> Never:
-        """Reject it."""
+        """Reject the element."""
         raise InputError(f"{self.where}: {why}")
 
     def all(self, *tags: str) -> list[Node]:
@@ -112,21 +113,23 @@ class Node:
             yield child
 
     def take(self) -> None:
-        """Mark it and all in it as read."""
+        """Mark the element and its descendants as read."""
         for each in self.below():
             each.taken = True
             each.attributes.taken.update(each.attributes)
+            each.attributes.unknown.clear()
 
-    def unread(self, left: Container[Node]) -> Iterator[str]:
-        """Yield messages on attributes and elements that were not read, recursively; `left` is ignored."""
+    def unread(self, left: Container[Node]) -> Iterator[tuple[Node, str]]:
+        """Yield elements that were not read, or have such attributes, and messages, recursively; `left` is ignored."""
         if self in left or self.tag == "plugin":
             return
+        read = (self.attributes.taken | {"name"}) - self.attributes.unknown
         for name, value in self.attributes.items():
-            if name not in self.attributes.taken and name != "name" and not name.startswith(_NAMESPACES):
-                yield f"{self.where}: " + _UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>')
+            if name not in read and not name.startswith(_NAMESPACES):
+                yield self, f"{self.where}: " + _UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>')
         for child in self.children:
             if not child.taken:
-                yield f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
+                yield child, f"{child.where}: " + _UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>")
             else:
                 yield from child.unread(left)
 
@@ -142,24 +145,23 @@ class Node:
         return self.one(tag) or self.fail(f"it has no <{tag}>; give one")
 
     def add(self, tag: str, given: Mapping[str, str] | None = None, text: str = "") -> Node:
-        """Add a child, as if it stood in the file."""
+        """Add a child, as if the file contained it."""
         self.children.append(Node(tag, given or {}, self.file, self.line, self, text=text, taken=True))
         return self.children[-1]
 
     def below(self) -> Iterator[Node]:
-        """Yield it and all elements in it."""
+        """Yield the element and its descendants."""
         yield self
         for child in self.children:
             yield from child.below()
 
 
 class UnknownName(InputError):
-    """A name without a definition, which is a consequence where the element of that name was refused."""
+    """A name is not defined; this follows if the element of that name was refused."""
 
 
 class Reading:
-    """The attributes of an element, or `given` ones, some of them inherited; `done` rejects those that were
-    not read."""
+    """The attributes of an element, or `given` attributes, some of them inherited; `done` marks unread ones."""
 
     def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
@@ -224,11 +226,11 @@ class Reading:
                 self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
 
     def done(self, harmless: Sequence[str] = ()) -> None:
-        """Reject attributes that were neither read nor harmless."""
+        """Mark attributes that were neither read nor harmless as not known."""
         self.node.attributes.taken.update(self._given)
-        for name, (value, node) in self._given.items():
-            if name not in self._taken and name not in harmless and not name.startswith(_NAMESPACES):
-                node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
+        for name, (_, node) in self._given.items():
+            if name not in self._taken and name not in harmless:
+                node.attributes.unknown.add(name)
 
 
 class Children(Reading):
@@ -243,7 +245,7 @@ class Children(Reading):
         return child.text.strip() if child is not None else str(default)
 
     def flag(self, name: str, default: bool) -> bool:
-        """Return a Boolean, in letters of either size."""
+        """Return a Boolean, in upper or lower case."""
         said = self.text(name, str(default)).lower()
         return (
             _FLAGS[said] if said in _FLAGS else self.fail(name, f"<{name}> is {shown(said[:40])}; give true or false")
@@ -280,7 +282,7 @@ def parsed(path: str | Path) -> Node:
     try:
         return _tree(path, content)
     except InputError:
-        # Exporters write comments with two dashes in them, which XML does not allow.
+        # Exporters write comments that contain two dashes, which XML does not allow.
         plain = re.sub(rb"<!--.*?-->", lambda each: b"\n" * each[0].count(b"\n"), content, flags=re.DOTALL)
         if plain == content:
             raise
@@ -302,7 +304,7 @@ def content_of(path: Path, largest: int) -> bytes:
 
 
 def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Path:
-    """Return the path of a file that an element names: in one of some folders, and within the allowed ones alone."""
+    """Return the path of a file that an element names: in a folder of `where`, inside an `allowed` folder."""
     paths = [(folder / name).resolve() for folder in where]
     inside = [path for path in paths if any(path.is_relative_to(folder) for folder in allowed)]
     if Path(name).is_absolute() or not inside:
@@ -317,7 +319,7 @@ def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[P
 
 
 class Includes:
-    """Replaces <include> elements by those of other files; for each such element, `elements` returns these."""
+    """Replaces <include> elements by those of other files; `elements` returns the replacement for such an element."""
 
     def __init__(self, node: Node, elements: Callable[[Includes, Node], Sequence[Node]]):
         self.elements = elements
@@ -326,7 +328,7 @@ class Includes:
         self.replace(node)
 
     def replace(self, node: Node) -> None:
-        """Replace those in an element."""
+        """Replace the <include> elements in an element."""
         children: list[Node] = []
         for child in node.children:
             if child.tag == "include":
@@ -339,7 +341,7 @@ class Includes:
         node.children = children
 
     def root(self, node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Node:
-        """Return the root of the file that an element names, itself with what it includes."""
+        """Return the root of the file that an element names, with its own includes replaced."""
         path = found_file(node, name, where, allowed)
         self._count += 1
         if path in self._within or len(self._within) > _INCLUDED or self._count > _FILES:
@@ -391,7 +393,7 @@ def _tree(path: Path, content: bytes) -> Node:
 
 
 def known(node: Node, name: str, there: Mapping[str, T], what: str) -> T:
-    """Return what a name stands for; reject one without a definition."""
+    """Return the object of a name; reject an undefined name."""
     if name not in there:
         raise UnknownName(f"{node.where}: there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")
     return there[name]

@@ -59,7 +59,7 @@ def _obj(text: str) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Return the triangles (n, 3, 3) of the convex hull of points (n, 3), with their outer sides out."""
+    """Return the triangles (n, 3, 3) of the convex hull of points (n, 3), oriented outwards."""
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError):
@@ -71,12 +71,14 @@ def hull(points: Array) -> Array:
     return corners
 
 
-def solid(corners: Array, signed: bool) -> Inertial:
-    """Return mass, centre and inertia of triangles (n, 3, 3) as a solid of unit density.
+def solid(corners: Array, signed: bool, shell: bool = False) -> Inertial:
+    """Return mass, centre and inertia of triangles (n, 3, 3) as a solid of unit density, or as a shell of unit density
+    per area.
 
-    Pyramids from a point to the triangles are added up, or with `signed` those that the surface turns its inner side to
-    are taken away: the same for convex meshes. The point is the centroid of the surface, and for inertia the centre.
+    The solid is the sum of pyramids between a point and each triangle, with the sign of the triangle's orientation if
+    `signed`; both agree for convex meshes. The point is the centroid of the surface, then the centre of mass.
     """
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
 
     def volumes(at: Array) -> Array:
         a, b, c = np.moveaxis(corners - at, 1, 0)
@@ -84,15 +86,15 @@ def solid(corners: Array, signed: bool) -> Inertial:
         return found if signed else np.abs(found)
 
     middles = corners.mean(axis=1)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not areas.sum() > 0:
         raise InputError("it has no surface")
     apex = areas @ middles / areas.sum()
-    parts = volumes(apex)
+    parts = areas if shell else volumes(apex)
     if not parts.sum() > 0:
         raise InputError("it has no volume, or is inside out")
-    center = parts @ (3 / 4 * middles + apex / 4) / parts.sum()
-    parts, x = volumes(center), corners - center
+    center = apex if shell else parts @ (3 / 4 * middles + apex / 4) / parts.sum()
+    parts, x = areas if shell else volumes(center), corners - center
     whole = x.sum(axis=1)
-    second = (np.einsum("n,nki,nkj->ij", parts, x, x) + np.einsum("n,ni,nj->ij", parts, whole, whole)) / 20
+    second = np.einsum("n,nki,nkj->ij", parts, x, x) + np.einsum("n,ni,nj->ij", parts, whole, whole)
+    second /= 12 if shell else 20
     return Inertial(float(parts.sum()), center, np.trace(second) * np.eye(3) - second)

@@ -46,20 +46,20 @@ _HARMLESS_GEOM = (
 _DYNAMICS = ("actdim", "delay", "nsample", "armature", "damping")
 _LAGS = ("filter", "filterexact")
 _IMPLIED = ("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm")
-"""Attributes of `general` that the other kinds set, or take for defaults of their own."""
+"""Attributes of `general` that the other kinds set, or replace by their own defaults."""
 
 _PASSIVE = ("stiffness", "damping", "armature", "frictionloss")
 """Attributes by which a tendon acts without an actuator."""
 
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _PARTIAL = {"size", "stiffness", "damping", "polycoef", "biasprm"}
-"""Attributes with optional trailing numbers, which come from the default."""
+"""Attributes whose missing trailing numbers are taken from the default."""
 
 _ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
 """Attributes for an attitude, and the number of their values."""
 
 _POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
-"""Default coefficients of an equality of joints."""
+"""Default coefficients of an equality constraint between joints."""
 
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
@@ -119,8 +119,8 @@ class File:
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
             for x in self._parts("asset", "mesh")
         }
-        self.inertias: dict[str, Inertial] = {}
-        """Inertias of meshes that were read, of unit density."""
+        self.inertias: dict[tuple[str, bool], Inertial] = {}
+        """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
         self.tuned: list[tuple[Joint, float, float]] = []
         """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
@@ -128,7 +128,11 @@ class File:
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.masses: dict[Link, list[Inertial]] = {}
-        """What geoms give bodies."""
+        """Inertias that geoms contribute to bodies."""
+        self.doubts: list[tuple[Link, Node, InputError]] = []
+        """Geoms with an unknown inertia, which is an error only if their body moves."""
+        self.soft: tuple[str, ...] = ()
+        """Prefixes of the names of bodies that belong to flexible bodies."""
         self.tendons: dict[str, Sum | None] = {}
         self.zero: dict[Link, Pose] = {}
         every = self.linkage.every
@@ -139,6 +143,11 @@ class File:
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
+        for link, node, doubt in self.doubts:
+            if _moving(link) is not None or self.settings.total:
+                self.linkage.causes.append(str(doubt))
+            else:
+                self.linkage.note("these shapes of bodies that stand still have no mass here, as it is not known", node)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
@@ -170,7 +179,7 @@ class File:
         return root.children
 
     def _sections(self) -> None:
-        """Judge sections that are not read."""
+        """Ignore or refuse the sections that are not read."""
         for section in self.root.all(*_VISUAL):
             whole = not section.children or section.attributes
             self.linkage.leave(_VISUAL[section.tag], *([section] if whole else section.each()))
@@ -264,7 +273,7 @@ class File:
     # Bodies -----------------------------------------------------------------------------------------------------
 
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
-        """Read what is in a body, or in a frame in a body at a pose."""
+        """Read the children of a body, or of a frame at a pose in a body."""
         self.linkage.every(node.each(), lambda child: self._branch(child, link, pose, childclass))
 
     def _branch(self, child: Node, link: Link | None, pose: Pose, childclass: str | None) -> None:
@@ -288,6 +297,8 @@ class File:
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
         elif child.tag in ("flexcomp", "composite"):
+            name = child.attributes.get("name")
+            self.soft += (f"{name}_",) if child.tag == "flexcomp" else (f"{child.attributes.get('prefix')}B_",)
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
@@ -313,7 +324,7 @@ class File:
         self._tree(node, link, Pose(), childclass)
         if (inertial := node.one("inertial")) is not None:
             link.inertial = self._inertial(Reading(inertial))
-        if link in self.masses:  # geoms define the inertia without an inertial, or if the compiler setting demands it
+        if link in self.masses:  # geoms define the inertia without <inertial>, or if the compiler setting demands it
             link.inertial = solids.together(self.masses[link])
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
@@ -328,7 +339,7 @@ class File:
         return Inertial.of(mass, at, moments, products)
 
     def _balanced(self) -> None:
-        """Change masses and inertias as the compiler is told to."""
+        """Adjust masses and inertias by the compiler settings."""
         given, (mass, least) = self.settings, self.settings.bounds
         if not (mass or least or given.balance or given.total):
             return
@@ -434,7 +445,7 @@ class File:
         elif time or ratio:
             what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
             given.fail("springdamper", what)
-        limits = self._range(given, "") if not self.settings.off & {"limit", "constraint"} else None
+        limits = self._range(given, "", not scalar) if not self.settings.off & {"limit", "constraint"} else None
         if limits and scalar:
             joint.limits = ((angle(limits[0]), angle(limits[1])),)
             self.linkage.limited.append(node)
@@ -476,26 +487,30 @@ class File:
         density = given.positive("density", 1000.0)
         if mass == 0 or (mass is None and density == 0):
             return
-        if given.flag("shellinertia", False):
-            node.fail("the inertia of shells does not map; give the body an <inertial>")
-        if kind == "mesh":
-            whole, pose = self._mesh(given), frame @ self._pose(given)
-            factor = density if mass is None else mass / whole.mass
-            inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
-            found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
-        else:
-            solid, at = self._solid(given, kind)
-            found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
-        self.masses.setdefault(link, []).append(found)
+        shell = given.flag("shellinertia", False)
+        try:
+            if shell and kind != "mesh":
+                node.fail("the inertia of shells maps of meshes alone; give the body an <inertial>")
+            if kind == "mesh":
+                whole, pose = self._mesh(given, shell), frame @ self._pose(given)
+                factor = density if mass is None else mass / whole.mass
+                inertia = factor * pose.turn @ whole.inertia @ pose.turn.T
+                found = Inertial(factor * whole.mass, pose.at(whole.center), inertia)
+            else:
+                solid, at = self._solid(given, kind)
+                found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
+            self.masses.setdefault(link, []).append(found)
+        except InputError as error:
+            self.doubts.append((link, node, error))
 
-    def _mesh(self, geom: Reading) -> Inertial:
+    def _mesh(self, geom: Reading, shell: bool) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
         name = geom.text("mesh")
-        if name in self.inertias:
-            return self.inertias[name]
+        if (name, shell) in self.inertias:
+            return self.inertias[name, shell]
         node = known(geom.node, name, self.meshes, "mesh")
         given = self._reading(node, None)
-        kind = given.choice("inertia", ("legacy", "convex", "exact"), "legacy")
+        kind = given.choice("inertia", ("legacy", "convex", "exact", "shell"), "legacy")
         if given.numbers("refquat", 4, (1, 0, 0, 0))[1:] != [0, 0, 0]:
             node.fail("refquat of a mesh that gives inertia does not map; turn its geoms")
         try:
@@ -509,10 +524,11 @@ class File:
                 corners = points[faces] if len(faces) else hull(points)
             corners = corners * given.numbers("scale", 3, (1.0, 1.0, 1.0))
             corners = corners - given.numbers("refpos", 3, (0.0, 0.0, 0.0))
-            found = solid(hull(corners.reshape(-1, 3)) if kind == "convex" else corners, kind != "legacy")
+            corners = hull(corners.reshape(-1, 3)) if kind == "convex" else corners
+            found = solid(corners, kind != "legacy", shell or kind == "shell")
         except (InputError, IndexError, ValueError) as error:
             geom.node.fail(f"its mesh gives no inertia ({error}); give its body an <inertial>")
-        self.inertias[name] = found
+        self.inertias[name, shell] = found
         return found
 
     def _solid(self, given: Reading, kind: str) -> tuple[solids.Solid, Pose]:
@@ -631,6 +647,8 @@ class File:
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
+        if name.startswith(self.soft):
+            self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
         return None if name == "world" else known(given.node, name, self.links, "body")
 
     # Actuators --------------------------------------------------------------------------------------------------
@@ -693,13 +711,13 @@ class File:
                     "actearly", "interp", *unused))  # fmt: skip
         self.linkage.motors.append(motor)
 
-    def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
-        """Return a range if it is in force."""
+    def _range(self, given: Reading, what: str, point: bool = False) -> tuple[float, float] | None:
+        """Return a range, None if it is not in force; `point`: its ends may be equal, as for a ball joint."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
         if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
             return None
-        if not low < high:
+        if not (low < high or (point and low == high)):
             given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
         return low, high
 
@@ -771,7 +789,7 @@ _CONTACTS = (
 
 
 def _moving(link: Link | None) -> Link | None:
-    """Return the link that carries one without joints, None for the world."""
+    """Return the link itself or, if it has no joints, the moving link that carries it; None for the world."""
     while link is not None and not link.joints:
         link = link.parent
     return link

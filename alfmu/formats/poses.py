@@ -74,6 +74,6 @@ def cleaned(values: Array) -> Array:
 
 
 def _exact(turn: Array) -> Array:
-    """Return a rotation with entries set to 0 or 1 that differ from them by round-off."""
+    """Return a rotation in which entries within round-off of 0 or 1 are set to it."""
     nearest = np.round(turn)
     return np.where(np.abs(turn - nearest) < _NOISE, nearest, turn)

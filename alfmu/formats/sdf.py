@@ -45,14 +45,14 @@ _SOLIDS = {
     "box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1}, "ellipsoid": {"radii": 3},
 }  # fmt: skip
-"""Solids that give inertia, with the elements of their sizes."""
+"""Solids with inertia, and the elements with their dimensions."""
 
 _REFERENCES = {"pose": "relative_to", "frame": "attached_to", "xyz": "expressed_in", "mimic": "joint"}
 """Attributes that name links, joints or frames, by elements."""
 
 
 def _base(pose: Node) -> str:
-    """Return the frame that a pose is relative to, which had another name in old files."""
+    """Return the frame to which a pose is relative; old files use another attribute."""
     return pose.attributes.get("relative_to", "") or pose.attributes.get("frame", "")
 
 
@@ -86,7 +86,7 @@ class File:
             self._model()
 
     def _included(self, includes: Includes, node: Node) -> list[Node]:
-        """Return the model that an <include> names, with the name and the pose that it gives; nothing for scenery."""
+        """Return the model that an <include> names, with the include's own name and pose; nothing for scenery."""
         found: list[Node] = []
         with self.linkage.trying(node):
             uri = Children(node).text("uri")
@@ -123,7 +123,7 @@ class File:
         return model
 
     def _chosen(self, root: Node, world: Node | None, models: list[Node], wanted: str) -> Node:
-        """Return the model of a name, the only one that moves, or one that holds all that move."""
+        """Return the wanted model, the only moving one, or a model made of all moving ones."""
         named = {each.attributes.get("name", ""): each for each in reversed(models)}
         if wanted:
             known(root, wanted, named, "model")
@@ -209,14 +209,14 @@ class File:
         return Pose(vector(x[:3]), of_quaternion((x[6], x[3], x[4], x[5])))
 
     def _in_link(self, node: Node, what: str) -> Pose:
-        """Return the pose in a link of a part of it."""
+        """Return the pose of a link's part in the link."""
         posed = node.one("pose")
         if posed is not None and posed.attributes.get("relative_to"):
             posed.fail(f"relative_to of {what} does not map; give the pose in the link")
         return self._given(posed)
 
     def _named(self, name: str) -> str:
-        """Return the name of a link, a joint or a frame, for a model inside the model that of its frame."""
+        """Return the name of a link, a joint or a frame; the name of a nested model stands for its frame."""
         return f"{name}::__model__" if f"{name}::__model__" in self.nodes else name
 
     def _pose(self, name: str, asked: Node) -> Pose:
@@ -301,7 +301,7 @@ class File:
                 self._mimic(mimic, joint)
 
     def _reverse(self, joint: Joint) -> None:
-        """Let a joint lead from child to parent."""
+        """Reverse a joint, so that it leads from child to parent."""
         joint.axes = tuple(-axis for axis in reversed(joint.axes))
         for each in ("damping", "stiffness", "rest", "friction", "limits"):
             setattr(joint, each, getattr(joint, each)[::-1])
@@ -322,7 +322,7 @@ class File:
         return link
 
     def _details(self, node: Node) -> None:
-        """Reject what a link has beside pose and inertia and does not map."""
+        """Reject elements of a link, beside pose and inertia, that cannot be mapped."""
         self.linkage.pass_over(node, _LEFT, "must_be_base_link", "self_collide")
         for decay in node.all("velocity_decay"):
             if any(Children(decay).number(each, 0.0) for each in ("linear", "angular")):
@@ -347,7 +347,7 @@ class File:
         return Inertial.of(mass, self._in_link(node, "an inertial"), moments, products)
 
     def _of_shapes(self, link: Node, inertial: Node) -> Inertial:
-        """Return the inertia of the shapes of collisions, of homogeneous solids."""
+        """Return the inertia of a link from its collision shapes as homogeneous solids."""
         parts = []
         for each in link.all("collision"):
             at = self._in_link(each, "a shape that gives inertia")
@@ -411,7 +411,7 @@ class File:
 
 
 def merge(outer: Node, inner: Node) -> None:
-    """Put links, joints and frames of a model inside another into that one, under names that begin with its name."""
+    """Move links, joints and frames of a nested model into the outer one, prefixed with the nested model's name."""
     outer.children.remove(inner)
     for each in inner.all("model"):
         merge(inner, each)
@@ -443,7 +443,7 @@ def merge(outer: Node, inner: Node) -> None:
 
 
 def _renamed(node: Node, own: Callable[[str], str]) -> None:
-    """Change the names in the references of a link, a joint or a frame of a model inside another."""
+    """Change the names to which a link, a joint or a frame of a nested model refers."""
     if node.tag == "link":
         pose = node.one("pose") or node.add("pose")
         pose.attributes["relative_to"] = pose.attributes.get("relative_to") or "__model__"
@@ -468,7 +468,7 @@ _MIMIC = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
 
 
 def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: float, offset: float) -> None:
-    """Make a joint follow another; a constraint couples it to one that comes later in the tree or follows itself."""
+    """Make a joint follow another one; if that joint is later in the tree or follows a joint itself, add a coupling."""
     order = linkage.joints
     if other.kind == "free" or joint.kind == "free":
         node.fail("mimic maps only between joints with one axis")
@@ -513,7 +513,7 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
 
 
 def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
-    """Return limits, damping, stiffness, place of rest and friction of an axis; the first limits the effort."""
+    """Return limits, damping, stiffness, rest position and friction of an axis; <axis> also limits the effort."""
     limits = -math.inf, math.inf
     for child in axis.all("limit"):
         linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))

@@ -1,4 +1,4 @@
-"""URDF: a tree of links, and the extensions by which files close its loops.
+"""URDF: a tree of links, and the extensions by which files close loops.
 
 Loops: `<loop_joint>` with two links, `<drake:ball_constraint>`, and joints of SDF inside `<gazebo>`. `<mimic>` lets a
 joint follow another. Joints with a `<transmission>` get an input.
@@ -84,7 +84,7 @@ class File:
             self._closed()
 
     def _other(self, file: Path, loops: str) -> dict[str, list]:
-        """Return the lists of the file of loops: the given one, or one of the same name beside the URDF."""
+        """Return the lists in the file of loops: the given file, or the one with the same name beside the URDF."""
         path = file.parent / loops if loops else file.with_suffix(".yaml")
         if not loops and not path.is_file():
             return {}
@@ -100,7 +100,7 @@ class File:
         return found
 
     def _closed(self) -> None:
-        """Close the loops of the file of loops, and add its motors."""
+        """Add the closures and the motors that the file of loops lists."""
         node = self.linkage.node
         frames = {joint.name: link for link in self.linkage.links for joint in link.joints} | self.links
         for (one, two), kind in zip(self.other.get("closed_loop", []), self.other.get("type", []), strict=True):
@@ -247,7 +247,7 @@ class File:
                 self.linkage.limited.append(joint.node)
 
     def _other_freedoms(self, joint: Joint, kind: str) -> list[Joint]:
-        """Return the joints that stand for one of the URDF by the file of loops."""
+        """Return the joints by which the file of loops replaces a joint of the URDF."""
         if kind == "FIXED":
             return []
         if kind == "SPHERICAL":

@@ -31,7 +31,7 @@ _GRAVITY = 9.81
 
 _HINGED = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball", "free": "free"}
 _KINDS = {"spherical": "ball", "free": "floating", "weld": "fixed"}
-"""Kinds of joints that are called otherwise in MJCF, and in URDF and SDF."""
+"""Kinds of joints with other names in MJCF, and in URDF and SDF."""
 
 
 def written(
@@ -232,7 +232,7 @@ def _urdf_joint(root: Element, joint: Joint, parent: str, child: str, at: Pose) 
 
 
 def _upright(linkage: Linkage) -> Array:
-    """Return the rotation of the ground that turns gravity to -z, its direction in a URDF."""
+    """Return the rotation of the ground that turns gravity to -z, where a URDF expects it."""
     g, down = np.array(linkage.gravity), np.array((0.0, 0.0, -1.0))
     size = float(np.linalg.norm(g))
     if not size:
@@ -293,7 +293,7 @@ def _sdf(linkage: Linkage) -> Element:
 
 
 def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Link | None, child: Link) -> None:
-    """Add the joint of SDF that has the motions of joints, in the frame of the child."""
+    """Add the SDF joint with the motions of these joints, in the frame of the child."""
     first = joints[0] if joints else Joint(f"{child.name}_fixed", "weld", linkage.node)
     kind, name = _KINDS.get(first.kind, first.kind), first.name
     if len(joints) > 1:
@@ -329,4 +329,4 @@ FORMS: dict[str, tuple[Form, Callable[[Linkage], Element]]] = {
     ".urdf": (Form("URDF", ("revolute", "prismatic", "spherical", "weld"), springs=False), _urdf),
     ".sdf": (Form("SDF", ("revolute", "prismatic", "spherical", "weld", "universal", "screw")), _sdf),
 }
-"""Formats by the suffixes of files: what they hold, and the function that writes them."""
+"""Formats by file suffix: the abilities of the format and its writer."""

@@ -31,8 +31,8 @@ __all__ = ["Fit", "fit"]
 _LOGGER = logging.getLogger("alfmu")
 
 _UNSEEN = 1e-7
-"""Singular value of the derivatives over the largest, below which the data do not determine a combination of numbers
-[1]; derivatives have a relative error of some 1e-9."""
+"""Singular value of the derivatives over the largest [1], below which the data do not determine a combination of
+numbers; the relative error of derivatives is some 1e-9."""
 
 _STILL = 1e-9
 """Range of a column over the largest value of its unit, below which it is constant up to round-off [1] and weighted by
@@ -47,12 +47,12 @@ _TOLERANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Numbers with which a run is closest to measurements: `found["m2"]`."""
+    """Result of a fit, the numbers with which a run is closest to measurements: `found["m2"]`."""
 
     values: Mapping[str, float]
     errors: Mapping[str, float]
-    """Standard deviation of each, from the residuals; infinite if the data do not determine it, NaN at a bound, or if
-    there are no more measurements than numbers."""
+    """Standard deviation of each number, from the residuals; infinite if the data do not determine it, NaN at a bound,
+    or if there are no more measurements than numbers."""
     units: Mapping[str, str]
     covariance: NDArray[np.float64]
     """Covariance (numbers, numbers) in the order of `values`, with numbers at their bounds fixed."""
@@ -122,9 +122,9 @@ def fit(
     `data` is a table (CSV or a `Result`) with a column `time` [s], which begins at the start of the run; columns with
     names of outputs are measurements (NaN for missing ones), those with names of inputs drive the run. `columns` are
     the measurements to use, None for all but monitors. `vary` names parameters and start values, or maps them to first
-    guesses. `bounds` has bounds of some; others have those of the mechanism. Residuals of a column are divided by its
-    standard deviation in `deviations`, by default by the range of the column, or if it is constant by the largest value
-    in its unit. `progress` is called with the number of the run and the root mean square of its weighted residuals.
+    guesses. `bounds` overrides bounds of the mechanism. Residuals of a column are divided by its standard deviation in
+    `deviations`, by default by the range of the column, or if it is constant by the largest value in its unit.
+    `progress` is called with the number of the run and the root mean square of its weighted residuals.
 
     The covariance follows from the residuals, so it describes errors of measurement, not of the model. Combinations of
     numbers that the data do not determine cause a warning. Raises InputError if a name or number is invalid, if units
@@ -253,7 +253,7 @@ def _sizes(
 
 
 def _scale(runs: Runs, name: str) -> float:
-    """Return a typical magnitude of a number: its present one, or 1."""
+    """Return a typical magnitude of a number: its present value, or 1."""
     return abs(float(runs.unit.get(name))) or 1.0
 
 

@@ -62,7 +62,7 @@ class Function(ABC):
     """A number that depends on the columns of a run."""
 
     names: tuple[str, ...] = ()
-    """Columns that it needs, in order, without the time."""
+    """Columns of the run that the function needs, in order, without the time."""
 
     @abstractmethod
     def weighed(self, times: NDArray[np.float64], columns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -150,7 +150,7 @@ class Maximum(_OfExpression):
 
 
 class TimeOfMaximum(Maximum):
-    """The time [s] at which an expression is largest; zero derivatives where that is an end of the run."""
+    """The time [s] at which an expression is largest; its derivatives are zero at an end of the run."""
 
     _result = 1
 

@@ -119,7 +119,7 @@ class Runs:
         step = found.interval if communication_step is None else communication_step
         self.times = communication_points(self.unit.name, stop, step) if times is None else times
         self.table = table_of(self.inputs, values_of(self.unit, given), self.times)
-        # A first start issues warnings, and traces again if redundant constraints would brake the motion.
+        # The first start issues warnings, and retraces the scene if redundant constraints would brake the motion.
         self.unit.time = float(self.times[0])
         self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
         tell_of_jumps(self.unit.equations)
@@ -222,7 +222,7 @@ def derivatives(
     """Run a mechanism as `simulate` does, with the derivatives of outputs by numbers.
 
     `by` names parameters, start values and inputs; the derivative by an input is that by a constant change of it.
-    `outputs` names the outputs and inputs to differentiate, None for all. The derivatives are those of the steps made,
+    `outputs` names the outputs and inputs to differentiate, None for all. Derivatives are those of the computed steps,
     including projections and iterations, at fixed step sizes, tiers and ranks. The cost is proportional to the number
     of derivatives; for one number of a run by many use `gradient`.
 
@@ -249,7 +249,7 @@ def gradient(
     """Return a function of a run and its derivatives by many numbers, in the time of a few runs.
 
     `of` is a function of `alfmu.gradients` (`Final`, `Integral`, `Maximum`, `TimeOfMaximum`, `Columns`); an expression
-    alone is its final value. `by` names parameters, start values and inputs; derivatives by each input at each
+    alone stands for its final value. `by` names parameters, start values and inputs; derivatives by each input at each
     communication point are included. Adjoints run backwards; if the run is too long to be stored, parts of it are
     repeated.
 

@@ -19,7 +19,18 @@ from numpy.typing import NDArray
 
 from .stream import BINARY, OPERATIONS, UNARY, Instructions, address, library
 
-__all__ = ["KINDS", "KIND_OF", "OPERANDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
+__all__ = [
+    "KINDS",
+    "KIND_OF",
+    "NARROW_HEAD",
+    "OPERANDS",
+    "SINE_COSINE",
+    "SUMS",
+    "Arrangement",
+    "Operation",
+    "arranged",
+    "in_runs",
+]
 
 SUMS = {
     **{"sum1": 3, "sum2": 5, "sum4": 9},
@@ -42,6 +53,10 @@ KINDS = (*SUMS, ca.OP_DIV, SINE_COSINE, *(x for x in (*BINARY, *UNARY) if x not 
 
 OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
 """Number of operands by kind."""
+
+NARROW_HEAD = 3
+"""Number of words before the operands of a run in a loaded function with 16-bit places: the kind of its operations,
+their number, and the place of the first result."""
 
 _MOST = 15
 """Most operands of the operations that replace an instruction."""

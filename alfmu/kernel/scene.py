@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..model.making import making
 from . import passes
-from .arrangement import KINDS, OPERANDS, SINE_COSINE, SUMS
+from .arrangement import KINDS, NARROW_HEAD, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
@@ -59,6 +59,7 @@ def operations_header() -> str:
         f"#define LOOP_KIND {LOOP_KIND}",
         f"#define EACH_KIND {EACH_KIND}",
         f"#define GATHER_KIND {GATHER_KIND}",
+        f"#define NARROW_HEAD {NARROW_HEAD} /* words before the operands of a run with 16-bit places, once loaded */",
         f"#define OPERAND_COUNTS {counts}",
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"#define OPERATIONS {OPERATIONS}",

@@ -1,7 +1,7 @@
 """The user's cache folder: scenes and compiled libraries, which take long to make, kept for other processes.
 
-A file is called NAME_HASH.SUFFIX: NAME has the hash of everything that it is made of, HASH is that of its content. A
-damaged file is removed and made again. When the folder exceeds its limit, the files that nobody used for longest go.
+A file is called NAME_HASH.SUFFIX: NAME contains the hash of the file's sources, HASH the hash of its content. A damaged
+file is removed and made again. When the folder exceeds its limit, the least recently used files are removed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def is_off() -> bool:
 
 
 def folder() -> Path:
-    """Return the folder of the cache, which need not exist; of this process alone where the cache is off."""
+    """Return the cache folder, which need not exist; a folder of this process alone if the cache is off."""
     if is_off():
         return _own_folder()
     if given := os.environ.get(VARIABLE):
@@ -63,7 +63,7 @@ def _own_folder() -> Path:
 
 
 def kept(name: str, suffix: str) -> Path | None:
-    """Return the file of this name, if there is one that is whole; damaged ones are removed."""
+    """Return the file of this name, or None; a damaged file is removed."""
     for path in sorted(folder().glob(f"{name}_*{suffix}")):
         if whole(path) is not None:
             with suppress(OSError):
@@ -76,7 +76,7 @@ def kept(name: str, suffix: str) -> Path | None:
 
 
 def whole(path: Path) -> bytes | None:
-    """Return the content of a file; None if it is not the content that was written there."""
+    """Return the content of a file; None if it is damaged."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -101,7 +101,7 @@ def remember(name: str, suffix: str, content: bytes) -> None:
 
 
 def entries() -> list[tuple[Path, os.stat_result]]:
-    """Return the files of the cache with their sizes and times, those first that were not used for longest."""
+    """Return the files of the cache with their sizes and times, the least recently used first."""
     found = []
     with suppress(OSError), os.scandir(folder()) as files:
         for each in files:
@@ -119,7 +119,7 @@ def clear() -> None:
 
 
 def _bounded(last: Path) -> None:
-    """Remove files that were not used for longest until the rest is within the limit; the last one stays."""
+    """Remove the least recently used files until the rest is within the limit; the file `last` stays."""
     known = [(path, max(about.st_size, LEAST)) for path, about in entries()]
     excess = sum(size for _, size in known) - LIMIT
     for path, size in known:

@@ -94,7 +94,7 @@ def asked(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def declares(of: _C) -> _C:
-    """Return the class with its constructor and its public methods `explained`."""
+    """Return the class with its constructor and its public methods wrapped by `explained`."""
     for name, function in [*vars(of).items()]:
         if inspect.isfunction(function) and (not name.startswith("_") or name == "__init__"):
             setattr(of, name, explained(function))

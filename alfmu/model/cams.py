@@ -2,8 +2,8 @@
 
 A curve gives a length over a direction in the cam's frame: the radius R(u) of the *outline* at the polar angle u, or
 the *distance* D of the follower, of its roller's centre (the pitch curve) or of its face (the support function), over
-the direction in which it lies. With the roller's centre at c from the cam's, the face's normal m, both seen in its
-frame, in polar form c = d (cos phi, sin phi), m = (cos psi, sin psi), and the face at h = m . c,
+the direction in which it lies. With the roller's centre at c from the cam's centre and the face's normal m, both in the
+cam's frame and in polar form c = d (cos phi, sin phi), m = (cos psi, sin psi), and the face at h = m . c,
 
     distance, roller    Phi = d - D(phi)                        distance, face      Phi = h - D(psi)
     outline, roller     Phi = n . (c - r) - radius,  t . (c - r)
@@ -65,7 +65,7 @@ class Curve(Brief):
         slope = ca.gradient(self.value, self.turn)
         terms = ca.vertcat(self.turn, self.value, slope, ca.gradient(slope, self.turn))
         look = ca.Function("look", [self.turn, parameters], [terms])
-        # Sample between round angles, where pieces of curves often meet.
+        # Avoid round angles, at which pieces of curves often meet.
         turns = (np.arange(count) + 0.5) * 2 * math.pi / count
         return np.array(look(ca.DM(turns).T, ca.repmat(values, 1, count)))
 
@@ -88,7 +88,7 @@ class Cam(Relation):
 
     @property
     def directions(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of its constraint rows."""
+        """Names of the constraint rows."""
         return ("normal",) if self.contact is None else ("normal", "contact")
 
     def residual(self, places: Places, direction: str) -> ca.SX:

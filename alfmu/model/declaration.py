@@ -65,7 +65,7 @@ __all__ = ["Declaration"]
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z", re.ASCII)
 _RESERVED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _DOUBTS = 3
-"""Most lengths of a mechanism that it warns of."""
+"""Largest number of lengths of one mechanism that cause a warning."""
 
 
 MEANT = {
@@ -279,7 +279,7 @@ class Declaration:
     def measured_joints(self) -> list[AnyJoint]:
         """Return joints whose motion is an output on request, once each; hinges in space always have this output.
 
-        Those of all joints leave out joints whose names other outputs have.
+        A request for all joints leaves out joints whose outputs would have the name of another variable.
         """
         joints = [j for j in self.joints if j.kind in FREE] + [j for j in self.spatial_joints if j.kind == "prismatic"]
 
@@ -666,7 +666,7 @@ class Declaration:
         return mass
 
     def _not_negative(self, what: str, value: Scalar, unit: str) -> None:
-        """Check that a quantity is not negative at the default parameters; a parameter stays so later."""
+        """Check that a quantity is not negative at the default parameters; a parameter gets a minimum of zero."""
         if (found := self._at_defaults(what, value)) < 0:
             given = f"{found:g} {unit}".removesuffix(" 1")
             raise DeclarationError(f"{self.name}: {what} is {given}; it must not be negative")
@@ -720,7 +720,7 @@ class Declaration:
         return length
 
     def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
-        """Warn of a length that looks like millimetres, once for each, and of few of those of a large mechanism."""
+        """Warn of a length that looks like millimetres: once per length, and of at most _DOUBTS lengths."""
         if isinstance(value, ca.SX) or abs(value) in self._told or len(self._told) == _DOUBTS:
             return
         if perhaps_millimetres(f"{self.name}: {what}", value):

@@ -21,7 +21,7 @@ _HEAVY = 20.0
 """Mass [kg] above which the user may have meant grams."""
 
 _APART = 300.0
-"""Ratio of masses [1]: a body heavier than every other one by more may be given in grams, which are 1000."""
+"""Ratio of masses [1]: a body heavier than all others by more than this may be given in grams (a ratio of 1000)."""
 
 _NEAR = 30.0
 """Largest ratio [1] of the presumably intended mass to the masses of the other bodies."""

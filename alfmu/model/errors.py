@@ -25,7 +25,7 @@ __all__ = [
 
 
 class Rows(Protocol):
-    """The rows that a run had computed, as `alfmu.Result` has them."""
+    """The rows computed by a run; `alfmu.Result` implements this."""
 
     @property
     def time(self) -> NDArray[np.float64]: ...
@@ -83,4 +83,4 @@ class ExportError(AlfmuError):
 
 
 class OpenError(StepError):
-    """A step after which constraints cannot be closed."""
+    """A step failed because the constraints cannot be closed after it."""

@@ -313,7 +313,8 @@ class Joints(Quantities):
         """Add a nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
 
         A negative lead is a left-hand thread. `coordinate` is the angle [rad] and places the second body. If
-        constraints close the screw, it stays on the turn of the thread on which it starts. A drive is a torque [N.m].
+        constraints close the screw, it stays on the turn of the thread on which it starts, and the place of the second
+        marker tells the turns of the angle. A drive is a torque [N.m].
         """
         axes, placing = self._axes(name, axis, second_axis), self._placing(name, "screw", coordinate)
         lead = self._quantity(f"the lead of {name}", lead, "m", CONSTANT)
@@ -375,3 +376,19 @@ class Joints(Quantities):
         self._own((first, second), f"joint {name}", SpatialMarker)
         placing = None if second.body.is_placed else ()
         return self._join_in_space(SpatialJoint(name, "weld", first, second, coordinates=placing))
+
+    def spare(self, of: SpatialJoint | str, *directions: str) -> None:
+        """Leave out directions in which a joint in space closes a loop, because other joints suppress them.
+
+        A hinge that closes a planar loop in space suppresses some directions for a second time. If numbers are rounded,
+        this makes the loop rigid, or keeps it open. Directions have the names of the joint's reaction outputs.
+        """
+        joint = self._joint(of)
+        if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
+            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space; spare directions are of those")
+        if unknown := [each for each in directions if each not in joint.directions]:
+            raise DeclarationError(
+                f"{self.name}: {joint.name} keeps no direction {shown(unknown[0])}; it keeps "
+                f"{', '.join(joint.directions)}"
+            )
+        self._change(joint, "spare", (*joint.spare, *directions))

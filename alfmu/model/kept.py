@@ -21,7 +21,7 @@ _AGE = [0]
 
 
 def latest(known: OrderedDict[Any, _Made], key: Hashable, make: Callable[[], _Made], most: int = MOST) -> _Made:
-    """The result that is known for a key, or that is made now; the latest results stay known."""
+    """Return the cached result for a key, or make and cache it; only the `most` latest results are kept."""
     with _LOCK:
         found = known.get(key)
     made = make() if found is None else found
@@ -34,7 +34,7 @@ def latest(known: OrderedDict[Any, _Made], key: Hashable, make: Callable[[], _Ma
 
 
 def outdate() -> None:
-    """Let every object forget its results: constants that they depend on have changed."""
+    """Invalidate the cached results of every object, after a change of constants on which they depend."""
     _AGE[0] += 1
 
 
@@ -50,7 +50,7 @@ class Kept:
         """Results that do not depend on numbers; objects that differ in numbers alone may share them."""
 
     def of(self, function: Callable[..., Any]) -> OrderedDict[Any, Any]:
-        """The results of a function, by key."""
+        """Return the cached results of a function, by key."""
         if self._age != _AGE[0]:
             self._known, self._age = {}, _AGE[0]
         return self._known.setdefault(function, OrderedDict())

@@ -44,11 +44,11 @@ class Frame:
     wrapped: bool = False
     """Whether the angle is known modulo whole turns only."""
     turned: ca.SX | None = None
-    """The angle with its turns, if it is known."""
+    """The angle with whole turns counted, if known."""
 
     @property
     def counted(self) -> ca.SX:
-        """The angle with its turns; a run counts them if the coordinates determine it modulo whole turns only."""
+        """The angle with whole turns, which a run counts if coordinates determine the angle modulo turns only."""
         return self.angle if self.turned is None else self.turned
 
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
@@ -73,7 +73,7 @@ Closing = tuple[Closure, str]
 """One relative displacement kept at zero: its closure and its direction."""
 
 FREE = "free"
-"""Direction in which a joint moves whose coordinate follows a law."""
+"""Direction of the free motion of a joint whose coordinate follows a law."""
 
 Displacement = dict[str, ca.SX]
 """Virtual displacement of a joint: direction -> symbol."""
@@ -201,8 +201,8 @@ class Kinematics:
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
     def gap(self, closure: Closure, direction: str) -> ca.SX:
-        """Return the residual to first order where it is small; far from zero in metres, and not zero half a turn
-        away."""
+        """Return a residual for the assembly: equal to `residual` to first order near zero, but in metres for lengths
+        far from zero, and not zero for angles half a turn away."""
         if isinstance(closure, SpatialJoint):
             return closure.gap(direction)
         if isinstance(closure, Joint | Rigidity) and direction == "length":
@@ -221,7 +221,7 @@ class Kinematics:
     def residual(self, closure: Closure, direction: str) -> ca.SX:
         """Return the residual of a closure along one direction.
 
-        For lengths it is zero at the given one, polynomial, and its multiplier is the force along the line.
+        For a length it is polynomial in the places, and its multiplier is the force along the line.
         """
         if (closure, direction) not in self.residuals:
             self.residuals[closure, direction] = self._residual(closure, direction)
@@ -238,7 +238,7 @@ class Kinematics:
             beside = self._beside(closure)
             if not self.locked(closure)[1]:
                 return beside
-            # The multiplier of friction is the torque at any sliding position, far from the one at which it stuck.
+            # A sliding joint is far from the position at which it stuck, but its multiplier must remain the torque.
             return ca.remainder(beside, 2 * math.pi) if isinstance(closure, Friction) else ca.sin(beside)
         if isinstance(closure, Rigidity) or direction == "length":
             square, length = self._apart(closure)

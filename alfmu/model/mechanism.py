@@ -53,7 +53,7 @@ QUICK = 100
 """Largest number of coordinates for which a notebook draws a mechanism: this takes a second at most."""
 
 DRAWN = ("", "revolute", "cylindrical", "prismatic", "spherical")
-"""Kinds of joints that pictures can show for a mechanism at the general level; the first is none."""
+"""Kinds of joints that pictures can show for a mechanism at the general level; "" is the end of a bar."""
 _Form = TypeVar("_Form", str, bytes)
 
 
@@ -189,8 +189,8 @@ class Mechanism(Forces):
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
 
-        If compliances are given, redundant constraints share a load as joints of these compliances do; otherwise the
-        multipliers of least norm are taken. The motion is that of rigid joints in both cases.
+        If compliances are given, redundant constraints share a load like elastic joints with these compliances;
+        otherwise the multipliers have least norm. The motion is that of rigid joints in both cases.
         """
         self.compliant = True
 

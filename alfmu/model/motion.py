@@ -1,6 +1,6 @@
 """Inputs, signals (inputs that move something), and laws of time.
 
-Inside a communication step a signal is a polynomial of time from where the motion is, so that its rate and its
+Inside a communication step a signal is a polynomial of time that starts at the present motion, so that its rate and
 acceleration are known and its position never jumps (`core/driving_inputs.c` of the runtime has the rule).
 """
 
@@ -76,8 +76,7 @@ class Signal(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Law(Brief):
-    """A law of time that prescribes motion and may jump or diverge: a run checks it over each communication step.
-    step."""
+    """A law of time that prescribes motion and may jump or diverge: a run checks it over each communication step."""
 
     what: str
     """Description in words."""

@@ -78,12 +78,11 @@ GUESS = (*CONSTANT, "coordinates", "start values")
 MOTION = (*CONSTANT, "coordinates", "rates", "time")
 EFFORT = (*CONSTANT, "coordinates", "rates", "inputs", "states", "time")
 READING = (*EFFORT, "accelerations")
-"""Quantities on which a number of a declaration may depend: a mass, a motion, a place, a guess, an energy, a force or
-the rate of a state, an output."""
+"""Kinds of symbols on which a value may depend: a mass (CONSTANT), a law (LAW), a place (PLACE), a guess (GUESS), an
+energy (MOTION), a force or the rate of a state (EFFORT), an output (READING)."""
 
 MOVING = (LAW, PLACE, MOTION)
-"""Kinds of quantities that make the mechanism depend on time if they depend on time or on an input, which is a signal
-there."""
+"""Kinds of values that make the mechanism depend on time if they contain time or an input, which is then a signal."""
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
@@ -141,7 +140,7 @@ class Coordinate(Brief):
     unit: str
     guess: Scalar
     guessed: bool = True
-    """Whether the user gives the guess, so that the assembly rather moves other coordinates."""
+    """Whether the user gave the guess, in which case the assembly prefers to move other coordinates."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -232,7 +231,7 @@ class Body(Brief):
     def __post_init__(self) -> None:
         self._mechanism: Owner | None = None
         self.near: ca.SX = ca.SX.sym(f"{self.name}.near")
-        """Its last angle, which determines its whole turns if two points place it."""
+        """The last known angle, from which whole turns are counted if two points place the body."""
 
     @property
     def angle(self) -> ca.SX:

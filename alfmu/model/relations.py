@@ -2,8 +2,8 @@
 
 A relation is closed by constraints, as a loop is. Each row is the relative displacement of two bodies where they touch,
 written in the places of the bodies themselves, so that its multiplier is the force there and the reactions of all
-bearings follow from it. Centres are held by hinges; while these hold, the rows are linear in the angles. Rows of
-velocities alone (`slip`) are zero as rows of positions.
+bearings follow from it. Centres are held by hinges; while these hold, the rows are linear in the angles. A row of
+velocities (`slip`) has a zero residual at position level.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ __all__ = [
 ]
 
 INVOLUTE = math.radians(20)
-"""Pressure angle of gears where none is given [rad]: that of ISO 53."""
+"""Default pressure angle of gears [rad], from ISO 53."""
 
 _FIT = 1e-6
-"""Share of the distance of two centres by which pitch radii may miss it [1]: numbers are typed with six digits."""
+"""Largest error of pitch radii relative to the distance of the centres [1]: numbers are typed with six digits."""
 
 _SAME = 1e-9
-"""Distance of two points of a body that are meant to be one [m]."""
+"""Distance [m] up to which two points of a body count as the same point."""
 
 
 class Mechanism(Protocol):
@@ -78,7 +78,7 @@ class Rim(Brief):
 
 
 Way = tuple[tuple[Joint, int], ...]
-"""Joints on the way from the carrier to a body, each with 1 if its second body is the one that is further away."""
+"""Joints on the path from the carrier to a body, each with 1 if its second body is farther along the path, else -1."""
 
 
 class Places(Protocol):
@@ -117,8 +117,8 @@ class Relation(Brief, ABC):
         return []
 
     def slip(self, places: Places, direction: str) -> list[tuple[ca.SX, ca.SX]] | None:
-        """Return, for a row of velocities, its directions and the places whose rates they weigh; None for a row of
-        positions."""
+        """Return pairs (factor, place) of a velocity row, the sum of factor times rate of place; None for a position
+        row."""
         return None
 
     def rims(self) -> list[Rim]:
@@ -128,14 +128,14 @@ class Relation(Brief, ABC):
 
 @dataclass(eq=False, repr=False)
 class Pair(Relation):
-    """Two wheels on a carrier whose rims move alike: gears, or pulleys with a belt.
+    """Two wheels on a carrier whose rims have the same speed: gears, or pulleys with a belt.
 
     With the angles th of both from the carrier, signed radii R (negative where both turn the same way), and the vector
     of ground axes e from the first centre to the second, t = e turned by +90 degrees,
 
         Phi = R1 th1 + R2 (th2 - phase) - (R1 + R2)/distance t . (gap2 - gap1),
 
-    where a gap is how far a bearing is open: nothing where a coordinate keeps it closed.
+    where a gap is the opening of a bearing, zero if a coordinate keeps the bearing closed.
     """
 
     directions: ClassVar[tuple[str, ...]] = ("rim",)
@@ -148,7 +148,7 @@ class Pair(Relation):
     """From the first centre to the second, in the carrier's frame [m]."""
     distance: Scalar
     radii: tuple[Scalar, Scalar]
-    """Signed: the first is positive, the second where the wheels turn against each other [m]."""
+    """Signed radii [m]: the first is positive; the second is positive if the wheels turn in opposite directions."""
     phase: Scalar
 
     def residual(self, places: Places, direction: str) -> ca.SX:
@@ -165,16 +165,16 @@ class Pair(Relation):
         return [circle(at, ca.fabs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
 
     def line(self, places: Places) -> tuple[ca.SX, ca.SX]:
-        """Return direction from the first centre to the second in ground axes."""
+        """Return the direction from the first centre to the second in ground axes."""
         return places.frame(self.carrier).turn(*(x / self.distance for x in self.across))
 
     def driving(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Return force at the rim of the second wheel, positive where it turns it counter-clockwise [N]."""
+        """Return the force [N] at the rim of the second wheel, positive if it turns this wheel counter-clockwise."""
         R2 = self.radii[1]
         return -multipliers["rim"] * (ca.sign(R2) if isinstance(R2, ca.SX) else math.copysign(1.0, R2))
 
     def pushed(self, places: Places, force: ca.SX) -> list[tuple[Joint, str, ca.SX]]:
-        """Return reactions to a force that pushes the centres apart [N]."""
+        """Return the reactions to a force [N] that pushes the centres apart."""
         if force.is_zero():
             return []
         e = self.line(places)
@@ -212,7 +212,7 @@ class Gear(Pair):
         return readings
 
     def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Return force across the pitch circles: the flank in contact is the one that pushes [N]."""
+        """Return the force [N] across the pitch circles, of the flank in contact."""
         return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
@@ -271,8 +271,8 @@ class Rack(Relation):
 
         Phi = s - side radius (th - phase) - u . gap - h turn,
 
-    where `gap` is how far the pinion's bearing is open, `turn` how far the rack is turned in its guide, and h how far
-    the pitch line lies to the left of the joint's point on the rack.
+    where `gap` is the opening of the pinion's bearing, `turn` the rotation of the rack in its guide, and h the distance
+    of the pitch line to the left of the joint's point on the rack.
     """
 
     kind: ClassVar[str] = "rack"
@@ -319,7 +319,7 @@ class Rack(Relation):
         return [circle(self.pinion, self.radius), Rim(bar.body, ends)]
 
     def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
-        """Return force across the pitch line [N]."""
+        """Return the force [N] across the pitch line."""
         return ca.fabs(multipliers["teeth"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
@@ -421,8 +421,8 @@ class Blade(Relation):
 class SpatialRolling(Relation):
     """A ball, or a thin disc on its edge, that rolls without slip on a plane of the ground and does not leave it.
 
-    With the plane's normal N, its point p, the centre c and the way a from there to the contact, of a ball -radius N,
-    of a disc about k the steepest way down in its plane,
+    With the plane's normal N, its point p, the centre c, and the vector a from c to the contact (-radius N for a ball;
+    for a disc about k, radius times the steepest descent in the disc's plane),
 
         Phi = N . (c - p) - radius |N - (N . k) k|,   dc/dt + w x a = 0 along the plane.
     """
@@ -466,7 +466,7 @@ class SpatialRolling(Relation):
         return normal, tilt * axis, ca.sqrt(1 - tilt**2)
 
     def wrench(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Return force on the body that rolls, and its moment about the centre."""
+        """Return the force on the rolling body, and its moment about the centre."""
         order = ("slip1", "slip2", "normal")
         force = sum((-multipliers[k] * stack(x) for k, x in zip(order, self.triad, strict=True)), ca.SX.zeros(3))
         normal, lean, size = self._lean()
@@ -654,8 +654,8 @@ def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float,
 def _centres(
     m: Mechanism, what: str, first: Marker, second: Marker, carrier: Body | None
 ) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar, Marker]:
-    """Return the carrier of two wheels, hinges between it and them, the way from centre to centre, its length, its
-    start."""
+    """Return the carrier of two wheels, the path of hinges to each of them, the vector between the centres, its length
+    and its start."""
     wheels = (first.body, second.body)
     if wheels[0] is wheels[1]:
         raise DeclarationError(f"{m.name}: {what} joins {wheels[0].name} to itself; give wheels of two bodies")
@@ -714,8 +714,8 @@ def shown_place(at: Marker) -> str:
 
 
 def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
-    """Return bodies on which hinges and welds hold a point: the joints from there to the point, and the marker
-    there."""
+    """Return the bodies that hinges and welds connect to a point, each with the joints from it to the point and its
+    marker there."""
     found: dict[Body, tuple[Way, Marker]] = {centre.body: ((), centre)}
     pending = [centre]
     while pending:
@@ -735,13 +735,13 @@ def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
 
 
 def _at(one: Marker, other: Marker) -> bool:
-    """Return whether two markers of a body are at one place."""
+    """Return whether two markers of a body coincide."""
     apart = [ca.SX(a) - ca.SX(b) for a, b in ((one.x, other.x), (one.y, other.y))]
     return all(x.is_zero() or (x.is_constant() and abs(float(x)) < _SAME) for x in apart)
 
 
 def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.SX:
-    """Return the angle of a body from its carrier, counted over turns."""
+    """Return the angle of a body from its carrier, with whole turns."""
     frames = [places.frame(each) for each in (body, carrier)]
     for each, frame in zip((body, carrier), frames, strict=True):
         if frame.wrapped:
@@ -754,7 +754,7 @@ def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.S
 
 
 def _gap(places: Places, way: Way) -> tuple[ca.SX, ca.SX]:
-    """Return the opening of the joints of a way [m]."""
+    """Return the sum (x, y) [m] of the openings of the joints of a path."""
     x, y = ca.SX(0), ca.SX(0)
     for joint, sign in way:
         (x1, y1), (x2, y2) = places.place(joint.first), places.place(joint.second)

@@ -28,11 +28,8 @@ METHODS: dict[str, str] = {
     "explicit": "Verner 8(7) or Dormand-Prince 5(4), steps by solver.relative_tolerance",
     "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
     "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
-    "generalized_alpha": "trapezoidal with damping of high frequencies",
-    "auto": (
-        "explicit or stiff, chosen by the eigenvalues at the start; RK4 with error control if communication "
-        "steps are short"
-    ),
+    "generalized_alpha": "as trapezoidal, with damping of high frequencies",
+    "auto": "explicit or stiff, by the eigenvalues at the start; Cash-Karp 5(4) if communication steps are short",
 }
 """Names of the methods of integration."""
 
@@ -49,7 +46,7 @@ PROJECTED = ("residual", "classic")
 """Formulations that correct the state with (10) after each step; the others do not, as in the literature."""
 
 UNBALANCED = 1e-3
-"""Energy less work over the energy of the motion, above which a run is warned about."""
+"""Energy error [1], energy minus work over the energy of the motion, above which a run logs a warning."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ class Settings:
     tolerance: float = 1e-13
     """Tolerance of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
     max_iterations: int = 10
-    """Most multiplier iterations."""
+    """Largest number of multiplier iterations."""
     formulation: str = "residual"
     """Formulation, one of FORMULATIONS."""
     method: str = "auto"
@@ -71,11 +68,11 @@ class Settings:
     relative_tolerance: float = 1e-6
     """Relative tolerance of a run, for methods with error control."""
     absolute_tolerance: float = 0.0
-    """Absolute tolerance for small values [m, rad; per s]; 0 takes the number of the relative one."""
+    """Absolute tolerance for small values [m, rad; per s]; 0 stands for the value of the relative tolerance."""
     input_order: int = 0
     """Order of the extrapolation of inputs inside a communication step; 0 holds them."""
     branch: str = "continue"
-    """How singular positions are passed, one of BRANCHES; `residual` alone continues."""
+    """How singular positions are passed, one of BRANCHES; "continue" requires `residual` and projection."""
     zeta: float = 1.0
     """Damping of `penalty` and `baumgarte`."""
     omega: float = 10.0
@@ -122,5 +119,5 @@ class Settings:
 
 
 def internal_steps(length: float, step_size: float) -> int:
-    """The least number of internal steps in a communication step, to round-off of its length."""
+    """Return the smallest number of internal steps in a communication step, allowing for round-off of its length."""
     return max(1, math.ceil(length / step_size * (1 - 1e-12)))

@@ -11,5 +11,5 @@ LINKAGES = (".xml", ".urdf", ".sdf")
 
 
 def is_file(mechanism: object) -> bool:
-    """Return whether something names a file that declares a mechanism, and no registered one."""
+    """Return whether the argument names a file that declares a mechanism, instead of a registered mechanism."""
     return isinstance(mechanism, str | Path) and str(mechanism).endswith((".py", *LINKAGES))

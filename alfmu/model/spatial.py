@@ -1,19 +1,19 @@
 """Rigid bodies in space: absolute coordinates with Euler parameters, or relative ones through joints; markers, joints.
 
-A body in absolute coordinates has seven: the place r of its centre of mass, and the Euler parameters e = [e0 e1 e2 e3]
-of its frame, kept at unit length by a constraint of their own. The rotation matrix is taken in the homogeneous form
+A body in absolute coordinates has seven: the position r of its centre of mass, and the Euler parameters e = [e0 e1 e2
+e3] of its frame, which a constraint keeps at unit length. The rotation matrix is taken in the homogeneous form
 
     R(e) = (e0^2 - p'p) 1 + 2 p p' + 2 e0 p~,    p = [e1 e2 e3],  p~ b = p x b,
 
 every entry quadratic in e, and the angular velocity in ground axes is w = 2 (e0 p_dot - e0_dot p + p x p_dot)
-(Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 6). Every place is an expression in the coordinates
-of one body then, so no joint is needed to work it out.
+(Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 6). Every position is then an expression in the
+coordinates of one body, and does not depend on any joint.
 
-A body in relative coordinates has none of its own: a joint with coordinates places it on another body, R = R1 R12 and
-its point on the joint from that of the other body, so that every expression is built upon that of the body before.
+A body in relative coordinates has none of its own: a joint with coordinates places it on another body. Its rotation is
+R = R1 R12 and its joint point follows from that of the other body, so its expressions extend those of its parent.
 
 Constraints of a joint between bodies that one body carries are written in the axes of that body, from its origin. They
-contain the coordinates of the loop alone then, and neither the motion nor the distance of the carrier adds round-off.
+then contain only the coordinates of the loop, and neither the motion nor the distance of the carrier adds round-off.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ SPATIAL_DIRECTIONS: dict[str, tuple[str, ...]] = {
 """The relative displacements that each kind of spatial joint suppresses, in the order of its constraint rows.
 
 `normal1`, `normal2` and `rotation1`, `rotation2` belong to two normals of the axis, `axis` and `rotation3` to the axis
-itself, `rotation` to the normal of two axes, `screw` to the way along the axis that is ahead of the thread.
+itself, `rotation` to the normal of two axes, `screw` to the deviation from the thread along the axis.
 """
 
 SPATIAL_FREEDOMS: dict[str, dict[str, str]] = {
@@ -89,7 +89,7 @@ RELATIVE: dict[str, tuple[str, ...]] = {
 
 
 def rotation(e: ca.SX) -> ca.SX:
-    """Return rotation matrix (3, 3) of Euler parameters (4,): its columns are the axes of the body in ground axes."""
+    """Return the rotation matrix (3, 3) of Euler parameters (4,): its columns are the body's axes in ground axes."""
     e0, e1, e2, e3 = ca.vertsplit(e)
     return ca.blockcat(
         [
@@ -101,7 +101,7 @@ def rotation(e: ca.SX) -> ca.SX:
 
 
 def angular_velocity(e: ca.SX, rate: ca.SX) -> ca.SX:
-    """Return angular velocity (3,) [rad/s] in ground axes, from Euler parameters (4,) and their rates."""
+    """Return the angular velocity (3,) [rad/s] in ground axes, from Euler parameters (4,) and their rates."""
     return 2 * (e[0] * rate[1:] - rate[0] * e[1:] + ca.cross(e[1:], rate[1:]))
 
 
@@ -111,28 +111,28 @@ def about(axis: Vector, angle: Scalar) -> ca.SX:
 
 
 def product(e: ca.SX, f: ca.SX) -> ca.SX:
-    """Return Euler parameters (4,) of the turn f made in the axes that the turn e leads to: R = R(e) R(f)."""
+    """Return Euler parameters (4,) of the rotation e followed by f about the rotated axes: R = R(e) R(f)."""
     return ca.vertcat(e[0] * f[0] - ca.dot(e[1:], f[1:]), e[0] * f[1:] + f[0] * e[1:] + ca.cross(e[1:], f[1:]))
 
 
 def spin_matrix(e: ca.SX) -> ca.SX:
-    """Return the matrix (3, 4) that makes an angular velocity of the rates of Euler parameters (4,)."""
+    """Return the matrix (3, 4) from the rates of Euler parameters (4,) to the angular velocity in ground axes."""
     rates = ca.SX.sym("rates", 4)
     return ca.jacobian(angular_velocity(e, rates), rates)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A body as a body that carries it sees it, in the axes of that carrier."""
+    """The pose of a body relative to a body that carries it, in the axes of that carrier."""
 
     rotation: ca.SX
-    """The matrix (3, 3) that leads from the axes of the body to those of the carrier."""
+    """Rotation matrix (3, 3) from the axes of the body to those of the carrier."""
     anchor: Vector
     """A point fixed on the body, in the body's frame [m]."""
     begin: ca.SX
     """The point (3,) of the carrier where the chain of joints to the body begins [m]."""
     way: ca.SX
-    """The way (3,) from there to the anchor [m]."""
+    """Vector (3,) from there to the anchor [m]."""
 
 
 @dataclass(eq=False, repr=False)
@@ -161,7 +161,7 @@ class SpatialBody(Brief):
 
     @cached_property
     def rotation(self) -> ca.SX:
-        """The rotation matrix (3, 3) that leads from the axes of the frame to those of the ground."""
+        """The rotation matrix (3, 3) from the axes of the frame to those of the ground."""
         if self.own is not None:
             return rotation(self.own[1])
         return self._joint.first.body.rotation @ self._joint.relative_turn
@@ -182,8 +182,8 @@ class SpatialBody(Brief):
     def anchor(self) -> tuple[Vector, ca.SX]:
         """A point fixed on the body that the coordinates place, in the body's frame and in ground axes.
 
-        The joint's point in relative coordinates; the centre of mass in absolute ones, and where that point moves on
-        the body.
+        In relative coordinates it is the joint's point, unless that point moves on the body; otherwise it is the centre
+        of mass.
         """
         if self.own is not None:
             return self.center, self.own[0]
@@ -194,14 +194,14 @@ class SpatialBody(Brief):
 
     @property
     def carriers(self) -> list[SpatialBody]:
-        """The body, the one that carries it, and so on up to one that no joint places."""
+        """The chain of carriers: this body, its carrier, and so on up to a body that no joint places."""
         found = [self]
         while (joint := found[-1].placed_by) is not None:
             found.append(joint.first.body)
         return found
 
     def seen_by(self, carrier: SpatialBody) -> Seen | None:
-        """Return the body as one of its carriers sees it; None of itself."""
+        """Return the pose of the body relative to one of its carriers; None relative to itself."""
         if self is carrier:
             return None
         kept = self.__dict__.setdefault("_seen", {})
@@ -273,7 +273,7 @@ class SpatialBody(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpatialMarker(Brief):
-    """A point fixed on a body in space, by its place in the body's frame."""
+    """A point fixed on a body in space, by its position in the body's frame."""
 
     body: SpatialBody
     x: Scalar
@@ -287,7 +287,7 @@ class SpatialMarker(Brief):
 
     @property
     def arm(self) -> ca.SX:
-        """The way (3,) to the point from its body's anchor, in ground axes."""
+        """Vector (3,) from the body's anchor to the point, in ground axes."""
         return self.body.turned(self.point)
 
     @property
@@ -310,18 +310,20 @@ class SpatialJoint(Brief):
     axes: tuple[Vector, Vector] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
     coordinates: tuple[Scalar, ...] | None = None
     lead: Scalar = 0.0
-    """Way [m] along the axis of a screw in one turn."""
+    """Displacement [m] along the axis of a screw in one turn."""
     length: Scalar = 0.0
     """Length of a rod [m]."""
     nominal: tuple[Vector, Vector] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
     """The axes at the defaults of parameters, as numbers; they determine the normals."""
     drifts: bool = False
-    """Whether its point on the second body, which it places, moves on that body."""
+    """Whether the joint's point on the second body, which the joint places, moves on that body."""
+    spare: tuple[str, ...] = ()
+    """Directions that the joint leaves to other joints."""
 
     @property
     def directions(self) -> tuple[str, ...]:
         """The relative displacements that the joint suppresses."""
-        return SPATIAL_DIRECTIONS[self.kind]
+        return tuple(each for each in SPATIAL_DIRECTIONS[self.kind] if each not in self.spare)
 
     @property
     def freedoms(self) -> dict[str, str]:
@@ -330,7 +332,7 @@ class SpatialJoint(Brief):
 
     @property
     def driven_axis(self) -> Vector | None:
-        """Direction of its free motion in the frame of the second body, None if it has several or none."""
+        """Direction of the only free motion in the frame of the second body; None if there are several or none."""
         return self.axes[1] if len(self.freedoms) == 1 else None
 
     @explained
@@ -421,12 +423,12 @@ class SpatialJoint(Brief):
 
     @cached_property
     def slide(self) -> ca.SX:
-        """The way (3,) from the first point to the second in ground axes, from the coordinates."""
+        """Vector (3,) from the first point to the second in ground axes, from the coordinates."""
         return self._slid(self.triad())
 
     @property
     def local_slide(self) -> ca.SX:
-        """The same in the axes of the first body."""
+        """Vector (3,) from the first point to the second in the axes of the first body, from the coordinates."""
         return self._slid(self.triad(carrier=self.first.body))
 
     def _slid(self, triad: tuple[ca.SX, ca.SX, ca.SX]) -> ca.SX:
@@ -436,8 +438,8 @@ class SpatialJoint(Brief):
         return found
 
     def _ways(self, triad: tuple[ca.SX, ca.SX, ca.SX]) -> list[ca.SX]:
-        """Return velocity (3,) of the second point, from the first body, for each unit of a rate, in the axes of a
-        triad."""
+        """Return the velocity (3,) of the second point relative to the first body per unit of each rate, in the axes of
+        a triad."""
         nothing, (normal, other, axis) = ca.SX.zeros(3), triad
         return {
             "cylindrical": [nothing, axis],
@@ -448,19 +450,19 @@ class SpatialJoint(Brief):
 
     @cached_property
     def reach(self) -> ca.SX:
-        """The way (3,) from a second point that drifts to the anchor of its body, in ground axes."""
+        """Vector (3,) from a second point that drifts to the anchor of its body, in ground axes."""
         return self.second.body.rotation @ self.beyond
 
     @property
     def beyond(self) -> ca.SX:
-        """The same in the frame of that body."""
+        """Vector from a second point that drifts to the anchor of its body, in the frame of that body."""
         return _between(self.second.point, self.second.body.center)
 
     @cached_property
     def columns(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Angular velocity (3,) and velocity (3,) of the second point, from the first body, for each unit of a rate.
+        """Angular velocity (3,) and velocity (3,) of the second point from the first body, per unit of each rate.
 
-        In ground axes, in the order of `freedoms`; of a ball joint for the rates of its Euler parameters.
+        They are in ground axes and in the order of `freedoms`; a ball joint has the rates of its Euler parameters.
         """
         nothing = ca.SX.zeros(3)
         if self.kind == "spherical":
@@ -492,28 +494,28 @@ class SpatialJoint(Brief):
         return self.is_wrapped(next(iter(self.freedoms)))
 
     def is_wrapped(self, which: str) -> bool:
-        """Return whether a free displacement is an angle known up to whole turns only."""
-        return self.coordinates is None and self.freedoms[which] == "rad"
+        """Return whether a free displacement is an angle known up to whole turns only; the way of a screw tells its
+        turns."""
+        return self.coordinates is None and self.freedoms[which] == "rad" and self.kind != "screw"
 
     def displacement(self, which: str) -> ca.SX:
-        """Return one of the free displacements, second body from first: an angle [rad], or a way [m]."""
+        """Return one of the free displacements, second body from first: an angle [rad], or a distance [m]."""
         if self.coordinates is not None:
             return ca.SX(self._coordinate(which))
         return self._measured(which)
 
     def near(self, which: str) -> ca.SX:
-        """Return the symbol of an angle's last value, which determines its turns."""
+        """Return the symbol of the last known angle, from which whole turns are counted."""
         return self.__dict__.setdefault("_near", {}).setdefault(which, ca.SX.sym(f"{self.name}.{which}.near"))
 
     def counted(self, which: str) -> ca.SX:
-        """Return one of the free displacements, an angle with its turns."""
+        """Return one of the free displacements; an angle includes whole turns."""
         if not self.is_wrapped(which):
             return self.displacement(which)
         return with_turns(*self._arms(which), self.near(which))
 
     def _measured(self, which: str) -> ca.SX:
-        """Return the displacement from the positions of both bodies, an angle within a turn; the same object
-        each time."""
+        """Return the (cached) displacement from the positions of both bodies; an angle is within one turn."""
         kept = self.__dict__.setdefault("_kept", {})
         if which not in kept:
             kept[which] = self._from_places(which)
@@ -521,13 +523,14 @@ class SpatialJoint(Brief):
 
     def _from_places(self, which: str) -> ca.SX:
         if which.startswith("angle"):
-            return ca.atan2(*self._arms(which))
+            turned = self._measured("position") * (2 * math.pi) / self.lead if self.kind == "screw" else ca.SX(0)
+            return with_turns(*self._arms(which), turned)
         normal, other, axis = self.triad(carrier=self.carrier)
         along = {"position": axis, "position1": normal, "position2": other}[which]
         return ca.dot(along, self.apart)
 
     def _arms(self, which: str) -> tuple[ca.SX, ca.SX]:
-        """Return sine and cosine of an angle, times one length."""
+        """Return sine and cosine of an angle, times a common length."""
         if which != "angle":
             # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
             one, two = map(_unit, self.axes)
@@ -559,8 +562,8 @@ class SpatialJoint(Brief):
         return ca.dot(*self._kept_square(direction, carrier))
 
     def gap(self, direction: str) -> ca.SX:
-        """Return the residual, to first order where it is small, but for a joint that is closed far from zero: in
-        metres for lengths, and not zero if directions that should be parallel are opposite."""
+        """Return a residual for the assembly: equal to `residual` to first order near zero, but in metres for lengths
+        far from zero, and not zero if directions that should be parallel are opposite."""
         residual, carrier = self.residual(direction), self.carrier
         if direction == "length":
             return ca.norm_2(self.apart) - self.length
@@ -572,15 +575,15 @@ class SpatialJoint(Brief):
             return residual
         k = 0 if direction == "rotation3" else 2
         one, two = self.triad(carrier=carrier)[k], self.triad(True, carrier)[k]
-        # On the way, Euler parameters have other lengths than 1.
+        # During the assembly, Euler parameters may not have unit length.
         whole = ca.sqrt(ca.sumsqr(one) * ca.sumsqr(two)) + _NONE
         return (2 + _OPPOSITE) * whole / (whole + ca.dot(one, two) + _OPPOSITE * whole) * residual
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Return force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground
-        axes.
+        """Return force (3,) and moment (3,) on the second body from the first, about the joint's point on the second
+        body, in ground axes.
 
-        What the constraint forces -C' lambda do in a displacement and in a turn of the second body.
+        They do the same virtual work as the constraint forces -C' lambda in a displacement and a rotation of that body.
         """
         force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
         for direction, lam in multipliers.items():
@@ -603,10 +606,10 @@ class SpatialJoint(Brief):
         return force, moment
 
     def _thread(self, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """How far [m] the second body of a screw is ahead of its thread, and the derivatives of that.
+        """Return the deviation [m] of a screw's second body from the thread, and the derivatives of the deviation.
 
-        p sin(s/p - th) with p = lead/(2 pi), which knows no whole turns; the derivatives (3,) are by a displacement and
-        by a turn of the second body, in the axes of the ground or of a carrier.
+        The deviation is p sin(s/p - th) with p = lead/(2 pi), independent of whole turns; the derivatives (3,) are by a
+        displacement and a rotation of the second body, in the axes of the ground or of a carrier.
         """
         pitch = self.lead / (2 * math.pi)
         normal, other, axis = self.triad(carrier=carrier)
@@ -636,17 +639,17 @@ class SpatialFreedom(Brief):
 
     @property
     def name(self) -> str:
-        """Name of its displacement."""
+        """Name of the displacement."""
         return f"{self.joint.name}.{self.which}"
 
     @property
     def kind(self) -> str:
-        """The joint that would have this free motion alone: revolute or prismatic."""
+        """Kind of the joint with only this free motion: revolute or prismatic."""
         return "revolute" if self.joint.freedoms[self.which] == "rad" else "prismatic"
 
     @property
     def driven_axis(self) -> Vector | None:
-        """Its direction in the frame of the second body, None if it is fixed on the first one alone."""
+        """Direction of the motion in the frame of the second body; None if it is fixed on the first body alone."""
         return self.joint.axes[1] if self.which in ("angle", "angle2", "position") else None
 
     @property
@@ -693,7 +696,7 @@ def _column(vector: Vector) -> ca.SX:
 
 
 def _between(a: Vector, b: Vector) -> ca.SX:
-    """Return the way (3,) from one point of a body's frame to another."""
+    """Return the vector (3,) from one point of a body's frame to another."""
     return ca.vertcat(*(ca.SX(y) - x for x, y in zip(a, b, strict=True)))
 
 
@@ -721,7 +724,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 
 def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vector, Vector] | None = None) -> ca.SX:
-    """Return the rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
+    """Return the rotation matrix (3, 3) of an angle [rad]; at zero the triads of the two axes coincide."""
     triads = (right_handed(axis, near) for axis, near in zip(axes, nominal or (None, None), strict=True))
     if any(isinstance(x, ca.SX) for axis in axes for x in axis):
         (i, j, k), (i2, j2, k2) = ([_column(each) for each in triad] for triad in triads)
@@ -740,7 +743,7 @@ def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vecto
 
 
 def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
-    """Return Euler parameters (4,) of a rotation matrix (3, 3); `nominal`, its value by numbers, selects their sign."""
+    """Return Euler parameters (4,) of a rotation matrix (3, 3); its numerical value `nominal` selects their sign."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(np.array(ca.DM(nominal))).as_quat()
@@ -752,7 +755,7 @@ def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
 
 
 def _squares(R: ca.SX) -> ca.SX:
-    """Return the matrix (4, 4) of products of the Euler parameters of a rotation matrix, four times each."""
+    """Return the matrix (4, 4) of four times the products of the Euler parameters of a rotation matrix."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     found = ca.SX(4, 4)
     found[0, 0] = 1 + trace
@@ -766,8 +769,8 @@ def _squares(R: ca.SX) -> ca.SX:
 def right_handed(axis: Vector, nominal: Vector | None = None) -> tuple[Vector, Vector, Vector]:
     """Return two normals of a direction and the direction itself, of unit length and right-handed.
 
-    The first normal is the next coordinate axis, made square to the direction: exact for an axis of the frame. Of an
-    expression in parameters, `nominal` is the direction at their defaults, which says what the next axis is.
+    The first normal is the coordinate axis after the one nearest to the direction, made perpendicular to it: exact for
+    an axis of the frame. For an expression in parameters, its value `nominal` at their defaults selects that axis.
     """
     x = _unit(axis)
     near = [abs(float(a)) for a in _unit(axis if nominal is None else nominal)]

@@ -32,7 +32,7 @@ ONSET = 1e-3
 """Default penetration over which a stop stiffens [m or rad]: some tenths of the compression of rubber."""
 
 CREEP = 1e-3
-"""Rate between pushing in and back where none is given [m/s or rad/s]: far below that of any blow."""
+"""Default range of rates between approach and return [m/s or rad/s]: far below the rate of any impact."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

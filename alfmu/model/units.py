@@ -1,4 +1,4 @@
-"""SI units as data: the exponents that FMI unit definitions carry, and the units people read them in."""
+"""SI units as data: their exponents for FMI unit definitions, and display units."""
 
 import re
 from dataclasses import dataclass, field
@@ -80,7 +80,7 @@ _RATES = {"m": "m/s", "rad": "rad/s", "m/s": "m/s2", "rad/s": "rad/s2", "1": "1/
 
 
 def unit(name: str) -> Unit:
-    """Return the unit called `name`; raise DeclarationError if it is not one that alfmu knows."""
+    """Return the unit called `name`; raise DeclarationError for an unknown one."""
     if isinstance(name, str) and name in UNITS:
         return UNITS[name]
     for si, factor in ((u.name, u.display[name]) for u in UNITS.values() if name in u.display):
@@ -93,13 +93,13 @@ def unit(name: str) -> Unit:
 
 
 def alike(one: str, other: str) -> bool:
-    """Return whether two units measure the same; an angle counts as a number."""
+    """Return whether two units measure the same quantity; an angle counts as a number."""
     first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
     return first == second
 
 
 def is_rate(one: str, other: str) -> bool:
-    """Return whether the first unit measures the time derivative of what the second one does; an angle counts as a
+    """Return whether the first unit measures the time derivative of a quantity in the second; an angle counts as a
     number."""
     first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
     second["s"] = second.get("s", 0) - 1
@@ -107,7 +107,7 @@ def is_rate(one: str, other: str) -> bool:
 
 
 def rate_of(name: str) -> str:
-    """Return name of the unit of the time derivative of a quantity in the unit called `name`."""
+    """Return the name of the unit of the time derivative of a quantity in the unit called `name`."""
     try:
         return _RATES[unit(name).name]
     except KeyError:
@@ -115,7 +115,7 @@ def rate_of(name: str) -> str:
 
 
 def quotient(one: str, other: str) -> str:
-    """Return name of the unit of a quantity in the first unit over one in the second: rad over N.m is rad/(N.m)."""
+    """Return the name of the quotient of two units: that of rad and N.m is rad/(N.m)."""
     if other == "1":
         return one
     powers = _powers(one)

@@ -26,13 +26,13 @@ __all__ = [
 ]
 
 LONGEST = 200
-"""Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
+"""Largest number of characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
 
 _SHOWN = 5
-"""Names that a message lists."""
+"""Largest number of names that a message lists."""
 
 _WIDEST = 60
-"""Characters of a value that a message shows."""
+"""Largest number of characters of a value in a message."""
 
 _VOWELS = "aeiouAEIOU"
 
@@ -40,7 +40,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def text(what: str, value: Any, longest: int | None = None) -> str:
-    """Return a text that files and FMUs can hold; DeclarationError otherwise."""
+    """Return a text that files and FMUs can hold; raise DeclarationError for any other value."""
     if not isinstance(value, str):
         raise DeclarationError(f"{what} is {shown(value)}; give a text")
     if bad := _NOT_XML.search(value):
@@ -53,7 +53,7 @@ def text(what: str, value: Any, longest: int | None = None) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value as a message shows it: short, and with its kind where that is not plain."""
+    """Return a value as a message shows it: short, with its type if that is not obvious."""
     if hasattr(value, "is_symbolic"):  # of CasADi
         return f"the symbol {value}" if value.is_symbolic() else f"an expression ({type(value).__name__})"
     text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
@@ -74,7 +74,7 @@ class Brief:
                 said.append(f"{field.name}={_brief(value)}")
         return f"{type(self).__name__}({', '.join(said)})"
 
-    if not TYPE_CHECKING:  # a checker knows what there is
+    if not TYPE_CHECKING:  # type checkers report unknown attributes themselves
 
         def __getattr__(self, name: str) -> Any:
             raise AttributeError(no_attribute(self, name))
@@ -108,7 +108,7 @@ def no_attribute(of: object, name: str, meant: str | None = None) -> str:
 
 
 def nearest(name: object, names: Collection[str]) -> list[str]:
-    """Return the names that somebody may have meant, the likeliest first; those that end with it before all others."""
+    """Return the likely intended names, the likeliest first; if a few end with `name`, only these."""
     ending = [each for each in names if re.search(rf"[._]{re.escape(str(name))}$", each)]
     if 0 < len(ending) <= _SHOWN:
         return ending
@@ -132,12 +132,12 @@ def some_like(pattern: str, names: Collection[str]) -> str:
 
 
 def angle(value: float, digits: int = 3) -> str:
-    """Return an angle [rad] as a person reads it."""
+    """Return an angle [rad] as text, in radians and degrees."""
     return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
 
 
 def in_words(names: Collection[str]) -> str:
-    """a, b or c"""
+    """Join names for a sentence: a, b or c."""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
 
@@ -149,5 +149,5 @@ def quantity(value: float, unit: str, digits: int = 4) -> str:
 
 
 def counted(count: int, of: str) -> str:
-    """So many things: 1 body, 2 bodies, 2 joints."""
+    """Return a number with its noun: 1 body, 2 bodies, 2 joints."""
     return f"{count} {of if count == 1 else f'{of[:-1]}ies' if of.endswith('y') else f'{of}s'}"

@@ -4,8 +4,8 @@
     wanted   ->         voltage ->          motor_speed ->      torque ->
     measured ->  output speed   -> torque   load_speed  -> motor_torque, load_torque   -> angle, speed
 
-A motor without inertia takes the speed of its load and returns a torque: it is connected to a mechanism directly. One
-with a rotor takes the load torque and returns its speed, as a gearbox with elastic shafts requires.
+A motor without inertia takes the speed of its load and returns a torque: it is connected to a mechanism directly. A
+motor with a rotor takes the load torque and returns its speed, as a gearbox with elastic shafts requires.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0
     """Return a gearbox with elastic shafts: inputs `motor_speed`, `load_speed`, outputs `motor_torque`, `load_torque`.
 
     `ratio` is the speed of the motor over that of the load [1], `stiffness` [N.m/rad] and `damping` [N.m.s/rad] are
-    those of its shafts, referred to the load. Its state `twist` [rad] is the angle by which the motor side leads.
+    those of its shafts, referred to the load. The state `twist` [rad] is the angle by which the motor side leads.
     """
     m = Mechanism("gearbox", "Gearbox with elastic shafts")
     motor_speed = m.input("motor_speed", "rad/s", description="of the shaft of the motor")

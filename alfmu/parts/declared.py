@@ -82,6 +82,6 @@ def mounted(
 
 
 def rate_of_joint(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
-    """Return the rate of the free displacement of a joint: of coordinates, and of a law of time."""
+    """Return the rate of the free displacement of a joint, due to coordinates and a law of time."""
     moving, rates = stack([m.time, *(c.q for c in m.coordinates)]), stack([1.0, *(c.v for c in m.coordinates)])
     return ca.jtimes(Kinematics(m).free(joint), moving, rates)

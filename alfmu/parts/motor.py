@@ -114,7 +114,7 @@ def dc_motor(
     kind = "force" if sliding else "torque"
     what = f"{kind}{of(name)} on {joint.name if joint else 'its shaft'}"
     m.output(label(name, kind), out, "N" if sliding else "N.m", what)
-    if name:  # without a name it is a mechanism, with the voltage as an input
+    if name:  # without a name the motor is a mechanism whose input is the voltage
         m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
     return Motor(i, symbolic(out), w)
 
@@ -166,7 +166,7 @@ def _geared(
 
 
 def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
-    """Return the torque behind a gearbox, referred to the motor: less if the motor drives, more if it is driven."""
+    """Return the torque behind a gearbox, referred to the motor: smaller if the motor drives, else larger."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
     passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)

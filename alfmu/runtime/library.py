@@ -107,6 +107,7 @@ _SIGNATURES = {
     "adjoint_run": (c_int, c_void_p, POINTER(_Run), c_void_p, c_void_p, c_void_p),
     "arrange": (c_int, c_int, c_void_p, c_void_p, c_void_p, c_int, *[c_void_p] * 4),
     "in_runs": (c_int, c_int, c_int, *[c_void_p] * 7),
+    "share_places": (c_int, c_void_p),
     "instructions": (c_int, c_int, *[c_void_p] * 6),
     "straight": (c_int, c_int, *[c_void_p] * 7, c_int, c_void_p, c_int64, *[c_void_p] * 4),
 }

@@ -31,8 +31,8 @@ MOST = 500_000_000
 """Largest number of values in a result: 4 GB."""
 
 HIDDEN, NOTHING = 1e-3, 1e-12
-"""Largest value of a state over its nominal value [1]: below the first limit a tolerance of 1e-6 leaves errors of a
-thousandth, which a run reports; below the second the state is round-off."""
+"""Largest value of a state over its nominal value [1]: below the first limit a tolerance of 1e-6 allows errors of a
+thousandth, and the run warns; below the second the state is round-off."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -63,12 +63,11 @@ def settings_of(unit: Instance) -> dict[str, float | str]:
 
 
 FINER = {"solver.relative_tolerance": 0.01, "solver.step_size": 0.5}
-"""Factors on settings for a run that checks another one [1]: on the tolerance, or on the length of all steps."""
+"""Factors on settings for a checking run [1]: on the tolerance, or on the length of fixed steps."""
 
 
 def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
-    """Return the solver setting, and its value, for a run that checks another one; raise InputError if there
-    is none."""
+    """Return the solver setting and its value for a checking run; raise InputError if there is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
         raise InputError(f"{name} has no {setting}, which --check changes for its second run; FMUs of alfmu have it")

@@ -1,9 +1,9 @@
-"""Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, and the measure of the kernel.
+"""Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, the kernel's reference.
 
-To be read with the paper open: `alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` those
-of singular positions. Here are the accelerations and multipliers by every formulation, steps of RK4 with projections
-(10), the branch of the motion through singular positions, and plastic impacts, from functions of the equations alone;
-`stepped` has the rest of an instance.
+Read it with the paper open: `alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` those of
+singular positions. This module computes accelerations and multipliers by every formulation, steps of RK4 with
+projections (10), the branch of the motion through singular positions, and plastic impacts, from functions of the
+equations only; `stepped` has the rest of an instance.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from .stepped import EPS, Reading, Stepped, least_squares, unchanged
 __all__ = ["Instance"]
 
 Found = tuple[NDArray, NDArray, int, NDArray]
-"""Accelerations a (n,), multipliers lam (l,), the multiplier iterations used, Phi-ddot (l,) that is left."""
+"""Accelerations a (n,), multipliers lam (l,), number of multiplier iterations, residual Phi-ddot (l,)."""
 
 TINY = float(np.finfo(float).tiny)
 
 
 class Instance(Stepped):
-    """An instance whose internal steps and readings are made by the method as it stands here."""
+    """An instance whose internal steps and readings use the method in this module."""
 
     # Equations ----------------------------------------------------------------------------------------------------
 
     def augmented(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, method.Solve]:
-        """Return the same, and a solver with H."""
+        """Return M, C, Phi and C v of (1) and (2), and a solver with H."""
         M, C, Phi, Cv = self.constraints(q, v)
         return M, C, Phi, Cv, self.inverse(method.augmented_mass(M, C, self.alpha))
 
     # Accelerations ------------------------------------------------------------------------------------------------
 
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1) -> Found:
-        """Return accelerations and multipliers by the formulation that is chosen; `patience` times as many
+        """Return accelerations and multipliers by the chosen formulation, with `patience` times the usual
         iterations."""
         M, C, F, xi = self.dynamics(q, v, u, t)
         kind, alpha, s, used = self.settings.formulation, self.alpha, self.settings, 1
@@ -73,10 +73,10 @@ class Instance(Stepped):
     def iterated(
         self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, solve: method.Solve, patience: int = 1
     ) -> tuple[NDArray, NDArray, int, bool]:
-        """(8), classic or residual, until the change is within the tolerance of the accelerations it changes.
+        """Iterate (8), classic or residual, until the change of the accelerations is within their tolerance.
 
-        Null vectors of C' do not act on a, so that alpha times the round-off of each pass stays in lam along them. Yet
-        they act on tangents: lam is handed out without them.
+        Null vectors of C' do not act on a, so alpha times the round-off of each pass accumulates in lam along them. As
+        they do act on tangents, they are removed from the returned lam.
         """
         scale, left = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300), math.inf
 
@@ -100,13 +100,13 @@ class Instance(Stepped):
 
     @staticmethod
     def _light(M: NDArray, alpha: NDArray) -> NDArray:
-        """Return M scaled down to be small compared with the penalties; unchanged if there are none."""
+        """Return M scaled down to be small compared with the penalties; without penalties, M itself."""
         ratio = method.LIGHT * alpha.max(initial=0.0) / max(M.diagonal().max(initial=0.0), TINY)
         return M * min(1.0, ratio or 1.0)
 
     def carried(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
-        """Return multipliers that act like lam (l,) with the least that joints carry, or as the given compliances share
-        it."""
+        """Return multipliers equivalent to lam (l,) with the least loads of joints, or shared by the given
+        compliances."""
         e, l = self.equations, len(lam)
         M, C, _, _ = self.constraints(q, v)
         held = np.diag(self.active.astype(float))
@@ -125,35 +125,35 @@ class Instance(Stepped):
         P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held
         sizes = np.where(P.diagonal() > EPS, P.diagonal(), 1.0)
         columns = (C**2 / sizes[:, None]).sum(axis=0)
-        there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # little for one of round-off
+        there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # small for a column of round-off
         weights = np.diag(np.divide(method.HELD_SHARES * there, columns, out=np.zeros_like(columns), where=columns > 0))
         eased = P + method.EASE * np.diag(sizes)
         return lam + method.shared_again(P, held @ slope(lam), C, weights, self.inverse, eased, CORRECTIONS, unchanged)
 
     def impact(self, q: NDArray, v: NDArray) -> NDArray:
-        """v (n,) after a plastic impact, which keeps the constraints: M dv + C' impulse = 0, C dv = -C v."""
+        """Return v (n,) after a plastic impact that satisfies the constraints: M dv + C' impulse = 0, C dv = -C v."""
         M, C, _, Cv, solve = self.augmented(q, v)
         return v + self.iterated(method.residual, M, np.zeros_like(v), C, -Cv, solve)[0]
 
     def hold(self, q: NDArray) -> None:
-        """Keep the combinations of constraints that are independent at q (n,), a place on the motion, until told again.
+        """Freeze the rank: use the independent combinations of constraints at q (n,) until the next call.
 
-        Redundant ones are left out of H where they would brake beside the motion: lam is then of least norm by itself.
+        H omits redundant constraints if they would brake stages beside the motion; lam then has least norm by itself.
         """
         if self.equations.survey.brakes:
             root = np.sqrt(self.penalty)
             rows, sizes, _ = np.linalg.svd(root[:, None] * self.constraints(q, np.zeros_like(q))[1])
-            if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else a singular position: those before it still tell
+            if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else keep those before this singular position
                 self.alpha = root[:, None] * (rows[:, : self.rank] @ rows[:, : self.rank].T) * root
 
     # Projections --------------------------------------------------------------------------------------------------
 
     def project(self, q: NDArray, v: NDArray, t: float, near: bool = False) -> tuple[NDArray, NDArray, float, float]:
-        """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.
+        """Return q and v projected onto the constraints by (10), and the largest remaining |Phi| and |Phi-dot|.
 
-        Near a singular position the corrections gain little in the direction that the constraints hardly hold, which
-        magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
-        OpenError if more than `GROSS` is left.
+        Near a singular position corrections converge slowly in the direction that the constraints hardly fix, which
+        magnifies the remaining gap, so one more is made. Gaps above the tolerance are counted. Raises OpenError if a
+        gap exceeds `GROSS`.
         """
         M, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
@@ -188,8 +188,7 @@ class Instance(Stepped):
         return v + method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
-        """Return whether a residue of C is within the tolerance, or within the round-off of the row where that is
-        larger."""
+        """Return whether residuals of constraints are within the tolerance, or the round-off of their row if larger."""
         limit = np.maximum(self.settings.tolerance * self.units, 8 * EPS * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
 
@@ -207,8 +206,8 @@ class Instance(Stepped):
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
-        """Distance to a singular position, how much of it one spacing makes, and a spacing (n,) that can tell: along v,
-        or in the direction that the runtime has found."""
+        """Return the distance to a singular position, its change per spacing, and a spacing (n,) long enough to measure
+        it: along v, or in the direction that the runtime has found."""
         self._unit.scene.library.alfmu_update_way(self._unit.address)
         spacing = shortest * (self.way + self.memory["k"][SETTINGS.index("along")] * v)
         for _ in range(branch.DOUBLINGS):
@@ -216,13 +215,13 @@ class Instance(Stepped):
             rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
             if here > self.nothing or rate**2 > self.nothing:
                 break
-            spacing *= 2  # The places are too near to be told from the singular position.
+            spacing *= 2  # The positions are too close to be distinguished from the singular one.
         return here**0.5, rate, spacing
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """q and v nearby that keep the constraints: displaced across the motion alone, v then by (10).
+        """Return q and v nearby that satisfy the constraints: q displaced only across the motion, then v by (10).
 
-        The motion through the places so found is smooth up to the singular position itself.
+        The motion through positions found in this way is smooth up to the singular position itself.
         """
 
         def closer(q: NDArray) -> NDArray:
@@ -240,7 +239,7 @@ class Instance(Stepped):
         return near, v
 
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
-        """What `on_branch` returns; raise OpenError if the branch does not lead there."""
+        """Return the result of `on_branch`; raise OpenError if the branch does not lead there."""
         near, v = self.on_branch(q, v)
         gap, row = self._worst(self.constraints(near, v)[2])
         if not gap <= GROSS:
@@ -250,11 +249,11 @@ class Instance(Stepped):
         return near, v
 
     def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, shortest: float) -> Found:
-        """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
+        """Return `accelerations` at the position of the branch nearest to q; near a singular position their limit.
 
-        `shortest` is the spacing [s] of the places from which a limit is taken, longer where the motion is slow, and
-        shorter where it is fast. Where the motion does not reach them, accelerations are taken as they are, as long
-        as the iteration converges.
+        `shortest` is the spacing [s] of the positions from which a limit is extrapolated; slow motion increases it,
+        fast motion reduces it. If the motion does not reach these positions, the accelerations at the position itself
+        are returned, provided that the iteration converges.
         """
         here, rate, spacing = self.approach(q, v, shortest)
         units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
@@ -272,7 +271,7 @@ class Instance(Stepped):
                 alone = self.accelerations(*self.reached(q, v, t), u, t)
                 clear, off = here**2 > max(self.nothing, branch.JUDGED), np.abs(a - alone[0]).max()
                 if clear and off > branch.direct_error(here**2, EPS) * np.abs(a).max():
-                    return alone  # another motion than this one leads through the singular position
+                    return alone  # a different motion passes through the singular position
                 self.counters.unconverged = unconverged
             return a, lam, max(x[2] for x in found.values()), left
         except OpenError:
@@ -284,7 +283,7 @@ class Instance(Stepped):
     def _beside(
         self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: NDArray, at: Iterable[int]
     ) -> tuple[dict[int, tuple[NDArray, NDArray]], dict[int, Found]]:
-        """q and v, and what `accelerations` returns, at places on the branch before and after q."""
+        """Return q and v, and the results of `accelerations`, at positions on the branch before and after q."""
         places = {k: self.reached(q + k * spacing, v, t) for k in at}
         return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
 
@@ -331,10 +330,10 @@ class Instance(Stepped):
 
     @np.errstate(all="ignore")
     def _now(self) -> Reading:
-        """What `accelerations` returns here, lam as joints carry it, whether it is a limit, and its error.
+        """Return the results of `accelerations` at this state with lam shared by joints, its kind, and its error.
 
-        It is 0 if lam is no limit; where it is, 1 if lam has a limit, 2 where it has a pole, of which the finite part
-        is given at the position itself.
+        The kind is 0 if lam is evaluated directly, 1 if it is a limit, and 2 at a pole, where lam is the finite part at
+        the position itself.
         """
         q, v, u, t = self.q, self.v, self.driven, self.time
         margin = self.margin(q)[1]
@@ -344,9 +343,9 @@ class Instance(Stepped):
         lost, noise = self._lost(q, v, a, lam, margin) if len(lam) else (0.0, EPS)
         if near:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
-            with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.
+            with suppress(OpenError, ZeroDivisionError):  # Direct values if the motion ends before them.
                 places, found = self._beside(q, v, u, t, spacing * branch.READ_DISTANCE / rate, branch.READ_MEAN)
-                # At the position itself more multipliers act alike than on the branch.
+                # More multipliers are equivalent at the singular position than on the branch.
                 loads = {k: self.carried(*places[k], *x[:2]) for k, x in found.items()}
                 limit, pole, magnified = branch.with_pole(loads)
                 told, fewer = magnified > 0 or not pole, branch.fewer(loads)
@@ -361,7 +360,7 @@ class Instance(Stepped):
         return a, lam, used, left, 0, lost
 
     def _lost(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, margin: float) -> tuple[float, float]:
-        """Return the error of reactions evaluated at this place, and the relative error of the place."""
+        """Return the error of reactions evaluated directly at this position, and the relative error of the position."""
         e, own = self.equations, self.inverse_length
         arms = np.array([own if c.unit == "rad" else 1.0 for c in e.coordinates])
         sizes = np.array([own if c.unit == "m" else 1.0 for c in e.coordinates])

@@ -42,14 +42,14 @@ Signal = float | Callable[[float], float] | tuple[Table, Table]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
 
 _ROWS = 25
-"""Number of rows in a notebook."""
+"""Number of rows shown in a notebook."""
 
 
 OFF = 1e-3
 """Error of a position over 1 rad, or over the largest length of a run [1], above which a warning is issued."""
 
 _NONE = 1e-6
-"""Length over the largest coordinate [1] below which nothing moves and the error is that of round-off."""
+"""Length over the largest coordinate [1] below which nothing moves and only round-off differs."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class Check:
     errors: Mapping[str, float]
     """Largest difference of each column [in its unit]: of angles and lengths, or of all if there are none."""
     worst: str
-    """The column with the largest error, angles relative to 1 rad, lengths to the largest distance along one axis,
-    wherever the origin is, others to the largest value in their unit."""
+    """The column with the largest relative error: relative to 1 rad for angles, to the largest distance along one axis
+    (independent of the origin) for lengths, to the largest value in their unit for others."""
     unit: str
     share: float
-    """This largest relative error."""
+    """Relative error of that column."""
     since: float | None
-    """First time [s] at which it exceeds `OFF`; None if it never does."""
+    """First time [s] at which the relative error exceeds `OFF`; None if it never does."""
 
     @classmethod
     def of(cls, result: Result, finer: Result, setting: str, value: float) -> Check:
@@ -122,8 +122,8 @@ class Result:
     counters: Counters | None = None
     """Work and largest errors; None if another solver made the run."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """Description of the run: `mechanism`, `options` and `parameters`; for a table from a file, all facts stored beside
-    it."""
+    """Description of the run: `mechanism`, `options` and `parameters`; for a table from a file, all facts in its
+    companion file."""
     declared: Mechanism | None = None
     """The mechanism, if it is known and not only its drawing."""
     check: Check | None = None

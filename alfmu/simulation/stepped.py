@@ -71,7 +71,7 @@ class Stepped(runtime.Instance, ABC):
 
     @abstractmethod
     def hold(self, q: NDArray) -> None:
-        """Keep the rank of the constraints at q (n,)."""
+        """Freeze the rank of the constraints at q (n,)."""
 
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
@@ -83,7 +83,7 @@ class Stepped(runtime.Instance, ABC):
         self.counters, self._unfinished, self._by_row, self._near = Counters(), 0.0, False, False
 
     def initialize(self) -> None:
-        """Begin as the runtime does, with RK4 for `auto`; raise InputError for any other method."""
+        """Initialise as the runtime does, with RK4 for `auto`; raise InputError for any other method."""
         if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         e = self.equations
@@ -149,7 +149,7 @@ class Stepped(runtime.Instance, ABC):
         return solve
 
     def pivots(self, q: NDArray) -> NDArray:
-        """Pivots of H at q (n,) over the scales of their coordinates (n,), in the order of elimination."""
+        """Return the pivots (n,) of H at q (n,) over the scales of their coordinates, in the order of elimination."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
         order = elimination_order(self.equations)
         try:
@@ -159,7 +159,7 @@ class Stepped(runtime.Instance, ABC):
         return np.maximum(pivots / self.scales[order], 1e-300)
 
     def readings(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
-        """Return everything a user can read, in the order of `equations.outputs`."""
+        """Return all outputs, in the order of `equations.outputs`."""
         return self._values("readings", q, v, a, lam, u, self.memory["p"], t)[0]
 
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
@@ -199,7 +199,7 @@ class Stepped(runtime.Instance, ABC):
             if self._past:
                 self._past.reach(start, self.inputs)
             for begin, end in self._stretches(start, start + h):
-                if begin > start:  # skip the last digits of a time at which something jumps
+                if begin > start:  # skip the round-off of the time of a jump
                     self.q[:] += (begin - self.time) * self.v
                     self.time, self._seen = begin, (None, None, None)
                 length = end - begin if (begin, end) != (start, start + h) else h
@@ -216,7 +216,7 @@ class Stepped(runtime.Instance, ABC):
         self._warn()
 
     def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
-        """Return times [s] between which nothing jumps by itself, as `alfmu_ready` found them."""
+        """Yield intervals [s] between the times of jumps that `alfmu_ready` found."""
         count = self._scene.library.alfmu_breaks(self._unit.address, None)
         times = (ctypes.c_double * (2 * count))()
         self._scene.library.alfmu_breaks(self._unit.address, times)
@@ -271,7 +271,7 @@ class Stepped(runtime.Instance, ABC):
             raise self._error(StepError, t, f"a step of {moved.max():.3g} opened {row} by {gap:.3g}")
 
     def _check_converged(self, t: float) -> None:
-        """Judge the last changes of multiplier iterations since the last call: warn once, or raise StepError.
+        """Check the remaining changes of multiplier iterations since the last call: warn once, or raise StepError.
 
         As in the runtime, only the formulation that continues through singular positions raises.
         """
@@ -389,7 +389,7 @@ class Stepped(runtime.Instance, ABC):
 
 
 def unchanged(change: NDArray, value: NDArray) -> bool:
-    """Return whether a pass changed round-off alone."""
+    """Return whether an iteration changed only round-off."""
     return bool(np.abs(change).max(initial=0.0) <= EPS * np.abs(value).max(initial=0.0))
 
 

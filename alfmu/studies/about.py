@@ -34,7 +34,7 @@ _WIDE = 100
 """Largest width of its lines in characters, except for text that must not be cut."""
 
 _FEW = 3
-"""Number of outputs of a body or joint up to which they are named instead of counted."""
+"""Number of outputs of a body or joint up to which names are listed instead of the number."""
 
 _TURNED = 0.1
 """Change of an angle [rad] from its guess above which it is reported; some 6 degrees."""
@@ -90,7 +90,7 @@ class About:
         return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it as data for JSON."""
+        """Return the information as data for JSON."""
         m, e, size = self.mechanism, self.equations, self.mobility
         counted = cost(prepared(e))
         return {

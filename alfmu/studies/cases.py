@@ -116,9 +116,9 @@ class Case:
     limit: float
     """Wall time limit of a run [s]."""
     most: int = 1
-    """Most repetitions, as far as a share of the limit allows; fewer if the fastest agree."""
+    """Largest number of repetitions within a share of the limit; fewer are made if the fastest agree."""
     compared: Sequence[str] = ()
-    """Outputs to keep of a run in one call, which evaluates all outputs; if empty, a run is made step by step."""
+    """Outputs to keep of a run in one call, which evaluates all outputs; empty for a run step by step."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
         """Return whether these durations determine the time well enough."""
@@ -137,14 +137,14 @@ class Run:
     times: NDArray
     """Times that were reached (k,)."""
     values: NDArray
-    """Outputs there (k, outputs)."""
+    """Outputs (k, outputs) at these times."""
     seconds: list[float]
     """Processor time [s] of each repetition, for steps and outputs."""
     counters: Counters | None = None
     failure: str = ""
-    """Message of the error that ended it."""
+    """Message of the error that ended the run."""
     cut: bool = False
-    """Whether the time limit ended it."""
+    """Whether the time limit ended the run."""
 
     @property
     def complete(self) -> bool:
@@ -215,7 +215,7 @@ def _once(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
 
 
 def _in_one_call(unit: Instance, case: Case) -> Run:
-    """A run that the unit makes by itself; its start is part of the time."""
+    """Run a case in one call of the unit; the measured time includes the start."""
     names = [v.name for v in unit.outputs]
     for name, value in case.values.items():
         unit.set(name, value)
@@ -283,7 +283,7 @@ class Judge:
         return float(np.nanmax(np.abs(exact[:, metres]), initial=0.0)) or 1.0
 
     def errors_of_reference(self, times: NDArray) -> list[Row]:
-        """Return the differences of the reference from other computations of it."""
+        """Return the differences between the reference and other computations of the same motion."""
         rows: list[Row] = []
         for name, values in self.reference.checks(times) if self.reference else ():
             reached = ~np.isnan(values[:, 0])

@@ -158,7 +158,7 @@ def _with_all_passes(equations: Equations, mobility: Mobility, like: Traced) -> 
 
 
 def _hard(e: Traced) -> dict[str, int]:
-    """Operations of what only hard scenes need, by what it is for."""
+    """Return the operations of programs that only difficult scenes need, by purpose."""
     return {
         "a step near a singular position, on the branch of the motion": _whole(e, "branch")
         if "branch" in e.kernel

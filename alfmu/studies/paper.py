@@ -529,7 +529,7 @@ def _figure_7_plot(
 # Iterations -------------------------------------------------------------------------------------------------------
 
 Count = tuple[float, str, float, str, int, int]
-"""m2 [kg], formulation, tolerance, what is counted, a number of it, and how often that occurred."""
+"""m2 [kg], formulation, tolerance, name of the counter, a value of it, and how often that value occurred."""
 
 
 def iterations(effort: Effort) -> Chapter:

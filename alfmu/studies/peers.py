@@ -85,7 +85,7 @@ class Trajectory(NamedTuple):
     angle: NDArray
     """Angles (k,) of link 1 or crank [rad]."""
     reactions: NDArray
-    """Reactions (k, number of REACTIONS) [N]."""
+    """Reactions (k, REACTIONS) [N]."""
     note: str = ""
 
 
@@ -120,7 +120,7 @@ class Peer(ABC):
     steps: Mapping[str, Sequence[float]]
     """Steps [s], or tolerances, by mechanism; the coarsest first."""
     control: str = "step"
-    """Meaning of the step: `step` [s] or `rtol`."""
+    """Meaning of `steps`: "step" [s] or "rtol" [1]."""
     quick: int = 2
     """Number of steps in a quick study."""
 
@@ -502,7 +502,7 @@ class SciPy(Peer):
 
 
 class _Terms:
-    """A CasADi function whose arguments and results are arrays that stay where they are."""
+    """A CasADi function whose arguments and results are arrays at fixed addresses."""
 
     def __init__(self, f: ca.Function):
         self.buffer, self.evaluate = f.buffer()  # the memory of evaluate lives as long as the buffer

@@ -35,16 +35,16 @@ SINGULAR = 0.02
 """Smallest singular value of the independent constraints, over the largest, below which a null space is ambiguous."""
 
 READABLE = 0.03
-"""The same ratio, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
+"""Ratio as SINGULAR, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
 
 NOTHING = 1e-12
-"""The same ratio, below which a singular value counts as zero."""
+"""Ratio as SINGULAR, below which a singular value counts as zero."""
 
 OBLIQUE = 1.5
-"""Growth of unit displacements by the basis, along or across the motion, above which it is replaced."""
+"""Factor by which the basis stretches a unit displacement, along or across the motion, above which it is replaced."""
 
 NEWTON = 12
-"""Most corrections that close the constraints at an evaluation."""
+"""Largest number of Newton corrections that close the constraints at an evaluation."""
 
 CLOSED = 1e-11
 """Largest constraint residual [m, rad] of a placement."""
@@ -177,7 +177,7 @@ class _Reduction(Protocol):
 
 
 class _NullSpace:
-    """Components along the null space of C at a position."""
+    """Reduction to components along the null space of C at a position."""
 
     name = "null space of C"
 
@@ -218,8 +218,8 @@ class _NullSpace:
         return np.vstack([self.rows @ C, self.along])
 
     def _closed(self, place: NDArray) -> tuple[NDArray, NDArray]:
-        """Return q with these components that closes the constraints, by Newton's method, and the inverse of its
-        matrix."""
+        """Return the q with these components that satisfies the constraints, by Newton's method, and the inverse of the
+        method's matrix."""
         q = self.center + place @ self.along
         for _ in range(NEWTON):
             C, Phi = self.model.constraints(q)
@@ -319,7 +319,7 @@ class Reference:
         return _outputs(self.motion, times)
 
     def readable(self, times: NDArray) -> NDArray:
-        """Return at which times (k,) reactions can be judged: not near singular positions."""
+        """Return whether reactions can be judged at each time (k,): they cannot near singular positions."""
         known = [t for t in times if self.motion.knows(t)]
         near = [self.motion.model.narrowness(self.motion.at(t)[0]) < READABLE for t in known]
         return np.array([not x for x in near] + [False] * (len(times) - len(known)))

@@ -124,9 +124,9 @@ class Effort:
     each: float
     """Time limit per mechanism [s]."""
     horizon: float
-    """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
+    """Longest simulated time [s]; a shorter stop time of the mechanism takes precedence."""
     steps: int
-    """Largest number of the mechanism's own steps in it."""
+    """Largest number of the mechanism's own steps in the simulated time."""
     factors: tuple[float, ...]
     """Steps over the mechanism's own, the longest first."""
     tolerances: tuple[float, ...]
@@ -134,23 +134,23 @@ class Effort:
     limit: float
     """Wall time limit of one run [s]."""
     repeats: int
-    """Most repetitions of a case; fewer if it is long."""
+    """Largest number of repetitions of a case; fewer if it is long."""
     reference: exact.Effort
     paper: paper.Effort
     stability: maps.Effort
     """Extent of the maps; its `total` is ignored."""
     wide: bool = True
-    """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
-    interpreter, which takes no compiler."""
+    """Whether every integrator runs in every way; otherwise only the first and the default one do, and the others run
+    by the interpreter, which needs no compiler."""
     parts: tuple[str, ...] = ("film", "runs", "scenes", "paper", "maps")
     """Parts of the report that are made."""
     methods: tuple[str, ...] = ()
-    """Integrators that run by the fastest kernel, beside SciPy's; all of them in every way where it is empty."""
+    """Integrators that run by the fastest kernel, beside those of SciPy; if empty, all integrators run in every way."""
     points: int = POINTS
     ways: tuple[str, ...] = ()
-    """In which those integrators run, as far as there are such; the fastest where it is empty."""
+    """Ways in which those integrators run, if available; if empty, the fastest way."""
     given: Mapping[str, float] = field(default_factory=dict)
-    """Defaults in place of the mechanism's own; then its stop time does not count either."""
+    """Defaults in place of the mechanism's own; if given, its stop time is ignored, too."""
 
 
 USUAL = Effort(
@@ -231,13 +231,13 @@ class Setting:
     control: str
     values: tuple[float, ...]
     default: float
-    """The value whose errors are in the report."""
+    """The step or tolerance whose errors are in the report."""
     run: Callable[[float, Case], Run]
     language: str
-    """Programming language that it runs in."""
+    """Programming language in which it runs."""
 
     def row(self, value: float) -> Row:
-        """Return the columns that identify a run of it."""
+        """Return the columns that identify a run of this setting."""
         names = ("code", "formulation", "method", "way", "language", "control")
         return {name: getattr(self, name) for name in names} | {"value": value}
 
@@ -398,7 +398,7 @@ class Study(cases.Study):
         return instance(self._traced[method], kernel)
 
     def _joint(self, kernel: str, lean: bool, method: str) -> Instance:
-        """The mechanism in the coordinates of its joints with constant parameters, as other codes have it."""
+        """Return the mechanism in joint coordinates with constant parameters, as in other codes."""
         form = f"{method}, joint{', lean' * lean}"
         if form not in self._traced:
             equations = with_defaults(derive(load(self.name, coordinates="joint")), self.effort.given)
@@ -541,7 +541,7 @@ class Study(cases.Study):
                 self._keep("tolerances", told)
 
     def _telling(self, rows: Sequence[Row]) -> list[Row]:
-        """Return runs that ended, with errors that count for an order."""
+        """Return complete runs whose errors count for an order."""
         least = max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF)
         ended = [r for r in rows if r[TIME] is not None]
         return [r for r in ended if (error := measured(r, POSITION)) is not None and least < error < LOST]
@@ -572,7 +572,7 @@ class Study(cases.Study):
                             self._versus(what, quantity, mine, other)
 
     def _reach(self) -> None:
-        """Run times at equal errors, interpolated between the runs of a setting, beside the fastest of alfmu."""
+        """Compare run times at equal errors, interpolated between runs of a setting, with the fastest of alfmu."""
         lines: dict[tuple, list[Row]] = {}
         for row in self.files["errors"]:
             if row[TIME] is not None and row[POSITION] is not None:
@@ -601,7 +601,8 @@ class Study(cases.Study):
 
 
 def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
-    """Run time at an error, of runs with their errors and times, interpolated in logarithms and never beyond them."""
+    """Return the run time at an error, interpolated on log scales between runs (error, time); None if it is too
+    small."""
     reached = sorted(runs)
     if not reached or error < reached[0][0]:
         return None
@@ -741,8 +742,8 @@ def report(
 ) -> Path:
     """Measure mechanisms and write the report into a folder; return the path of its page.
 
-    `profile` is one of PROFILES; of mechanisms only those that it is about are measured. Raises AlfmuError
-    where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any run.
+    `profile` is one of PROFILES; mechanisms to which it does not apply are left out. Raises AlfmuError before any run
+    if a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing.
     """
     library()
     effort = effort or PROFILES[profile][quick]
@@ -785,7 +786,7 @@ def report(
 SKIPPED = ("mechanism", "reason", "runs", "what")
 
 NAMED = 6
-"""Number of runs that a line on skipped runs names; of more it gives the number."""
+"""Number of skipped runs up to which a line names them; of more it gives the number."""
 
 
 def _skipped(studies: Sequence[Study]) -> list[Row]:
@@ -854,12 +855,12 @@ SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
 
 
 def _own(study: Study) -> list[Row]:
-    """Return runs of the default formulation in every way, and of other codes."""
+    """Return the runs of the default formulation by all ways to run, and those of other codes."""
     return [r for r in study.files["errors"] if r["formulation"] == OWN or r["code"] != "alfmu"]
 
 
 def _one_way(study: Study) -> list[Row]:
-    """Return runs of every formulation in the way that runs all integrators, and of other codes."""
+    """Return the runs of every formulation by the one way that runs all integrators, and those of other codes."""
     rows = study.files["errors"]
     first = next((r["way"] for r in rows if r["code"] == "alfmu"), "")
     return [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
@@ -961,7 +962,7 @@ def numbered(rows: Sequence[Row]) -> bool:
 
 
 def _rivalry(studies: Sequence[Study]) -> list[Row]:
-    """Return run times of other codes over that of alfmu, in the same language if possible, at a middle level."""
+    """Return run times of other codes over alfmu's at a medium error, in the same language if possible."""
     level, rows = LEVELS[1], []
     for study in studies:
         told = [r for r in study.files["comparisons"] if "run time to" in str(r["what"])]
@@ -978,7 +979,7 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
 
 
 def _columns(rows: Sequence[Row]) -> list[str]:
-    """Columns of which some row has a value."""
+    """Return the columns in which some row has a value."""
     return [name for name in dict.fromkeys(x for row in rows for x in row) if any(row.get(name) for row in rows)]
 
 

@@ -92,7 +92,7 @@ CLASSES = {
     **dict(zip((REFUSED + kind for kind in dict.fromkeys([*KINDS.values(), OTHER])), SHADES, strict=True)),
     NOT_RUN: "#ffffff",
 }
-"""Classes of cells and their colours; of those that apply, the last one in the order of CRITERIA counts."""
+"""Classes of cells and their colours; if several apply, the last one in the order of CRITERIA counts."""
 
 CRITERIA: Sequence[Row] = (
     {"class": "exact", "measure": "position error over the scale", "at most": INEXACT},
@@ -121,7 +121,7 @@ class Effort:
     total: float
     """Wall time for all mechanisms together [s]."""
     horizon: float
-    """Simulated time [s]; a mechanism's own stop time where that is shorter."""
+    """Simulated time [s]; a shorter stop time of the mechanism takes precedence."""
     limit: float
     """Wall time limit of a cell [s]; a cell that exceeds it ends before the horizon."""
     steps: tuple[float, ...]
@@ -270,7 +270,7 @@ class Study(cases.Study):
         return self._row(cell, name, **row)
 
     def _unit(self, method: str) -> tuple[Instance, Callable[[], None]]:
-        """Return an instance for a method, and a function that resets it to before its start; created on first use."""
+        """Return the instance for a method (created on first use), and a function that undoes its initialisation."""
         if method not in self._units:
             unit = Instance(scene(self.derived, method, "auto"))
             self._units[method] = unit, restarting(unit)

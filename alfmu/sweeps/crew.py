@@ -45,7 +45,7 @@ AT_HAND = 2
 """Number of ranges queued for each worker: the current one and the next."""
 
 DEATHS = 2
-"""Number of processes that die over the same cases before these are run alone."""
+"""Number of processes that may die with the same cases before these run alone."""
 
 GLANCE = 0.2
 """Interval [s] of checks for a request to stop."""
@@ -264,7 +264,7 @@ class _Work:
     # In this process -------------------------------------------------------------------------------------------------
 
     def alone(self, seconds: float) -> None:
-        """Run cases in this process until a time [s] is over."""
+        """Run cases in this process for at most a time [s]."""
         end = time.perf_counter() + seconds
         while self.waiting and not self.stop() and (left := end - time.perf_counter()) > 0:
             given = self._next(self.most)

@@ -44,9 +44,9 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
     `actions` are inputs and `observations` variables with their bounds; inputs are held over each step of `step` [s].
     `reward(values, actions)` and `done(values)` work on arrays (count,) of all observations by name; without `done`
     every episode runs until it is truncated at `horizon` [s]. `start(random, count)` draws start values and parameters
-    of members at the start of an episode; without it all have the declared ones. Members whose episode has ended are
-    reset at the next step (`AutoresetMode.NEXT_STEP`). A member whose step fails is truncated, with a reward of 0 and
-    `infos["failed"]`.
+    of members at the start of an episode; without it all members have the declared ones. Members whose episode has
+    ended are reset at the next step (`AutoresetMode.NEXT_STEP`). A member whose step fails is truncated, with a reward
+    of 0 and `infos["failed"]`.
 
     Further arguments are those of `alfmu.Batch`. Raises InputError if an action is not an input, or an observation not
     a variable.
@@ -239,4 +239,4 @@ def _box(name: str, bounds: Bounds) -> spaces.Box:
 
 
 TRIES = 20
-"""Draws of start values until all members have an assembly."""
+"""Largest number of draws of start values until all members can be assembled."""

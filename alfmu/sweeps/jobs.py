@@ -34,7 +34,7 @@ KEPT = 2
 
 
 class NeedsBrakes(Exception):
-    """A case needs the scene traced for redundant constraints that would brake the motion."""
+    """A case needs the scene that is traced for redundant constraints which would brake the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +52,12 @@ class Job:
     inputs: tuple[str, ...]
     """Inputs that vary over time."""
     table: Table
-    """Their values (points, inputs)."""
+    """Values (points, inputs) of these inputs."""
     varied: tuple[str, ...]
     outputs: tuple[str, ...]
     """Outputs to read, in the order of the columns of a run."""
     measures: tuple[Measure, ...]
-    """Numbers to store of a run."""
+    """Measures of a run to store."""
     series: tuple[str, ...]
     """Outputs to store over time."""
     token: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -105,7 +105,7 @@ class Ran:
     rows: Table
     """Outputs (points, outputs), with fewer rows if it failed."""
     failure: str
-    """Reason for ending early; empty if it did not."""
+    """Reason for an early end; empty if the run reached its end."""
     warning: str
 
 
@@ -136,8 +136,8 @@ class Runner(Protocol):
     """Makes runs."""
 
     def runs(self, values: Table, seconds: float) -> Iterator[list[Ran]]:
-        """Make the runs of cases (cases, varied), and yield some at a time, which take such a time [s] if one does not
-        take longer; their rows are overwritten afterwards."""
+        """Make the runs of cases (cases, varied), and yield groups of them that take at most `seconds` [s], or single
+        runs that take longer; the next group overwrites their rows."""
 
     def close(self) -> None: ...
 
@@ -196,7 +196,7 @@ def runner_of(job: Job) -> Runner:
 
 
 class _SceneRunner:
-    """Runs of a scene, each by one call of the runtime, or many side by side where its functions are interpreted."""
+    """Runs of a scene: each by one call of the runtime, or several side by side if its functions are interpreted."""
 
     def __init__(self, job: SceneJob):
         self.job = job
@@ -231,10 +231,10 @@ class _SceneRunner:
 
 
 SEATS, NUMBERS = 64, 4_000_000
-"""Largest number of runs under way at once, and of numbers in their rows."""
+"""Largest number of simultaneous runs, and of numbers in their rows."""
 
 SHORT = 4.0
-"""Time [s] of runs that are under way at once, where one is not longer: a sweep is not stopped before their end."""
+"""Time [s] of a group of simultaneous runs, if no run is longer: a sweep is not stopped before their end."""
 
 
 class _Seats:
@@ -256,7 +256,7 @@ class _Seats:
             raise MemoryError(f"{job.name}: there is not enough memory for {self.count} instances")
         self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
         self.rows = np.empty((self.count, len(job.times), len(job.outputs)))
-        # Values equal to those of the scene are not set again in each run; a choice is set by its number.
+        # Runs do not set values that equal those of the scene; a choice is set by its number.
         unit = Unit(self.scene)
         self.choices = [(place[n], x.encode()) for n, x in job.fixed if isinstance(x, str) and unit.get(place[n]) != x]
         fixed = [(place[n], x) for n, x in job.fixed if not isinstance(x, str) and unit.get(place[n]) != x]
@@ -264,7 +264,7 @@ class _Seats:
         self.set = [r for r, _ in fixed] + [place[name] for name in job.varied] + self.inputs
 
     def run(self, given: _SceneRunner, values: Table) -> Iterator[tuple[int, Ran]]:
-        """Yield the status of each run, and its results."""
+        """Yield the status and the results of each run."""
         c, count = self.scene.library, len(values)
         begin = np.broadcast_to(given.table[0], (count, len(self.inputs)))
         table = np.hstack([np.broadcast_to(self.fixed, (count, len(self.fixed))), values, begin])
@@ -285,7 +285,7 @@ class _Seats:
             yield int(outcomes[k]), Ran(self.rows[k, : made[k]], refused.get(k) or failure, warning)
 
     def _ready(self, member: int) -> str:
-        """Reset a member and set what it has in common with the others; return why that failed."""
+        """Reset a member and set the values common to all runs; return the reason of a failure."""
         c = self.scene.library
         c.alfmu_reset(member)
         outcomes = [c.alfmu_stabilise(member, *self.job.stabilisation)]

@@ -28,10 +28,10 @@ FUNCTIONS = {
 """Measures of an output over a run, at its communication points."""
 
 USUAL = ("final", "min", "max", "mean")
-"""Measures for a pattern that names outputs alone."""
+"""Measures for a pattern of outputs without a function."""
 
 INNER = ("multiplier[[]*", "monitor.*")
-"""Outputs that are stored on request only."""
+"""Patterns of outputs that are stored on request only."""
 
 MOST_COLUMNS = 4000
 """Largest number of measures of a run."""

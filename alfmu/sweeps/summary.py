@@ -49,7 +49,7 @@ class Spread:
 
     @property
     def moves(self) -> bool:
-        """Return whether it varies between cases by more than round-off."""
+        """Return whether the measure varies between cases by more than round-off."""
         return self.largest - self.least > SAME * self.size
 
     @property

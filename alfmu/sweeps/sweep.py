@@ -41,7 +41,7 @@ __all__ = ["sweep"]
 _LOGGER = logging.getLogger("alfmu")
 
 QUICK = 1.0
-"""Time [s] for which this process makes runs before it starts others, as starting takes about as long."""
+"""Time [s] for which this process makes runs before it starts other processes, which takes about as long."""
 
 _DOUBTS = {"rad": perhaps_degrees, "m": perhaps_millimetres}
 """Checks whether a value seems to be in another unit, by the expected unit."""
@@ -84,9 +84,9 @@ def sweep(
     table is run at every point of the grids with every sample. A varied input is constant during a run.
 
     `keep` selects measures of a run: "max(A.force.*)" (final, min, max, mean, peak, rms of outputs at communication
-    points), or "A.force.*" for the first four; by default these of all outputs but multipliers and monitors.
-    `keep_series` names outputs to store at each communication point. `stop_time` [s], `communication_step` [s],
-    `inputs`, `parameters` and `freeze` are those of `simulate`.
+    points), or "A.force.*" for the first four; by default these four measures of all outputs but multipliers and
+    monitors. `keep_series` names outputs to store at each communication point. `stop_time` [s], `communication_step`
+    [s], `inputs`, `parameters` and `freeze` are those of `simulate`.
 
     With a `folder`, finished cases are written there in parts, by `form` "parquet" or "csv"; the same call resumes an
     interrupted sweep and repeats nothing. Runs are made by `workers` processes (None: one for each core; 1: this
@@ -172,7 +172,7 @@ def _made(
         if crew:
             stack.callback(crew.close)
         if isinstance(job, SceneJob) and store.missing():
-            make(job, cases, store, None, stop, done, braking, QUICK)  # before a process is started
+            make(job, cases, store, None, stop, done, braking, QUICK)  # avoids starting a process for a short sweep
         if store.missing() and not stop():
             make(job, cases, store, crew, stop, done, braking)
 

@@ -234,7 +234,7 @@ def planned(
     seed: int,
     table: Mapping[str, Column] | None = None,
 ) -> Cases:
-    """Return the cases of a sweep: each row of a table, at each point of all grids and lists, with each of the samples.
+    """Return the cases of a sweep: each row of the table at each point of all grids and lists with each sample.
 
     Samples are the same at every point, which makes points comparable. Raises InputError if something is missing, is
     given twice, or is too large.

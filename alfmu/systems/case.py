@@ -24,7 +24,7 @@ class Case:
     energy: float
     """Largest magnitude of the energy created by coupling up to any time [J]; NaN if no power bond is known."""
     passed: float
-    """Energy that passed the bonds in either direction [J]."""
+    """Energy that passed through the bonds in either direction [J]."""
     tries: float
     """Number of steps of the components per communication step."""
     seconds: float
@@ -32,4 +32,4 @@ class Case:
     """Reason of a failure."""
     time: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     made: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    """Energy created up to these times [J]."""
+    """Energy created by coupling up to these times [J]."""

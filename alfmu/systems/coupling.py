@@ -88,10 +88,10 @@ class Coupling:
     stable: Mapping[str, tuple[float, bool]]
     """Largest stable step by master [s], and whether a longer one failed."""
     reference_error: float
-    """Difference of the equivalent mechanism from itself at a hundredth of its tolerance and half its step [1]."""
+    """Error of the equivalent mechanism [1]: its difference from a run at 1/100 of its tolerance and half its step."""
     bonds: Sequence[str]
     refused: Mapping[str, str] = field(default_factory=dict)
-    """Reasons by master for which the system cannot be run at all, or not at a requested step."""
+    """Reasons, by master, why the system cannot be run at all or at a requested step."""
 
     def of(self, master: str) -> list[Case]:
         """Return the runs by one master, the longest step first."""
@@ -338,7 +338,7 @@ def _largest(fine: Callable[[float], bool], good: float, span: float, finest: fl
 
 
 def _bonds(system: System, links: Sequence[Link]) -> list[Bond]:
-    """Return the power bonds of a system: those that it names, or all that follow from units and ends."""
+    """Return the power bonds of a system: the named ones, or all that its units and connections imply."""
     by_source: dict[str, list[int]] = {}
     for k, each in enumerate(links):
         by_source.setdefault(each.given.source, []).append(k)
@@ -385,7 +385,7 @@ def _of(link: Link) -> tuple[tuple[str, int], ...] | None:
 
 
 def _watts(one: Link, other: Link) -> bool:
-    """Whether the product of two signals is a power."""
+    """Return whether the product of two signals is a power."""
     product: dict[str, int] = {}
     for each in (one, other):
         for base, power in _of(each) or (("?", 1),):

@@ -269,7 +269,7 @@ def _table(path: Path, name: str, value: Any) -> dict[str, Any]:
 
 
 def _source(path: Path, what: Any) -> Any:
-    """Return a mechanism by name, or the path of a file beside this one."""
+    """Return a mechanism's name, or the path of a file in the folder of the TOML file."""
     return path.parent / what if isinstance(what, str) and is_file(what) else what
 
 

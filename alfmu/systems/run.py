@@ -4,7 +4,7 @@ With u the inputs that are connected and y(u) the outputs behind a communication
 point. Within the step from t to t + H inputs change linearly, from u(t) to an end value e (where a component cannot
 take a rate, their mean is held):
 
-    held           e = u(t), and u(t + H) = G y + b as importers of FMUs have it
+    held           e = u(t), and u(t + H) = G y + b, as in importers of FMUs
     extrapolated   e = u(t) + (u(t) - u(t - H))
     iterated       e = G y(e) + b, by Newton's method with steps that are taken back; its matrix I - G dy/de is kept as
                    long as it brings convergence
@@ -40,19 +40,19 @@ __all__ = ["Assembly", "Link", "interface_jacobian", "simulate"]
 Vector = NDArray[np.float64]
 
 AGREES = 1e-9
-"""Largest difference of inputs from outputs in agreement [1], over the largest value that a signal has had."""
+"""Difference of an input from its output, over the signal's largest value so far [1], up to which they agree."""
 
 STALLS = 1e-6
-"""Difference [1] that is accepted once it stops falling: error control of the components leaves it."""
+"""Difference [1] that is accepted once it stops falling, as it is due to the error control of the components."""
 
 SMALL = 1e-6
 """Smallest size of a signal [its unit], so that signals at zero agree."""
 
 MOST = 25
-"""Most iterations of a step."""
+"""Largest number of iterations of a step."""
 
 SLOW = 0.3
-"""Share of the difference left by an iteration above which the matrix is computed again."""
+"""Reduction of the difference by an iteration, as a factor, above which the matrix is computed again."""
 
 NUDGE = 1e-4
 """Relative change of an input for a difference quotient [1], over the size of the signal; a few digits suffice."""
@@ -125,7 +125,7 @@ class Assembly:
                 raise InputError(f"{self.name}: {name!r} is of no component; {there_is(component, system.components)}")
             if name in sources:
                 raise InputError(f"{self.name}: {name} is connected to {sources[name]}, which gives its value")
-            if name in system.inputs:  # explicit inputs override them, as for a mechanism
+            if name in system.inputs:  # explicit inputs override inputs of the system, as for a mechanism
                 system = self.system = system.changed(inputs={name: value})
                 continue
             own.setdefault(component, {})[variable] = value

@@ -152,7 +152,7 @@ class Remote(Slave):
             follows = fmu.followed(each) if kind == "output" else frozenset()
             unit = units.get(str(own)) or measure(own)
             if unit is not None and (v.relativeQuantity or (declared is not None and declared.relativeQuantity)):
-                unit = replace(unit, offset=0.0)  # for differences of temperatures
+                unit = replace(unit, offset=0.0)  # the offset does not apply to differences
             self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)
         try:
             for key, unit_name in stated.items():

@@ -28,7 +28,7 @@ class System(Description):
     file or a `Component`; `connections` are pairs ("COMPONENT.OUTPUT", "COMPONENT.INPUT") or `Connection`s; `inputs`
     has values of unconnected inputs. Times are in s; `master` is one of MASTERS. `bonds` are pairs of sources of
     connections, an effort (force, torque, voltage, pressure) and the flow in the opposite direction, between which
-    power passes; None for all that units determine. Raises InputError if the fields are invalid.
+    power passes; None for all bonds that the units determine. Raises InputError if the fields are invalid.
     """
 
     @classmethod
@@ -51,7 +51,7 @@ class System(Description):
         held_rows: bool = False,
         progress: Progress = iter,
     ) -> Result:
-        """Run it; columns are named COMPONENT.VARIABLE. The arguments are those of `alfmu.simulate`.
+        """Run the system; columns are named COMPONENT.VARIABLE. The arguments are those of `alfmu.simulate`.
 
         With `held_rows`, outputs that depend directly on inputs belong to the inputs of the step that ends there, as
         importers record them. Raises AlfmuError; its `result` has the rows so far if a run has begun.
@@ -60,7 +60,7 @@ class System(Description):
         return simulate(system, inputs or {}, parameters or {}, held_rows, progress)
 
     def export(self, path: str | Path | None = None, *, version: str = VERSIONS[0]) -> Path:
-        """Write it as an SSP, `<name>.ssp` by default, and return its path; the same system gives the same bytes.
+        """Write an SSP, `<name>.ssp` by default, and return its path; the same system gives the same bytes.
 
         Mechanisms and parts become native FMUs. `version` of SSP is 1.0 or 2.0. Raises AlfmuError.
         """

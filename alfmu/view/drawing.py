@@ -13,7 +13,7 @@ from .shapes import GROUND, Shapes, Space
 __all__ = ["as_data", "from_data"]
 
 _LATER = ("rims",)
-"""Fields that may be missing in drawings, if they are empty."""
+"""Fields that drawings may omit if they are empty."""
 
 LARGEST = 1e9
 """Largest coordinate in a drawing [m, rad]."""

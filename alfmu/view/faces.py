@@ -54,7 +54,7 @@ class Stage:
                 continue
             vertices, normals, quads = mesh
             for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
-                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # so that it hides a shaft inside
+                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # a box hides a shaft inside it
                 corners = _world(piece, poses, vertices + grown * normals)
                 kept.append(Faces(corners, corners[quads], shown, before))
         _floor(surface, lens, self, [face.corners for face in faces])
@@ -149,7 +149,7 @@ def _axes(surface: Surface, camera: Camera, base: float) -> None:
     x0, y0 = 44 * base, 44 * base
     for k in np.argsort(camera.axes[2]):
         dx, dy, _ = camera.axes[:, k]
-        if math.hypot(dx, dy) < 0.45:  # this axis points at the eye
+        if math.hypot(dx, dy) < 0.45:  # this axis points towards the eye
             continue
         end = x0 + 28 * base * dx, y0 + 28 * base * dy
         surface.stroke([(x0, y0), end], 1.5 * base, FAINT)

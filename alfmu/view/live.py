@@ -201,7 +201,7 @@ def _about(
 
 
 def range_of(v: Variable, kind: str, scale: tuple[float, float]) -> list[float] | None:
-    """Return the range of a slider: the declared bounds, or a range over which motions differ.
+    """Return the range of a slider: the declared bounds, or a range with visibly different motions.
 
     `scale` is the largest kinetic energy [J] of the preliminary run, and the size of the mechanism [m]: an effort goes
     up to twice that energy over its path. None if an input field suffices.

@@ -166,8 +166,8 @@ class _Painter:
         return fit.origin[0] + fit.scale * float(x), fit.origin[1] + fit.scale * float(y)
 
     def way(self, of: Part | Label) -> tuple[Vector, Vector, Vector, float]:
-        """Return of a part its position, the direction of its x, the start and end of x in pixels from there, and the
-        unit."""
+        """Return the position of a part, the direction of its x axis, the start and end of x in pixels from the
+        position, and the unit."""
         fit, at = self.fit, of.at[0]
         unit = fit.base if at.body in (LEFT, RIGHT) else fit.unit
         (x, y) = self.place(at)

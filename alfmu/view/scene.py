@@ -36,7 +36,7 @@ LEFT, RIGHT = "left corner", "right corner"
 """Lower corners of a picture as frames, with anchors in `Fit.base` pixels."""
 
 RULER = -1
-"""The guide of the scale in the right corner: one grid cell long."""
+"""Index of the guide that draws the length scale in the right corner, one grid cell long."""
 
 OVERHANG = 50.0
 """Length of rails beyond their travel [units]."""
@@ -88,7 +88,7 @@ class Label:
     size: float = 14.0
     color: str = "ink"
     rim: bool = False
-    """Whether it has the colour of the rim instead of its colour."""
+    """Whether the label has the colour of the rim instead of its own."""
     angle: float = 0.0
     guide: int | None = None
     share: float = 0.0

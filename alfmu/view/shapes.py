@@ -87,7 +87,7 @@ class Guide:
 
 @dataclass(frozen=True)
 class Tie:
-    """A symbol between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
+    """A symbol between two points: a "rod" (of a joint), "spring", "damper", "spring-damper" or torsional "spiral"."""
 
     name: str
     kind: TieKind
@@ -201,7 +201,7 @@ class Space:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The shapes of a picture of a mechanism, in the plane or, if `space` is not None, in space alone.
+    """The shapes of a picture of a mechanism: in space if `space` is not None, else in the plane.
 
     `dots` are points given by user outputs `NAME.x`, `NAME.y`.
     """

@@ -30,7 +30,7 @@ SAMPLES = 3
 """Pixels painted for each pixel shown, along either axis."""
 
 PASSES = 60
-"""Most passes in which labels push each other apart."""
+"""Largest number of passes in which labels push each other apart."""
 
 PUSHED = 2.5
 """Largest displacement of a label in a film in its half sizes; beyond it the label is left out. The scripts of pages

@@ -20,7 +20,7 @@ SKETCH = __doc__
 
 
 def bennett() -> Mechanism:
-    """Bennett's spatial four-bar linkage, over-constrained."""
+    """Return Bennett's over-constrained spatial four-bar linkage."""
     m = Mechanism("bennett", "Bennett's spatial four-bar linkage, over-constrained", SKETCH)
     a = m.parameter("a", 0.3, "m", minimum=1e-6, description="length of links 1 and 3")
     alpha = m.parameter("alpha", 0.7, "rad", description="twist of links 1 and 3")
@@ -43,7 +43,7 @@ def bennett() -> Mechanism:
         m.potential_energy(mass * g * center[1])
         for axis, x in zip("xyz", ca.vertsplit(center), strict=True):
             m.output(f"link{i}.{axis}", x, "m", f"centre of mass of link {i} along {axis}")
-    hinges[3] = (-lengths[3], 0.0, 0.0), (0.0, ca.sin(beta), ca.cos(beta))  # on the ground, where the loop is closed
+    hinges[3] = (-lengths[3], 0.0, 0.0), (0.0, ca.sin(beta), ca.cos(beta))  # on the ground, closing the loop
     for i, (at, axis) in enumerate(hinges, 1):
         m.drawn_joint(f"hinge{i}", at, kind="revolute", axis=axis)
     for i in (1, 2, 3):
@@ -61,9 +61,9 @@ def bennett() -> Mechanism:
 
 
 def chain(angles: list, lengths: tuple, twists: tuple) -> tuple[list, list, ca.SX, ca.SX]:
-    """Centre and direction of each link of an open chain, place and axis of each hinge, place and attitude of its end.
+    """Return centre and direction of each link of an open chain, position and axis of each hinge, pose of the end.
 
-    By Denavit and Hartenberg.
+    The chain is built by Denavit and Hartenberg's convention.
     """
     rods, hinges, place, turn = [], [], ca.SX.zeros(3), ca.SX.eye(3)
     for angle, length, twist in zip(angles, lengths, twists, strict=True):

@@ -24,7 +24,7 @@ SKETCH = __doc__
 
 
 def end_stop() -> Mechanism:
-    """Slider-crank with masses a million apart, whose ram runs into an elastic end stop."""
+    """Return a slider-crank with masses a million apart, whose ram runs into an elastic end stop."""
     m = Mechanism(
         "end_stop",
         "Slider-crank with masses a million apart, whose ram runs into an elastic end stop",

@@ -28,7 +28,7 @@ SKETCH = __doc__
 
 
 def five_bar(coordinates: Coordinates = "mixed") -> Mechanism:
-    """Five-bar linkage with one redundant constraint; the coordinates it is written in."""
+    """Return a five-bar linkage with one redundant constraint, in these coordinates."""
     experiment = Experiment(stop_time=20.0, step_size=0.02)
     m = Mechanism("five_bar", "Five-bar linkage with one redundant constraint", SKETCH, experiment)
     l, th1, links = parallelogram(m, coordinates)

@@ -22,7 +22,7 @@ SKETCH = __doc__
 
 
 def flexible_four_bar() -> Mechanism:
-    """Return four-bar linkage whose coupler bends at a stiff torsional spring-damper."""
+    """Return a four-bar linkage whose coupler bends at a stiff torsional spring-damper."""
     m = Mechanism(
         "flexible_four_bar",
         "Four-bar linkage whose coupler bends at a stiff torsional spring-damper",
@@ -45,7 +45,7 @@ def flexible_four_bar() -> Mechanism:
     angle = m.start("angle", 0.5, "rad", rate=6.0, rate_name="angular_velocity", description="angle of the crank")
     bend = m.start("bend", 1e-3, "rad", rate_name="bend_rate", description="angle of the joint B")
 
-    # The straight line from A to C makes a four-bar of it; C lies above the line from A to D.
+    # With the straight line from A to C as coupler it is a four-bar; C lies above the line from A to D.
     line = l2 * ca.cos(bend / 2)
     xA, yA = l1 * ca.cos(angle), l1 * ca.sin(angle)
     diagonal = ca.sqrt((l0 - xA) ** 2 + yA**2)

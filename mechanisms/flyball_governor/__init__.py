@@ -25,7 +25,7 @@ SKETCH = __doc__
 
 
 def flyball_governor() -> Mechanism:
-    """Flyball governor with stiff spring-dampers, in space."""
+    """Return a flyball governor with stiff spring-dampers, in space."""
     m = Mechanism(
         "flyball_governor",
         "Flyball governor with stiff spring-dampers, in space",
@@ -73,7 +73,7 @@ def flyball_governor() -> Mechanism:
     m.tie(turn, bearing.free)
     m.tie(height, guide.free)
 
-    # A rod with its ball, along the x axis of its frame. The second one hangs on the other side of the shaft.
+    # A rod with its ball, along the x axis of its frame. The second rod hangs on the other side of the shaft.
     mass = m_rod + m_ball
     center = (m_rod / 2 + m_ball) * l / mass
     swung = across + m_rod * (center - l / 2) ** 2 + m_ball * (l - center) ** 2

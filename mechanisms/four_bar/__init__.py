@@ -27,14 +27,14 @@ Coordinates = Literal["mixed", "joint"]
 
 
 def four_bar(coordinates: Coordinates = "mixed") -> Mechanism:
-    """Parallel four-bar linkage under a driving torque; the coordinates it is written in."""
+    """Return a parallel four-bar linkage under a driving torque, in these coordinates."""
     m = Mechanism("four_bar", "Parallel four-bar linkage under a driving torque", SKETCH)
     parallelogram(m, coordinates)
     return m
 
 
 def parallelogram(m: Mechanism, coordinates: Coordinates) -> tuple[ca.SX, ca.SX, dict[str, Body]]:
-    """Links 1 to 3 of a parallelogram with joints A, B, C, D; returns l, th1 and the links by name."""
+    """Add links 1 to 3 of a parallelogram with joints A, B, C, D; return l, th1 and the links by name."""
     l = m.parameter("l", 1.0, "m", minimum=1e-6, description="length of every link and of the base")
     masses = [m.parameter(f"m{i}", 1.0, "kg", minimum=0.0, description=f"mass of link {i}") for i in (1, 2, 3)]
     g = m.parameter("g", 9.81, "m/s2", description="gravity, along -y")
@@ -58,7 +58,7 @@ def parallelogram(m: Mechanism, coordinates: Coordinates) -> tuple[ca.SX, ca.SX,
 def across(
     m: Mechanism, coordinates: Coordinates, i: int, mass: ca.SX, l: ca.SX, begin: tuple[ca.SX, ca.SX], th1: ca.SX
 ) -> tuple[Body, ca.SX | None]:
-    """Link i from link 1 to link 3 that begins at a point, and the coordinate of its joint on link 1 if it has one."""
+    """Return link i from link 1 to link 3 that begins at a point, and the coordinate of its joint on link 1, if any."""
     if coordinates == "joint":
         th = m.coordinate(f"th{i}", "rad", start=-th1)
         return m.bar(f"link{i}", mass=mass, length=l), th

@@ -26,7 +26,7 @@ SKETCH = __doc__
 
 
 def n_four_bar(loops: int = 2, coordinates: Literal["natural", "absolute"] = "natural") -> Mechanism:
-    """N-four-bar; the number of its loops, and the coordinates it is written in."""
+    """Return an N-four-bar with this number of loops, in these coordinates."""
     if loops < 1:
         raise InputError(f"n_four_bar: option loops is {loops}; use a whole number from 1 on")
     text = f"N-four-bar with {loops} loop{'s' * (loops > 1)} in {coordinates} coordinates"
@@ -47,7 +47,7 @@ def n_four_bar(loops: int = 2, coordinates: Literal["natural", "absolute"] = "na
 
 
 def _natural(m: Mechanism, loops: int, l: ca.SX, mass: ca.SX, start: ca.SX) -> tuple[list[Body], list[Body]]:
-    """Cranks and couplers between points."""
+    """Return cranks and couplers between points (natural coordinates)."""
     x, y = l * ca.cos(start), l * ca.sin(start)
     ends = [
         m.point(m.coordinate(f"x{i + 1}", "m", start=i * l + x), m.coordinate(f"y{i + 1}", "m", start=y))
@@ -63,7 +63,7 @@ def _natural(m: Mechanism, loops: int, l: ca.SX, mass: ca.SX, start: ca.SX) -> t
 
 
 def _absolute(m: Mechanism, loops: int, l: ca.SX, mass: ca.SX, start: ca.SX) -> tuple[list[Body], list[Body]]:
-    """Cranks and couplers with a centre of mass and an angle each."""
+    """Return cranks and couplers with a centre of mass and an angle each (absolute coordinates)."""
 
     def bar(name: str, x: ca.SX, y: ca.SX, angle: ca.SX | float) -> Body:
         starts = {"x": ("m", x), "y": ("m", y), "th": ("rad", angle)}

@@ -18,7 +18,7 @@ SKETCH = __doc__
 
 
 def particle_on_circle() -> Mechanism:
-    """Particle on a circle."""
+    """Return a particle on a circle."""
     m = Mechanism("particle_on_circle", "Particle on a circle under a force", SKETCH)
     mass = m.parameter("m", 1.0, "kg", minimum=0.0, description="mass of the particle")
     rho = m.parameter("rho", 1.0, "m", minimum=1e-6, description="radius of the circle")

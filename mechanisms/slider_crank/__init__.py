@@ -29,7 +29,7 @@ def slider_crank(
     coordinates: Literal["absolute", "joint", "mixed", "natural"] = "absolute",
     rod: Literal["right", "left"] = "right",
 ) -> Mechanism:
-    """Slider-crank; the coordinates it is written in, and to which side of the crank the rod points."""
+    """Return a slider-crank in these coordinates, with the rod on this side of the crank at the start."""
     m = Mechanism("slider_crank", f"Slider-crank in {coordinates} coordinates", SKETCH)
     l1 = m.parameter("l1", 0.5, "m", minimum=1e-6, description="length of the crank")
     l2 = m.parameter("l2", 1.0, "m", minimum=1e-6, description="length of the rod")
@@ -44,7 +44,7 @@ def slider_crank(
     )
     side = 1 if rod == "right" else -1
 
-    # Places of B and C, and the angle of the rod, for a crank at angle th: only the guess of the assembly uses them.
+    # Positions of B and C, and the angle of the rod, for a crank angle th: only the guess of the assembly uses them.
     def place(th: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         xB, yB = l1 * ca.cos(th), b + l1 * ca.sin(th)
         reach = side * ca.sqrt(ca.fmax(l2**2 - yB**2, 1e-12 * l2**2))

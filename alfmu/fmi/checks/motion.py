@@ -33,7 +33,7 @@ _DIFFERENCE = 1e-4
 addition to ten times the disagreement of two difference sizes."""
 
 _SLOPE = 1e-3
-"""The same limit for derivatives by time, from differences over steps."""
+"""Limit as _DIFFERENCE for derivatives by time, against differences over steps."""
 
 
 def excite(unit: Unit, k: int) -> None:
@@ -452,7 +452,7 @@ def by_time(s: Session, task: Task) -> str:
         raise Unjudged("canHandleVariableCommunicationStepSize is false, so that there are no differences to compare")
 
     def slopes(size: float) -> np.ndarray:
-        """Return the derivatives, and what a jump at the communication point adds to them."""
+        """Return the derivatives, and the contribution of a jump at the communication point to them."""
         one = s.ready()
         driven(one, 3)
         rows = [one.read(outputs)]

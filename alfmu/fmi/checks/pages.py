@@ -56,8 +56,8 @@ def lines(report: Report, every: bool = False) -> list[str]:
     """Return the checks that failed, show a risk, have a note, or could not be judged (or every check), and the
     summary.
 
-    A failure cites the section of the standard. Many checks that could not be judged for one reason share a line, as
-    all do if the first run fails.
+    A failure cites the section of the standard. Checks that could not be judged for the same reason share a line if
+    there are many, for example if the first run fails.
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for f in report.findings:

@@ -65,7 +65,7 @@ class Broken(Exception):
 
 
 class Once(Exception):
-    """An FMU that can be instantiated only once per process would be instantiated twice."""
+    """A check would instantiate an FMU twice that can be instantiated only once per process."""
 
 
 class Journal:
@@ -555,7 +555,7 @@ def _ctype(version: str, kind: str) -> Any:
 
 
 def _plain(values: Any, kind: str) -> list[Any]:
-    """Return values of an array; Booleans of FMI 2 are numbers there."""
+    """Return the values of an array as Python objects; Booleans of FMI 2 are numbers in it."""
     return [bool(each) for each in values] if kind == "Boolean" else list(values)
 
 

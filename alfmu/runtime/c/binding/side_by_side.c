@@ -38,7 +38,7 @@ static inline void evaluate(const Group *g, const Function *f, const void *place
                 d[e].lane[lane] = x[e];
         }
 #if defined(__GNUC__)
-    lanes_evaluate(f, g->registers, d);
+    lanes_evaluate(f, g->registers);
 #endif
     for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
         for (int lane = 0; lane < g->count; lane++) {

@@ -17,8 +17,10 @@ typedef struct {
 #if defined(ALFMU_SSE)
     unsigned sse;
     unsigned x87[7]; /* as FNSTENV stores it */
-#elif defined(__aarch64__)
+#elif defined(__aarch64__) && defined(__GNUC__)
     uint64_t control;
+#elif defined(FE_ALL_EXCEPT)
+    fenv_t host;
 #endif
 } Border;
 
@@ -72,6 +74,22 @@ static inline void border_out(const Border *b)
 {
     if (b->changed)
         __asm__ volatile("msr fpcr, %0" : : "r"(b->control) : "memory");
+}
+
+#elif defined(FE_ALL_EXCEPT) /* source code on systems with <fenv.h> */
+
+static inline Border border_in(void)
+{
+    Border b;
+    b.changed = 1;
+    feholdexcept(&b.host);
+    fesetround(FE_TONEAREST);
+    return b;
+}
+
+static inline void border_out(const Border *b)
+{
+    fesetenv(&b->host);
 }
 
 #else /* WebAssembly has no traps; on other targets the environment is left as it is. */

@@ -168,11 +168,13 @@ static inline uint32_t two(const uint16_t *at)
         } \
         break;
 
-static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r, double *d)
+static void narrow_runs(const uint16_t *at, const uint16_t *end, double *r)
 {
     while (at < end) {
-        const uint32_t head = *at++;
-        uint32_t count = *at++;
+        const uint32_t head = at[0];
+        uint32_t count = at[1];
+        double *d = r + at[2];
+        at += NARROW_HEAD;
         switch (head) {
         case SUM1_KIND:
             for (; count >= 2; count -= 2, at += 6, d += 2) {
@@ -231,7 +233,7 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
 void function_evaluate(const Function *f, double *r, double *values)
 {
     if (!HAS_WIDE || f->narrow)
-        narrow_runs(f->narrow, f->narrow + f->words, r, values);
+        narrow_runs(f->narrow, f->narrow + f->words, r);
     else
         wide_runs(f->wide, f->wide + f->words, r, values);
 }
@@ -337,7 +339,7 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
             for (int e = 0; e < f->lengths[j]; e++)
                 d[e].lane[lane] = x[e];
         }
-    lanes_evaluate(f, r, d);
+    lanes_evaluate(f, r);
     for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
         for (int lane = 0; lane < count; lane++) {
             double *y = i->m + at[lane * each];

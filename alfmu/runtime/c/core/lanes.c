@@ -39,11 +39,13 @@ static BY_PROCESSOR void operate(
     }
 }
 
-static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lanes *r)
 {
     while (at < end) {
-        const uint32_t head = *at++;
-        uint32_t count = *at++;
+        const uint32_t head = at[0];
+        uint32_t count = at[1];
+        Lanes *d = r + at[2];
+        at += NARROW_HEAD;
         switch (head) {
             SIDE_BY_SIDE(SUM1_KIND, 3, SUM1(PLACED(0), PLACED(1), PLACED(2)))
             SIDE_BY_SIDE(SUM2_KIND, 5, SUM2(PLACED(0), PLACED(1), PLACED(2), PLACED(3), PLACED(4)))
@@ -72,9 +74,9 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, cons
     }
 }
 
-void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values)
+void lanes_evaluate(const Function *f, Lanes *r)
 {
-    lanes_run(f->narrow, f->narrow + f->words, r, values);
+    lanes_run(f->narrow, f->narrow + f->words, r);
 }
 
 #endif

@@ -37,7 +37,7 @@ typedef union {
 
 #if defined(__GNUC__)
 /* Evaluate a function with narrow places in all lanes; its arguments are in the registers before its values. */
-void lanes_evaluate(const Function *f, const Lanes *r, Lanes *values);
+void lanes_evaluate(const Function *f, Lanes *r);
 #endif
 
 /* Return the first address from `place` on at which lanes are aligned with cache lines. */

@@ -104,6 +104,7 @@
 #define LOOP_KIND 49
 #define EACH_KIND 50
 #define GATHER_KIND 51
+#define NARROW_HEAD 3 /* words before the operands of a run with 16-bit places, once loaded */
 #define OPERAND_COUNTS 3, 5, 9, 2, 4, 2, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1
 #define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)
 #define OPERATIONS 256

@@ -90,7 +90,8 @@ typedef struct {
 } Jacobian_entry;
 
 /* A function: runs of equal operations, whose operands are places among constants, arguments and earlier results,
-   followed by the places of its results. Places have 16 bits (narrow) or 32 (wide). */
+   followed by the places of its results. Places have 16 bits (narrow) or 32 (wide); a run of a narrow function also
+   has the place of its first result. */
 typedef struct {
     int inputs, outputs, results;
     const int32_t *lengths; /* [inputs + outputs] of arguments, then of results */

@@ -124,7 +124,7 @@ static void check_function(Reader *r, Function *f)
         }
         operation = word_at(&c, c.at);
         count = word_at(&c, c.at + 1);
-        c.at += 2;
+        c.at += f->narrow ? NARROW_HEAD : 2;
         if (check_loop(&c, operation, count))
             continue;
         if (operation < 0 || operation >= KIND_COUNT) {
@@ -171,7 +171,7 @@ static void read_narrow(Reader *r, Function *f, int64_t first)
     size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
     const uint16_t *head = narrow_integers(r, &heads), *operand = narrow_integers(r, &left);
     const uint16_t *result = narrow_integers(r, &results);
-    uint16_t *made = r->bad ? NULL : reader_alloc(r, heads + left + results + 1, sizeof *made);
+    uint16_t *made = r->bad ? NULL : reader_alloc(r, heads / 2 * NARROW_HEAD + left + results + 1, sizeof *made);
     uint32_t end = (uint32_t)first;
     if (!made)
         return;
@@ -182,6 +182,7 @@ static void read_narrow(Reader *r, Function *f, int64_t first)
             break;
         made[words++] = (uint16_t)kind;
         made[words++] = (uint16_t)count;
+        made[words++] = (uint16_t)end;
         end += count * VALUES_OF(kind);
         for (unsigned j = 0; j < each; j++, operand += count)
             sum_differences(operand, count, (uint32_t)first, end, made + words + j, each);

@@ -77,8 +77,9 @@ static void write_wide(Writing *w, const int32_t *at, const int32_t *end)
 static void write_narrow(Writing *w, const uint16_t *at, const uint16_t *end)
 {
     while (at < end) {
-        const int32_t kind = *at++, count = *at++, words = count * operand_counts[kind];
+        const int32_t kind = at[0], count = at[1], words = count * operand_counts[kind];
         int32_t *into = begin_run(w, kind, count);
+        at += NARROW_HEAD;
         for (int32_t k = 0; into && k < words; k++)
             into[k] = at[k];
         at += words;

@@ -269,12 +269,12 @@ API fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
 
 API fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
-    Exchange_event event = {0, 0, 0.0};
+    Exchange_event event = {0, 0.0};
     const Border border = border_in();
     const Status status = exchange_updated(c, &event, "fmi2NewDiscreteStates");
     border_out(&border);
     if (info)
-        *info = (fmi2EventInfo){fmi2False, fmi2False, fmi2False, event.changed, event.timed, event.next};
+        *info = (fmi2EventInfo){fmi2False, fmi2False, fmi2False, fmi2True, event.timed, event.next};
     return (fmi2Status)status;
 }
 

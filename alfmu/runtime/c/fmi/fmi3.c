@@ -377,14 +377,14 @@ API fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
 API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
     fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
 {
-    Exchange_event event = {0, 0, 0.0};
+    Exchange_event event = {0, 0.0};
     const Border border = border_in();
     const Status status = exchange_updated(c, &event, "fmi3UpdateDiscreteStates");
     border_out(&border);
     if (!again || !terminate || !nominals || !values || !has_next || !next)
         return fmi3Error;
     *again = *terminate = *nominals = fmi3False;
-    *values = event.changed != 0;
+    *values = fmi3True;
     *has_next = event.timed != 0;
     *next = event.next;
     return (fmi3Status)status;

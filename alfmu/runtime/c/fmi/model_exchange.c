@@ -32,12 +32,12 @@ static int exchanges_now(Component *c, int phases, const char *call)
     return c->exchanges;
 }
 
-/* Return whether a call is legal in these modes. */
+/* Return whether a call is legal in these phases, and in these modes once the run has begun. */
 static int is_in(Component *c, int phases, int modes, const char *call)
 {
     if (!exchanges_now(c, phases, call))
         return 0;
-    if (modes & 1 << c->instance->flags.mode)
+    if (modes & 1 << c->instance->flags.mode || !(component_phase(c) & RUN))
         return 1;
     component_refuse(c, ERROR_, call,
         c->instance->flags.mode == AT_EVENT ? "not in event mode"
@@ -108,22 +108,26 @@ Status exchange_set(Component *c, const double *states, size_t count, const char
     return STATUS_OK;
 }
 
+/* Nominal values are known at once; states, rates and indicators as soon as initialisation has begun. */
 Status exchange_get(Component *c, Exchanged which, double *values, size_t count, const char *call)
 {
+    const int phases = RUN | INITIALIZING | (which == NOMINALS ? INSTANTIATED : 0);
     Instance *i;
-    if (!is_in(c, RUN, EITHER, call) || !is_array(c, which, values, count, call))
+    if (!is_in(c, phases, EITHER, call) || !is_array(c, which, values, count, call))
         return STATUS_ERROR;
     i = c->instance;
     if (which == NOMINALS)
         exchange_nominals(i, values);
-    else if (which == STATES)
-        memcpy(values, i->exchange, count * sizeof *values);
     else {
         const int states = scene_exchanged(c->scene);
-        const Status status = answered(c, which == RATES ? exchange_read(i) : exchange_indicate(i));
-        if (status != STATUS_OK)
-            return status;
-        memcpy(values, i->exchange + (which == RATES ? states : 2 * states), count * sizeof *values);
+        if (!i->flags.initialized && !component_begun(c))
+            return component_refused(c, STATUS_ERROR);
+        if (which != STATES || !i->flags.mode) {
+            const Status status = answered(c, which == INDICATORS ? exchange_indicate(i) : exchange_read(i));
+            if (status != STATUS_OK)
+                return status;
+        }
+        memcpy(values, i->exchange + which * states, count * sizeof *values);
     }
     return STATUS_OK;
 }
@@ -147,7 +151,7 @@ Status exchange_updated(Component *c, Exchange_event *event, const char *call)
     if (!is_in(c, STEPPING, EVENT_MODE, call))
         return STATUS_ERROR;
     event->next = INFINITY;
-    outcome = exchange_event(c->instance, &event->changed, &event->next);
+    outcome = exchange_event(c->instance, &event->next);
     event->timed = event->next < INFINITY;
     if (outcome != DONE)
         return component_refused(c, STATUS_ERROR);

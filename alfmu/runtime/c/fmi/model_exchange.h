@@ -11,13 +11,13 @@
 
 #include "internal_begin.h"
 
-/* Vectors that the host requests. */
-typedef enum { STATES, RATES, NOMINALS, INDICATORS } Exchanged;
+/* Vectors that the host requests; the first three are stored in this order. */
+typedef enum { STATES, RATES, INDICATORS, NOMINALS } Exchanged;
 
-/* Information for the host after an event. */
+/* Information for the host after an event. States always count as changed: some hosts restart their method only then,
+   and would continue with the rates before the event. */
 typedef struct {
-    int changed; /* whether states have changed */
-    int timed;   /* whether there is a next event at a known time */
+    int timed; /* whether there is a next event at a known time */
     double next;
 } Exchange_event;
 

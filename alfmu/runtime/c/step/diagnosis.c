@@ -125,8 +125,8 @@ Outcome diagnose_too_much(Instance *i)
     return instance_say(i, FAILED,
         "%s, t = %.6g s: more than %d internal steps in one communication step (repeated steps count; each that "
         "iterates to convergence counts as %d); take shorter communication steps, or increase solver.step_size or the "
-        "tolerances",
-        i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
+        "tolerances%s",
+        i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP, settings_or_penalty(i));
 }
 
 /* Report that the caller ended the run within a communication step. */

@@ -254,13 +254,11 @@ static Outcome change_friction(Instance *i)
     return outcome;
 }
 
-Outcome exchange_event(Instance *i, int *changed, double *next)
+Outcome exchange_event(Instance *i, double *next)
 {
     const Scene *s = i->scene;
-    const size_t size = (size_t)scene_exchanged(s) * sizeof(double);
     double *times = times_of(i);
     Outcome outcome;
-    *changed = 0;
     if (*instance_time(i) >= times[UNTIL]) {
         times[FROM] = times[BEHIND];
         times[UNTIL] = INFINITY;
@@ -286,9 +284,7 @@ Outcome exchange_event(Instance *i, int *changed, double *next)
         return outcome;
     }
     *next = times[UNTIL];
-    memcpy(i->before, i->exchange, size);
     move_states(i, 1);
-    *changed = memcmp(i->before, i->exchange, size) != 0;
     i->flags.known = 0;
     return exchange_read(i);
 }

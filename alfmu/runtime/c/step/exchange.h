@@ -30,9 +30,8 @@ void exchange_nominals(const Instance *i, double *found);
 /* Accept the states of a step; `far` is whether an event has to correct them. */
 Outcome exchange_accept(Instance *i, int *far);
 
-/* Handle the events at this instant. `changed` is whether they changed states, `next` the time [s] of the next known
-   event, infinity if there is none. */
-Outcome exchange_event(Instance *i, int *changed, double *next);
+/* Handle the events at this instant. `next` is the time [s] of the next known event, infinity if there is none. */
+Outcome exchange_event(Instance *i, double *next);
 
 /* Compute event indicators, which are positive before their events. */
 Outcome exchange_indicate(Instance *i);
@@ -43,10 +42,7 @@ static inline void exchange_set_time(Instance *i, double time) { (void)i, (void)
 static inline void exchange_set_states(Instance *i, const double *states) { (void)i, (void)states; }
 static inline void exchange_nominals(const Instance *i, double *found) { (void)i, (void)found; }
 static inline Outcome exchange_accept(Instance *i, int *far) { return (void)i, (void)far, REFUSED; }
-static inline Outcome exchange_event(Instance *i, int *changed, double *next)
-{
-    return (void)i, (void)changed, (void)next, REFUSED;
-}
+static inline Outcome exchange_event(Instance *i, double *next) { return (void)i, (void)next, REFUSED; }
 static inline Outcome exchange_indicate(Instance *i) { return (void)i, REFUSED; }
 #endif
 

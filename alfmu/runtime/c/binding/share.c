@@ -1,0 +1,105 @@
+/* Lets results within a function share places, for memory that is scarce (`alfmu.fmi.source`). No scene that runs
+   calls any of this. */
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "arrange_operations.h"
+#include "fmi.h"
+#include "operations.h"
+#include "scene.h"
+
+#define UNREAD (-1)
+#define RESULT INT32_MAX
+
+/* A function whose results have a place each, in order, and the places that they share. */
+typedef struct {
+    Room room;
+    const Function *f;
+    uint16_t *code; /* [f->words + f->results] */
+    int constants;  /* places before this one keep their numbers */
+    int *last;      /* last run that reads a place: UNREAD, or RESULT if it is read after all runs */
+    int *shared;    /* shared place of each place */
+    int *taken;     /* whether a shared place is read by a later run */
+} Sharing;
+
+static void find_last_reads(Sharing *s)
+{
+    int run = 0;
+    for (size_t at = 0; at < s->f->words; run++) {
+        const size_t end = at + NARROW_HEAD + (size_t)(s->code[at + 1] * OPERANDS[s->code[at]]);
+        for (at += NARROW_HEAD; at < end; at++)
+            s->last[s->code[at]] = run;
+    }
+    for (size_t k = 0; k < (size_t)s->f->results; k++)
+        s->last[s->code[s->f->words + k]] = RESULT;
+}
+
+/* Take the first free places for `count` results in a row; return the first of them. */
+static int take(Sharing *s, int count)
+{
+    int at = s->constants, found = 0;
+    while (found < count)
+        found = s->taken[at++] ? 0 : found + 1;
+    for (int k = 1; k <= count; k++)
+        s->taken[at - k] = 1;
+    return at - count;
+}
+
+/* Replace the places in the code; return how many there are then. The results of a run take no place that the run
+   reads, as it may read its own results. */
+static int replace(Sharing *s, int first)
+{
+    int places = first, run = 0;
+    for (size_t at = 0; at < s->f->words; run++) {
+        const int count = s->code[at + 1], results = count * VALUES_OF(s->code[at]), own = s->code[at + 2];
+        const int to = take(s, results);
+        const size_t end = at + NARROW_HEAD + (size_t)(count * OPERANDS[s->code[at]]);
+        s->code[at + 2] = (uint16_t)to;
+        places = to + results > places ? to + results : places;
+        for (int k = 0; k < results; k++) {
+            s->shared[own + k] = to + k;
+            s->taken[to + k] = s->last[own + k] != UNREAD;
+        }
+        for (at += NARROW_HEAD; at < end; at++) {
+            const int place = s->code[at];
+            s->code[at] = (uint16_t)s->shared[place];
+            if (s->last[place] == run && place >= s->constants)
+                s->taken[s->shared[place]] = 0;
+        }
+    }
+    for (size_t k = s->f->words; k < s->f->words + (size_t)s->f->results; k++)
+        s->code[k] = (uint16_t)s->shared[s->code[k]];
+    return places;
+}
+
+/* Let the results within each function of a scene share places. Derivatives of the scene are no longer valid. Return
+   -1 without memory. */
+API int alfmu_share_places(Scene *scene)
+{
+    int missing = 0;
+    for (int which = 0; which < scene->function_count && !missing; which++) {
+        Function *f = (Function *)scene->functions + which;
+        Sharing s = {{0}, f, (uint16_t *)f->narrow, scene->constant_count, NULL, NULL, NULL};
+        const size_t size = (size_t)f->registers + 1;
+        int first = s.constants;
+        if (!s.code)
+            continue;
+        for (int k = 0; k < f->inputs; k++)
+            first += f->lengths[k];
+        s.last = arrange_integers(&s.room, size, UNREAD);
+        s.shared = arrange_integers(&s.room, size, 0);
+        s.taken = arrange_integers(&s.room, size, 0);
+        missing = s.room.missing;
+        if (!missing) {
+            find_last_reads(&s);
+            for (int k = 0; k < first; k++) {
+                s.shared[k] = k;
+                s.taken[k] = k < s.constants || s.last[k] != UNREAD;
+            }
+            f->registers = replace(&s, first);
+        }
+        arrange_leave(&s.room);
+    }
+    return missing ? -1 : 0;
+}
