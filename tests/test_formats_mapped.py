@@ -327,7 +327,7 @@ def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_pa
     assert all(each in str(told.value) for each in ("wobble", "hum", "sway"))
     assert str(told.value).count("--option leave=unknown leaves it out") == 3
     found = alfmu.imported(path, leave="unknown")
-    assert "unknown elements and attributes, which the user leaves out" in found.warnings[0]
+    assert "unknown elements and attributes, left out by option" in found.warnings[0]
     assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
 
 
@@ -503,7 +503,7 @@ def test_shapes_of_bodies_that_stand_still_need_no_inertia(tmp_path: Path):
     )
     path.write_text(text.format("", '<joint name="j"/>'))
     (note,) = alfmu.imported(path).notes
-    assert "shapes of bodies that stand still have no mass here" in note
+    assert "shapes of fixed bodies have no mass here" in note
     path.write_text(text.format("", '<joint name="j"/>').replace('name="base">', 'name="base"><joint/>'))
     with pytest.raises(alfmu.InputError, match=r"there is no file 'none\.stl'"):
         alfmu.imported(path)
@@ -523,5 +523,5 @@ def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tm
     with pytest.raises(alfmu.InputError, match=f"{part}' is part of a flexible body; --option leave=flexible"):
         alfmu.imported(path)
     found = alfmu.imported(path, leave="flexible")
-    assert "flexible, which the user leaves out (2 from" in found.warnings[0]
+    assert "flexible, left out by option (2 from" in found.warnings[0]
     assert not found.mechanism.closures

@@ -309,7 +309,7 @@ def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
     if unsettled and not found:
         notes[-1] = (
             f"no position was found where loads balance and the rates of {', '.join(unsettled)} vanish; no values of "
-            "these states bring them to zero alone"
+            "the states alone make these rates zero"
         )
     if moved:
         notes.append(f"inputs that prescribe motion are held at their values: {', '.join(moved)}")

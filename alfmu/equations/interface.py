@@ -128,8 +128,8 @@ MONITORS = (
     Variable(
         REACTION_ERROR,
         "1",
-        description="estimated error of the largest reaction at this instant, or where a limit is read, of the "
-        "least exact (N, N.m)",
+        description="estimated error of the reactions read at this instant: of the largest or, where a limit is read, "
+        "of the least exact (N, N.m)",
         instant=True,
     ),
 )

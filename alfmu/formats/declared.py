@@ -112,7 +112,7 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
     more = f" and {len(most) - _NAMED} more by less" * (len(most) > _NAMED)
     said += f"; closing them moved {', '.join(parts)}{more}" if parts else "; they are closed at the start"
     if closed.beyond:
-        said += f"; {', '.join(closed.beyond)} exceed their limits then"
+        said += f"; {', '.join(closed.beyond)} then exceed their limits"
     return said
 
 

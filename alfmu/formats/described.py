@@ -423,7 +423,8 @@ class _Describing:
         whole = [(joint, sum(factor for each, factor in terms if each is joint)) for joint in joints]
         found = [(joint, factor) for joint, factor in whole if joint and factor]
         if None in joints or not found or (len(found) != 2 and not self.form.full):
-            self.refuse(name, "it does not couple two motions of joints")
+            what = "motions of joints" if self.form.full else "two motions of joints"
+            self.refuse(name, f"{self.form.name} holds only couplings of {what}")
             return
         self.coupled |= {joint for joint, _ in found}
         coupling = Coupling(name, self.node, tuple(found), (), [0.0])

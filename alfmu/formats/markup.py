@@ -29,7 +29,7 @@ DEEPEST = 200
 MOST = 200_000
 """Largest number of elements of a file."""
 
-_UNKNOWN = "alfmu does not know what {} does to the motion; --option leave=unknown leaves it out"
+_UNKNOWN = "alfmu does not know the effect of {} on the motion; --option leave=unknown leaves it out"
 
 _NAMESPACES = ("xmlns", "xsi:", "xml:")
 """Prefixes of attributes that belong to XML itself, not to a format."""

@@ -147,7 +147,7 @@ class File:
             if _moving(link) is not None or self.settings.total:
                 self.linkage.causes.append(str(doubt))
             else:
-                self.linkage.note("these shapes of bodies that stand still have no mass here, as it is not known", node)
+                self.linkage.note("these shapes of fixed bodies have no mass here, as it is not known", node)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
@@ -490,7 +490,7 @@ class File:
         shell = given.flag("shellinertia", False)
         try:
             if shell and kind != "mesh":
-                node.fail("the inertia of shells maps of meshes alone; give the body an <inertial>")
+                node.fail("the inertia of shells maps only for meshes; give the body an <inertial>")
             if kind == "mesh":
                 whole, pose = self._mesh(given, shell), frame @ self._pose(given)
                 factor = density if mass is None else mass / whole.mass

@@ -236,7 +236,7 @@ def _sizes(
     """Return the divisor of the residuals of each column."""
     for name, value in deviations.items():
         if name not in measured:
-            raise InputError(f"a deviation is given for {name!r}, no measured column; {there_is(name, measured)}")
+            raise InputError(f"a deviation is given for {name!r}, which is not measured; {there_is(name, measured)}")
         if not (isinstance(value, float | int | np.number) and math.isfinite(value) and value > 0):
             raise InputError(f"the deviation of {name} is {shown(value)}; it must be a finite number above zero")
     units = {v.name: v.unit for v in runs.unit.outputs}

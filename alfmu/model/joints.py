@@ -385,10 +385,10 @@ class Joints(Quantities):
         """
         joint = self._joint(of)
         if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
-            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space; spare directions are of those")
+            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space, so that it has no spare directions")
         if unknown := [each for each in directions if each not in joint.directions]:
             raise DeclarationError(
-                f"{self.name}: {joint.name} keeps no direction {shown(unknown[0])}; it keeps "
+                f"{self.name}: {joint.name} does not constrain {shown(unknown[0])}; it constrains "
                 f"{', '.join(joint.directions)}"
             )
         self._change(joint, "spare", (*joint.spare, *directions))

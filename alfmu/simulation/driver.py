@@ -70,7 +70,7 @@ def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
     """Return the solver setting and its value for a checking run; raise InputError if there is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
-        raise InputError(f"{name} has no {setting}, which --check changes for its second run; FMUs of alfmu have it")
+        raise InputError(f"{name} has no {setting}, which a check changes for its second run; FMUs of alfmu have it")
     return setting, FINER[setting] * float(known[setting])
 
 
@@ -79,7 +79,7 @@ def checked(result: Result, other: Result, setting: str, value: float) -> Result
     check = Check.of(result, other, setting, value)
     if check.since is not None:
         _LOGGER.warning(
-            "%s: %s, and by a relative %g or more from t = %.3g s on; take a smaller %s",
+            "%s: %s; its relative error exceeds %g from t = %.3g s on; take a smaller %s",
             *(result.mechanism, check, OFF, check.since, setting),
         )
     return replace(result, check=check)

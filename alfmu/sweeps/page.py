@@ -89,8 +89,8 @@ def _against(made: Page, store: Store, s: Summary, shown: Sequence[Spread], movi
     made.plot(
         pictures.sensitivities(mapped, moving),
         "Rank correlations (Spearman): +1 if a kept number always rises with a varied one, -1 if it always falls, 0 "
-        f"if neither, as when it first rises and then falls. Of unrelated numbers, {_noise(s.finished - s.failed)} "
-        "are seen by chance. Numbers that do not vary, or only by round-off, have none.",
+        "if neither, as when it first rises and then falls. Between unrelated numbers, correlations of "
+        f"{_noise(s.finished - s.failed)} occur by chance. Numbers that do not vary, or only by round-off, have none.",
     )
     columns = store.columns(["case", "failure", *names, *(each.name for each in shown)])
     failed = columns["failure"] != ""

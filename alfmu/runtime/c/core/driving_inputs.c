@@ -168,7 +168,7 @@ Outcome inputs_aim(Instance *i, double start, double h)
             return instance_say(i, REFUSED,
                 "%s, t = %.6g s: %s is set to %s, but the motion it prescribes is at %s: a jump of %.3g %s, above the "
                 "limit of %s; change it less from one communication step to the next, give its rate too "
-                "(derivatives=1 of the input), or declare a larger jump=",
+                "(derivatives=1 of the input), or declare the input with a larger jump",
                 s->name, start, v->name, quantity_in_unit(v->unit, value, own),
                 quantity_in_unit(v->unit, now[0], there), fabs(value - now[0]), v->unit,
                 quantity_in_unit(v->unit, limit, most));

@@ -28,7 +28,7 @@ static inline Outcome instance_sweep(Instance *i, const unsigned *unknowns, size
 {
     (void)unknowns, (void)unknown_count, (void)knowns, (void)known_count, (void)seed, (void)back, (void)found;
     return instance_say(
-        i, REFUSED, "%s: it was exported without derivatives; export it with --derivatives", i->scene->name);
+        i, REFUSED, "%s: it was exported without derivatives; export it as --kind native with --derivatives", i->scene->name);
 }
 #endif
 
