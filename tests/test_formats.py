@@ -192,7 +192,7 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
         (mjcf(before='<option><flag filterparent="disable"/></option>',
               inner='<body name="c"><joint/><geom size="1"/></body>'), "could touch, of b and c"),
         (SDF.format("<joint name='j' type='revolute'><parent>world</parent><child>l</child><axis><dynamics><dampning>1"
-                    "</dampning></dynamics></axis></joint>"), "does not know the effect of <dampning> in <dynamics> on"),
+                    "</dampning></dynamics></axis></joint>"), "not know the effect of <dampning> in <dynamics> on"),
         (SDF.format("<joint name='j' type='ball' use='1'><parent>world</parent><child>l</child></joint>"),
          'does not know the effect of use="1" of <joint> on'),
         (URDF.format("<gazebo reference='b'><selfCollide>true</selfCollide></gazebo>"), "contacts=leave leaves them"),

@@ -239,7 +239,9 @@ def test_a_law_beyond_a_dead_position_or_against_another_one_is_called_into_ques
         m.motion(
             guide, 0.1 * ca.cos(angle) + ca.sqrt(0.09 - (0.1 * ca.sin(angle)) ** 2) + ca.fmax(m.time - 0.2, 0) ** 3
         )
-    with pytest.raises(alfmu.StepError, match=r"check that its laws of motion agree and do not lead beyond a dead position, where") as error:
+    with pytest.raises(
+        alfmu.StepError, match=r"check that its laws of motion agree and do not lead beyond a dead position, where"
+    ) as error:
         alfmu.simulate(m, 1.0, 0.05, parameters={"solver.method": method})
     assert 0.15 < error.value.result.time[-1] <= (0.5 if method == "order8" else 0.25)
 

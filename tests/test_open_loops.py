@@ -285,7 +285,9 @@ def test_directions_to_spare_are_those_of_a_joint_that_closes_a_loop() -> None:
     m.spatial_revolute("A", m.spatial_ground.at(), body.at(), axis=(0, 0, 1), coordinate=th)
     m.spatial_revolute("C", m.spatial_ground.at(1, 0, 0), held.at(), axis=(0, 0, 1), coordinate=m.coordinate("ph"))
     B = m.spherical("B", body.at(0.5, 0, 0), held.at(-0.5, 0, 0))
-    with pytest.raises(alfmu.DeclarationError, match="m: A closes no loop in space, so that it has no spare directions"):
+    with pytest.raises(
+        alfmu.DeclarationError, match="m: A closes no loop in space, so that it has no spare directions"
+    ):
         m.spare("A", "x")
     with pytest.raises(alfmu.DeclarationError, match="B does not constrain 'rotation1'; it constrains x, y, z"):
         m.spare("B", "rotation1")

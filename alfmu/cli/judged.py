@@ -14,9 +14,9 @@ from .says import progress_bar
 _REPORT = """The report compares alfmu's methods, formulations and kernels, SciPy on every mechanism, and Pinocchio,
 Exudyn and MuJoCo on five_bar and slider_crank (pip install 'alfmu[bench]'). It also has errors over tolerances, the
 study of Blajer (2002) on particle_on_circle, five_bar and four_bar, the parts that scenes omit, and small maps of
-stability (`alfmu stability` has the full ones). Runs for which no time was left, and codes that are not installed, are listed.
-report.html is one file that needs no network; --quick takes less than a minute for a mechanism. Needs pip install
-'alfmu[report]'."""
+stability (`alfmu stability` has the full ones). Runs for which no time was left, and codes that are not installed, are
+listed. report.html is one file that needs no network; --quick takes less than a minute for a mechanism. Needs pip
+install 'alfmu[report]'."""
 
 
 def add(command: Command) -> None:

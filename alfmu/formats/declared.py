@@ -91,7 +91,8 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
             left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
             notes.append(
                 "joints of its loops constrain some directions more than once, and agree there only to "
-                f"{closed.missed:.1g} m or rad, as numbers in the file are rounded; these directions are left out: {left}"
+                f"{closed.missed:.1g} m or rad, as numbers in the file are rounded; these directions are left out: "
+                f"{left}"
             )
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))

@@ -207,7 +207,9 @@ class File:
         if kind in ("fixed", "floating", "ball"):
             for child in node.all("mimic", *(_RESISTING if kind != "fixed" else ())):
                 child.fail(f"<{child.tag}> of a {kind} joint does not map")
-            left |= dict.fromkeys(("axis", "limit", *_RESISTING), "axes, limits and dynamics of joints of a type without an axis")
+            left |= dict.fromkeys(
+                ("axis", "limit", *_RESISTING), "axes, limits and dynamics of joints of a type without an axis"
+            )
         self.linkage.pass_over(node, left)
         if kind == "fixed":
             return []

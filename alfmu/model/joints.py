@@ -385,7 +385,9 @@ class Joints(Quantities):
         """
         joint = self._joint(of)
         if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
-            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space, so that it has no spare directions")
+            raise DeclarationError(
+                f"{self.name}: {joint.name} closes no loop in space, so that it has no spare directions"
+            )
         if unknown := [each for each in directions if each not in joint.directions]:
             raise DeclarationError(
                 f"{self.name}: {joint.name} does not constrain {shown(unknown[0])}; it constrains "
