@@ -702,7 +702,7 @@ def test_coordinates_go_on_in_a_law_that_knows_no_whole_turns():
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (lambda x: ca.sqrt(1 + x), "the motion of A changes too often"),
+        (lambda x: ca.sqrt(1 + x), "the motion of A changes too often to be searched for jumps"),
         (lambda x: ca.fmax(x, -1), "forces or laws of time have more than 4096 jumps or kinks"),
     ],
 )
@@ -714,7 +714,7 @@ def test_a_law_that_turns_too_often_to_be_looked_at_says_so(law, said):
     instance = made(by_rk4(m), "vm")
     instance.set("w", 1e9)
     instance.initialize()
-    with pytest.raises(alfmu.StepError, match=rf"buzz, t = .* s: {said} .* up to 0.02 s"):
+    with pytest.raises(alfmu.StepError, match=rf"buzz, t = .* s: {said} up to 0.02 s; take shorter communication steps"):
         instance.step(0.02)
 
 
