@@ -71,8 +71,8 @@ static int check_references_of(Component *c, const unsigned *references, size_t 
         return 0;
     for (size_t k = 0; k < count; k++)
         if (is_time(c, references[k]) || kind_of(c, references[k]) != kind) {
-            component_refuse(
-                c, ERROR_, call, kind == INPUT ? "only derivatives of inputs can be set" : "only outputs have derivatives");
+            component_refuse(c, ERROR_, call,
+                kind == INPUT ? "only derivatives of inputs can be set" : "only outputs have derivatives");
             return 0;
         }
     return 1;
