@@ -714,7 +714,9 @@ def test_a_law_that_turns_too_often_to_be_looked_at_says_so(law, said):
     instance = made(by_rk4(m), "vm")
     instance.set("w", 1e9)
     instance.initialize()
-    with pytest.raises(alfmu.StepError, match=rf"buzz, t = .* s: {said} up to 0.02 s; take shorter communication steps"):
+    with pytest.raises(
+        alfmu.StepError, match=rf"buzz, t = .* s: {said} up to 0.02 s; take shorter communication steps"
+    ):
         instance.step(0.02)
 
 

@@ -344,7 +344,7 @@ class SpatialJoint(Brief):
         "angle" (planar). Raises DeclarationError for any other.
         """
         if which not in self.freedoms:
-            has = f"it has {in_words(list(self.freedoms))}" if self.freedoms else "none of them has a displacement"
+            has = f"it has {in_words(list(self.freedoms))}" if self.freedoms else "it has none with a displacement"
             raise DeclarationError(f"{self.name}, a {self.kind} joint, has no free motion {shown(which)}; {has}")
         return SpatialFreedom(self, which)
 
