@@ -174,7 +174,7 @@ class Couplings(Joints):
         self._own((at,), f"blade {name}", Marker)
         if at.body is self.ground:
             raise DeclarationError(
-                f"{self.name}: blade {name} is on the ground, which does not move; give a body's point"
+                f"{self.name}: blade {name} is on the ground, which cannot move; give a point of a body"
             )
         return self._relate(blade(self, name, at, axis))
 

@@ -48,7 +48,7 @@ class _Part:
         self.address: int | None = scene.library.alfmu_batch_new(scene.address, own.stop - own.start)
         if not self.address:
             raise MemoryError(
-                f"{scene.name}: there is no memory for {own.stop - own.start} members; use a smaller batch"
+                f"{scene.name}: there is not enough memory for {own.stop - own.start} members; use a smaller batch"
             )
 
     def __del__(self) -> None:
@@ -333,8 +333,8 @@ class Batch:
         """Create the members again for a scene in which redundant constraints brake the motion."""
         if (self._ready & ~mask).any():
             raise AssemblyError(
-                f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others "
-                "is not traced; initialise all members at once"
+                f"{self.name}: redundant constraints would brake the motion of a member, and the scene of the others "
+                "is not traced for this; initialise all members at once"
             )
         names = [name for name, r in self._scene.references.items() if self._kept(r)]
         self._ready[:] = False

@@ -208,7 +208,7 @@ class Unit:
         self.scene: Scene = scene
         self.address: int | None = c.alfmu_new(scene.address)
         if not self.address:
-            raise MemoryError("there is no memory for an instance")
+            raise MemoryError("there is not enough memory for an instance")
         address = self.address
         self.step: Callable[[float, float], int] = _step_of(c, address)
         """Makes a communication step from a start with a length [s]; returns the outcome."""

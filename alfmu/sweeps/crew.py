@@ -196,7 +196,7 @@ def cluster(address: str) -> Cluster:
     try:
         import distributed
     except ImportError:
-        raise InputError("a cluster takes distributed; install it with: pip install 'alfmu[sweep]'") from None
+        raise InputError("a cluster needs distributed; install it with: pip install 'alfmu[sweep]'") from None
     try:
         client = distributed.Client(address, timeout=WAIT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
@@ -379,6 +379,6 @@ class _Work:
                 self.suspects.extend([first, second])
             else:
                 values = self.cases.values(each.first, each.stop)
-                why = f"{self.job.name}: the process that ran this case ended without a word, each time"
+                why = f"{self.job.name}: the process that ran this case ended without a message, each time"
                 self.store.add(lost(self.job, each.first, values, why))
                 self.done(1)

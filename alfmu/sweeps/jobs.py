@@ -254,7 +254,7 @@ class _Seats:
         c = self.scene.library
         self.address: int | None = c.alfmu_batch_new(self.scene.address, self.count)
         if not self.address:
-            raise MemoryError(f"{job.name}: there is no memory for {self.count} instances")
+            raise MemoryError(f"{job.name}: there is not enough memory for {self.count} instances")
         self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
         self.rows = np.empty((self.count, len(job.times), len(job.outputs)))
         # Runs do not set values that equal those of the scene; a choice is set by its number.

@@ -111,7 +111,7 @@ static void check_features(Reader *r)
         int has, needed;
         const char *what;
     } features[] = {{HAS_FRICTION, s->frictions, "dry friction"},
-        {HAS_MOVING_INPUTS, s->followed_count, "inputs that move something"},
+        {HAS_MOVING_INPUTS, s->followed_count, "inputs that prescribe motion"},
         {HAS_SWITCHES, s->switches, "Boolean inputs"}, {HAS_BREAKS, s->break_count, "forces that jump"},
         {HAS_LAWS, s->leap_count, "laws of motion"}, {HAS_PEAKS, s->peaks, "peaks"},
         {HAS_ERROR_CONTROL, s->method, "this solver.method"},
@@ -171,7 +171,7 @@ static void read_body(Reader *r)
     if (!r->bad && r->at != r->end)
         tables_read_jacobian(r);
     if (!r->bad && r->at != r->end)
-        reader_spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+        reader_spoil(r, "%zu bytes follow its end", (size_t)(r->end - r->at));
     check_features(r);
 }
 
@@ -181,7 +181,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     Scene *s = calloc(1, sizeof *s);
     Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
     if (!s) {
-        snprintf(why, why_size, "there is no memory for it");
+        snprintf(why, why_size, "there is not enough memory for it");
         return NULL;
     }
     if (size < HEAD || memcmp(bytes, magic, sizeof magic - 1))
@@ -190,7 +190,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
         reader_spoil(&r, "its version is %u and this runtime reads %u; export it again",
             (unsigned)bytes_little(bytes + 8, 4), (unsigned)SCENE_VERSION);
     else if (bytes_little(bytes + 12, 4) != size)
-        reader_spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)bytes_little(bytes + 12, 4));
+        reader_spoil(&r, "it has %zu bytes instead of %u", size, (unsigned)bytes_little(bytes + 12, 4));
     else if (bytes_little(bytes + 16, 8) != (uint32_t)~scene_check_sum(CHECK_BEGIN, bytes + 24, size - 24))
         reader_spoil(&r, "its check sum does not agree; it is damaged");
     else {
