@@ -7,22 +7,18 @@
 #include "operations.h"
 #include "scene.h"
 
+#if defined(__GNUC__)
+
 /* Fewer interpreted calls than these are faster one after the other. */
 #define FEW 3
 
 /* Return whether these calls of a function can and should run in lanes. */
 static int serves(const Group *g, const Function *f)
 {
-#if defined(__GNUC__)
     if (f->in_lanes || f->compiled)
         return f->in_lanes && g->count > 1;
     return f->narrow && g->count >= FEW;
-#else
-    return 0;
-#endif
 }
-
-#if defined(__GNUC__)
 
 /* Finds an argument or a result of a call, by lane and number. */
 typedef double *Place(const Group *g, const Function *f, const Word *places, int lane, int each);
@@ -96,6 +92,9 @@ static inline double *in_arrays(const Group *g, const Function *f, const Word *p
     return each < f->inputs ? (double *)g->x[lane][each] : g->y[lane][each - f->inputs];
 }
 
+#else
+#define serves(g, f) 0
+#define evaluate(g, f, places, place) (void)0
 #endif
 
 static void call(const Group *g, const Function *f, const Word *at)
