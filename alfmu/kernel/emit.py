@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from .form import Call, Traced, every
-from .loops import blocks, c_function, constant, expression, name_of
+from .loops import ANGULAR, Angles, blocks, c_function, constant, expression, name_of
 from .stream import BINARY, PLAIN, UNARY, Instructions, Operations
 
 __all__ = ["HEAD", "compiled_code"]
@@ -31,6 +31,8 @@ UNIT = 2_000_000
 HEAD = """\
 #include <math.h>
 #include <string.h>
+
+#include "sine_cosine.h"
 
 #if defined(EXPORT) /* by whoever keeps these functions to itself */
 #elif defined(_WIN32)
@@ -49,8 +51,10 @@ typedef double Real __attribute__((vector_size(8 * LANES)));
 #define REAL(x) ((x) - (Real){0.0})
 #define EACH for (int lane = 0; lane < LANES; lane++)
 #define OF(x) x[lane]
+SINE_COSINE_IN_LANES(sine_cosine_of, LANES)
 #else
 typedef double Real;
+static inline void sine_cosine_of(const Real *x, Real *s, Real *c) { sine_cosine(*x, s, c); }
 #define REAL(x) (x)
 #define EACH
 #define OF(x) x
@@ -71,7 +75,7 @@ _OTHERS = "".join(
     f"{count}({name_of(code)}, {template.format('a', 'b')})\n"
     for count, table in (("ONE", UNARY), ("TWO", BINARY))
     for code, template in table.items()
-    if code not in PLAIN
+    if code not in PLAIN and code not in ANGULAR
 )
 """Operations other than arithmetic, as functions of numbers."""
 
@@ -130,6 +134,7 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
     """
     made = 0
     names: list[str] = []
+    angles = Angles()
     which, entry = instructions.place
     first = (instructions.code == ca.OP_INPUT) & np.isin(which, list(kept))
     for i, j in dict.fromkeys(zip(which[first].tolist(), entry[first].tolist(), strict=True)):
@@ -147,6 +152,10 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
             text = constant(float(instructions.constant[k]))
         elif operation == ca.OP_INPUT:
             text = f"x{which}_{entry}" if which in kept else f"x[{which}][{entry}]"
+        elif operation in ANGULAR:
+            yield from angles.lines(first)
+            names.append(angles.name(operation, first))
+            continue
         else:
             text = expression(operation, first, second)
             if single[k] and operation in _WITHIN and len(text) <= _SHORT:

@@ -18,7 +18,32 @@ from .places import Places, line
 from .repeat import Numbers, Repeat, pieces, repeats
 from .stream import BINARY, CONSTANT, INPUT, PLAIN, UNARY, VALUE, Operations, number
 
-__all__ = ["blocks", "c_function", "constant", "expression", "name_of"]
+__all__ = ["ANGULAR", "Angles", "blocks", "c_function", "constant", "expression", "name_of"]
+
+ANGULAR = {ca.OP_SIN: "sine", ca.OP_COS: "cosine"}
+"""Functions of an angle that are computed together."""
+
+
+class Angles:
+    """The angles of a piece of C whose sines and cosines are known, by their expressions."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, int] = {}
+
+    def lines(self, angle: str) -> list[str]:
+        """Return the lines that compute the sine and the cosine of an angle; none if they are known."""
+        if angle in self._known:
+            return []
+        k = self._known[angle] = len(self._known)
+        return [
+            f"const Real angle{k} = {angle};",
+            f"Real sine{k}, cosine{k};",
+            f"sine_cosine_of(&angle{k}, &sine{k}, &cosine{k});",
+        ]
+
+    def name(self, operation: int, angle: str) -> str:
+        """Return the sine or the cosine of a known angle."""
+        return f"{ANGULAR[operation]}{self._known[angle]}"
 
 
 def constant(value: float) -> str:
@@ -118,7 +143,12 @@ class _Code:
             if result >= 0:
                 body.store(f"y{result}", results[column], operands[0])
                 continue
-            body.lines.append(f"const Real v{column} = {expression(code, *operands)};")
+            if code in ANGULAR:
+                body.lines += body.angles.lines(operands[0])
+                value = body.angles.name(code, operands[0])
+            else:
+                value = expression(code, *operands)
+            body.lines.append(f"const Real v{column} = {value};")
             if stored:
                 body.store("w", addresses[column], f"v{column}")
         return body.text()
@@ -137,6 +167,7 @@ class _Body:
 
     def __init__(self, count: int):
         self.lines: list[str] = []
+        self.angles = Angles()
         self._count = count
         self._before: dict[str, str] = {}
         self._tables: dict[tuple[str, str], str] = {}

@@ -30,6 +30,9 @@ _LANES = ("-fno-trapping-math", "-Wno-psabi")
 _BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
 """Header included first, so that compiled scenes run wherever the runtime does."""
 
+_SINE_COSINE = _BASELINE.with_name("sine_cosine.h")
+"""Header of the functions of angles, which gives the numbers of the interpreter."""
+
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Suffix of shared libraries on this system."""
 
@@ -59,7 +62,7 @@ def _built(scene: str, command: list[str], files: list[str], name: str, lanes: S
     usual = "-O2" if len(files) == 1 or lanes else "-O1"
     level = [x for x in command if x.startswith("-O")] or [usual]
     flags = [*level, *FLAGS, *lanes, *_LANES * bool(lanes), "-include", _BASELINE.name]
-    named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
+    named = {header.name: header.read_text(encoding="ascii") for header in (_BASELINE, _SINE_COSINE)}
     named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
     return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")
 

@@ -16,6 +16,7 @@
 #include "rare_operations.h"
 #include "record.h"
 #include "scene.h"
+#include "sine_cosine.h"
 #include "sums.h"
 
 #ifndef HAS_WIDE
@@ -60,9 +61,8 @@
     UNARY(NEGATIVE_KIND, -a) \
     case SINE_COSINE_KIND: \
         for (; count; count--, NEXT(1)) { \
-            const double a = OPERAND(0); \
-            *d++ = sin(a); \
-            *d++ = cos(a); \
+            sine_cosine(OPERAND(0), d, d + 1); \
+            d += 2; \
         } \
         break; \
     default: \
@@ -217,11 +217,8 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, double *r)
             PAIRS(OVER_KIND, a / b)
             UNARY(NEGATIVE_KIND, -a)
         case SINE_COSINE_KIND:
-            for (; count; count--) {
-                const double a = r[*at++];
-                *d++ = sin(a);
-                *d++ = cos(a);
-            }
+            for (; count; count--, d += 2)
+                sine_cosine(r[*at++], d, d + 1);
             break;
             BINARY_OPERATIONS(BINARY)
             UNARY_OPERATIONS(UNARY)

@@ -10,9 +10,12 @@
 
 #include "operations.h"
 #include "scene.h"
+#include "sine_cosine.h"
 #include "sums.h"
 
 #if defined(__GNUC__)
+
+SINE_COSINE_IN_LANES(sine_cosine_of, PART)
 
 #define PLACED(k) r[at[k]].part[part]
 #define SIDE_BY_SIDE(kind, operands, value) \
@@ -59,11 +62,7 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lane
             SIDE_BY_SIDE(NEGATIVE_KIND, 1, -PLACED(0))
         case SINE_COSINE_KIND:
             for (; count; count--, at++, d += 2)
-                for (int lane = 0; lane < LANES; lane++) {
-                    const double a = r[at[0]].lane[lane];
-                    d[0].lane[lane] = sin(a);
-                    d[1].lane[lane] = cos(a);
-                }
+                EACH_PART sine_cosine_of(&r[at[0]].part[part], &d[0].part[part], &d[1].part[part]);
             break;
         default: {
             const int operands = 1 + IS_BINARY(head);
