@@ -16,6 +16,7 @@ from test_left_out import WARNINGS, block, by_a_compiler, led
 import alfmu
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.memory import TALLY
 from alfmu.runtime import build
 from alfmu.simulation import run
 
@@ -244,6 +245,24 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
         instance.step(0.02)
         for name in SMALL["outputs"]:
             assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-13, abs=1e-13), k
+
+
+@by_a_compiler
+def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_path):
+    """Values of programs share places: the numbers are those of an instance in which each has its own."""
+    given = {name: SMALL[name] for name in ("outputs", "freeze")}
+    path = alfmu.export(alfmu.load("five_bar"), tmp_path / "five_bar.c", kind="source", **given)
+    assert int(re.search(r"(\d+) bytes of memory", path.read_text())[1]) < 16_000
+    plain, instance = Plain(path), alfmu.Instance("five_bar", outputs=SMALL["outputs"])
+    instance.set("solver.method", "rk4")
+    instance.initialize()
+    assert plain("start", 0.0) == 0
+    for k in range(600):
+        assert plain("step", 0.02) == 0
+        instance.step(0.02)
+        for name in SMALL["outputs"]:
+            assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-9, abs=1e-9), k
+    assert instance.memory["tally"][TALLY.index("limits")] > 0
 
 
 REFUSED = {
