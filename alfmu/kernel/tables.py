@@ -65,7 +65,10 @@ MAGIC = b"ALFMU\r\n\x1a"
 HEAD, IDENTITY = 64, 40
 """Number of bytes before the body: MAGIC, version, length, checksum, and the identity."""
 
-REFERENCES = ("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance")
+REFERENCES = (
+    *("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance"),
+    "input_order",
+)
 """Solver variables that the runtime reads."""
 
 FIELDS = ("z", "after", "begin", "u", "p", "k", "dt", "control", "tally", "pace", "past", "seen")

@@ -47,8 +47,8 @@ static int take(Sharing *s, int count)
     return at - count;
 }
 
-/* Replace the places in the code, of which `first` precede the results; return how many there are then. The results of a run take no place that the run
-   reads, as it may read its own results. */
+/* Replace the places in the code, of which `first` precede the results; return how many there are then. The results of
+   a run take no place that the run reads, as it may read its own results. */
 static int replace(Sharing *s, int first)
 {
     int places = first, run = 0;
