@@ -172,6 +172,46 @@ def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
         library.fmi2FreeInstance(ctypes.c_void_p(one))
 
 
+@by_a_compiler
+def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of, tmp_path):
+    """A host that looks into steps of several internal ones still has both states; the third is refused with what to
+    do."""
+    given = {"kind": "source", "fmi": 3, "parameters": {"solver.step_size": 0.005}}
+    path, said = with_binary(fmu_of("five_bar", **given), 3, tmp_path / "own.fmu"), list[str]()
+    folder = path.with_suffix("")
+    token = re.search(r'instantiationToken="(.*?)"', (folder / "modelDescription.xml").read_text())[1].encode()
+    library = ctypes.CDLL(str(next((folder / "binaries").rglob("five_bar.*"))))
+    looks = list[float]()
+    c = ctypes
+    log_type = c.CFUNCTYPE(None, c.c_void_p, c.c_int, c.c_char_p, c.c_char_p)
+    look_type = c.CFUNCTYPE(None, c.c_void_p, c.c_double, *[c.c_bool] * 5, c.c_void_p, c.c_void_p)
+    log = log_type(lambda _, status, category, text: said.append(text.decode()))
+    look = look_type(lambda _, time, *rest: looks.append(time))
+    library.fmi3InstantiateCoSimulation.restype = c.c_void_p
+    one = c.c_void_p(
+        library.fmi3InstantiateCoSimulation(
+            b"one", token, None, c.c_bool(False), c.c_bool(False), c.c_bool(False), c.c_bool(False), None, c.c_size_t(0),
+            None, log, look,
+        )
+    )  # fmt: skip
+    assert (
+        library.fmi3EnterInitializationMode(one, c.c_bool(False), c.c_double(0), c.c_double(0), False, c.c_double(0))
+        == 0
+    )
+    assert library.fmi3ExitInitializationMode(one) == 0
+    states = [c.c_void_p() for _ in range(3)]
+    assert [library.fmi3GetFMUState(one, c.byref(each)) for each in states[:2]] == [0, 0]
+    flags, last = [c.c_bool() for _ in range(3)], c.c_double()
+    done = library.fmi3DoStep(
+        one, c.c_double(0.0), c.c_double(0.02), c.c_bool(False), *map(c.byref, flags), c.byref(last)
+    )
+    assert (done, looks) == (0, pytest.approx([0.005, 0.01, 0.015, 0.02]))
+    assert library.fmi3GetFMUState(one, c.byref(states[2])) == 3
+    assert "2 saved states; free one, or compile the FMU with larger INSTANCES or SAVED_STATES" in said[-1]
+    assert library.fmi3FreeFMUState(one, c.byref(states[0])) == 0
+    assert library.fmi3GetFMUState(one, c.byref(states[2])) == 0
+
+
 TARGETS = {
     "thumb": ["-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7"],
     "aarch64": ["-target", "aarch64-freestanding"],

@@ -81,14 +81,16 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
-        defined["ARENA"] = f"(INSTANCES * {instance} + {STATES} * {saved})"
+        instance += 2 * saved * (fmi > 2)  # intermediate updates need two states of their own
+        defined["ARENA"] = f"(INSTANCES * {instance} + SAVED_STATES * {saved})"
+        defined["NO_MEMORY"] = _NO_MEMORY
         memory = f"{8 * (instance + STATES * saved)} bytes of memory for one instance and {STATES} states"
     head = [
         f"/* {name}: the mechanism and the runtime of alfmu in C99; generated.",
         f"   {size + start_size} bytes of constant tables, {memory}",
         f"   {work} */",
         f"#ifndef MOST_STEPS\n#define MOST_STEPS {max(_STEPS, 2 * steps)}\n#endif",
-        *["#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif"] * (fmi > 0),
+        *_HELD * (fmi > 0),
         "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
         "#if !defined(assert)\n#define assert(true) ((void)0)\n#endif",
         *(f"#include <{each}.h>" for each in _SYSTEM),
@@ -104,6 +106,17 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
     return files
 
+
+_HELD = [
+    "#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif",
+    f"#ifndef SAVED_STATES\n#define SAVED_STATES {STATES} /* at the same time */\n#endif",
+    "#define IN_TEXT_(number) #number\n#define IN_TEXT(number) IN_TEXT_(number)",
+]
+_NO_MEMORY = (
+    '"all memory is in use, that of " IN_TEXT(INSTANCES) " instances and " IN_TEXT(SAVED_STATES) " saved states; free one, or "'
+    ' "compile the FMU with larger INSTANCES or SAVED_STATES"'
+)
+"""The message if all memory is in use."""
 
 _SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
 
