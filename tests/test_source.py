@@ -156,6 +156,19 @@ def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
 
 
 @by_a_compiler
+@pytest.mark.parametrize("level", ["-O2", "-O3", "-Os"])
+def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_from_cpp(level, tmp_path):
+    """GCC took references of outputs for those of text variables at -O2. The header serves C++, too."""
+    m = alfmu.Mechanism("hatch")
+    bar = m.bar("bar", mass=1.0, length=0.5)
+    m.lock(m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=0.4)))
+    m.gravity(0, -9.81)
+    alfmu.export(m, tmp_path / "hatch.c", kind="source")
+    compiled([*WARNINGS, level, "-c", "hatch.c", "-o", "hatch.o"], tmp_path)
+    assert '\nextern "C" {\n' in (tmp_path / "hatch.h").read_text()
+
+
+@by_a_compiler
 def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
     path = with_binary(fmu_of("five_bar", kind="source"), 2, tmp_path / "own.fmu")
     guid = re.search(r'guid="(.*?)"', (tmp_path / "own" / "modelDescription.xml").read_text())[1].encode()
@@ -188,12 +201,9 @@ def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of, tmp_path
     log = log_type(lambda _, status, category, text: said.append(text.decode()))
     look = look_type(lambda _, time, *rest: looks.append(time))
     library.fmi3InstantiateCoSimulation.restype = c.c_void_p
-    one = c.c_void_p(
-        library.fmi3InstantiateCoSimulation(
-            b"one", token, None, c.c_bool(False), c.c_bool(False), c.c_bool(False), c.c_bool(False), None, c.c_size_t(0),
-            None, log, look,
-        )
-    )  # fmt: skip
+    no = c.c_bool(False)
+    rest = no, no, no, no, None, c.c_size_t(0), None, log, look
+    one = c.c_void_p(library.fmi3InstantiateCoSimulation(b"one", token, None, *rest))
     assert (
         library.fmi3EnterInitializationMode(one, c.c_bool(False), c.c_double(0), c.c_double(0), False, c.c_double(0))
         == 0

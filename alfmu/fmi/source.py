@@ -113,8 +113,8 @@ _HELD = [
     "#define IN_TEXT_(number) #number\n#define IN_TEXT(number) IN_TEXT_(number)",
 ]
 _NO_MEMORY = (
-    '"all memory is in use, that of " IN_TEXT(INSTANCES) " instances and " IN_TEXT(SAVED_STATES) " saved states; free one, or "'
-    ' "compile the FMU with larger INSTANCES or SAVED_STATES"'
+    '"all memory is in use, that of " IN_TEXT(INSTANCES) " instances and " IN_TEXT(SAVED_STATES) " saved states; "'
+    ' "free one, or compile the FMU with larger INSTANCES or SAVED_STATES"'
 )
 """The message if all memory is in use."""
 
@@ -358,6 +358,10 @@ def _header(scene: Scene, name: str, place: int) -> str:
 #ifndef {guard}
 #define {guard}
 
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
 /* An instance and its memory, all of which it takes. There may be any number of them. */
 typedef struct {{
     double memory[{place}];
@@ -382,6 +386,10 @@ int {name}_start({name} *m, double time);
 int {name}_step({name} *m, double length);
 double {name}_get({name} *m, int variable);
 double {name}_time({name} *m);
+
+#ifdef __cplusplus
+}}
+#endif
 
 #endif
 """
