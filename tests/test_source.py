@@ -155,6 +155,19 @@ def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
     assert all(hasattr(library, f"own_fmi{fmi}{each}") for each in ("DoStep", "SetBoolean", "GetContinuousStates"))
 
 
+def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
+    """A stiff spring at fixed steps of 10 ms: m omega^2 = k with omega h = 1, so that RK4 loses energy."""
+    m = alfmu.Mechanism("spring")
+    s = m.coordinate("s", "m", start=0.1)
+    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("block", mass=1.0).at(0, 0), coordinate=s)
+    m.drive(guide, -1e4 * s)
+    given = {"kind": "source", "parameters": {"solver.step_size": 0.01}}
+    with caplog.at_level("WARNING", "alfmu"):
+        alfmu.export(m, tmp_path / "spring.c", **given)
+    assert "the balance of energies is off by" in caplog.text
+    assert "plain C does not tell when it runs" in caplog.text
+
+
 @by_a_compiler
 @pytest.mark.parametrize("level", ["-O2", "-O3", "-Os"])
 def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_from_cpp(level, tmp_path):

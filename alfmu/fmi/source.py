@@ -6,6 +6,7 @@ compiler extensions. The files of `runtime/c/source` replace those of the same n
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
 import zipfile
@@ -27,6 +28,8 @@ from . import native
 from .constants import Structure, literal, loaded, tables
 
 __all__ = ["facts", "source"]
+
+_LOGGER = logging.getLogger("alfmu")
 
 _INSTANCE = 80
 """Size of an Instance without messages, in numbers: an upper bound, which the C checks on each machine."""
@@ -60,7 +63,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     kept = Scene(identified(packed(own, shares=True), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
-    state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
+    state, steps = _state(kept, own, fmi), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -137,8 +140,9 @@ def facts(path: Path) -> list[str]:
 # The scene ------------------------------------------------------------------------------------------------------------
 
 
-def _state(scene: Scene, e: Traced) -> bytes:
-    """Return the state after the start; raise ExportError if the default experiment fails."""
+def _state(scene: Scene, e: Traced, fmi: int) -> bytes:
+    """Return the state after the start; raise ExportError if the default experiment fails. Log its warnings, which
+    plain C does not give."""
     unit = Unit(scene)
     made = unit.initialize()
     state = unit.save()
@@ -149,6 +153,8 @@ def _state(scene: Scene, e: Traced) -> bytes:
             f"{unit.text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
             "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
         )
+    if (warning := unit.warning()) and not fmi:
+        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", warning)
     return state
 
 
