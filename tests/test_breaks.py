@@ -78,6 +78,20 @@ def test_inputs_that_change_in_a_step_break_there():
     assert unit.get("b.angular_velocity") == pytest.approx(100 * 0.01 / INERTIA, rel=1e-8)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("method", ["auto", "rk4"])
+def test_inputs_that_are_extrapolated_break_there(order, method):
+    """The window passed unseen: extrapolation was in the steps alone."""
+    unit = alfmu.Instance(alfmu.derive(bar(lambda m: ca.if_else(ca.fabs(m.input("u", "1") - 0.5) < 0.005, 100.0, 0.0))))
+    for name, value in {"solver.input_order": order, "solver.method": method, "solver.step_size": 0.02}.items():
+        unit.set(name, value)
+    unit.initialize()
+    for k in range(10):
+        unit.set("u", 0.1 * k + 0.03)
+        unit.step(0.1)
+    assert unit.get("b.angular_velocity") == pytest.approx(100 * 0.01 / INERTIA, rel=1e-8)
+
+
 @pytest.mark.parametrize("settings", [{}, {"solver.relative_tolerance": 1e-10}])
 def test_smooth_pulses_are_met(settings):
     """Bells are found at their middle; anything else where an event is declared."""

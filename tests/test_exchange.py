@@ -168,6 +168,18 @@ def test_euler_gains_its_first_order(built):
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
 
 
+def test_steps_of_an_importer_that_are_too_long_are_warned_of(built):
+    """Euler's method at 20 ms, the default of some importers; CVode and shorter steps are not."""
+
+    def said(solver: str, step: float) -> list[str]:
+        lines = list[str]()
+        exchanged(built("five_bar", fmi=2), 0.5, {}, solver, step, logger=lambda *x: lines.append(x[-1].decode()))
+        return [line for line in lines if "let it take shorter steps, or use its solver with error control" in line]
+
+    assert len(said("Euler", 0.02)) == 1
+    assert said("Euler", 1e-4) == said("CVode", 0.02) == []
+
+
 STATE = {
     2: ("getFMUstate", "setFMUstate", "serializeFMUstate", "deSerializeFMUstate"),
     3: ("getFMUState", "setFMUState", "serializeFMUState", "deserializeFMUState"),

@@ -10,6 +10,7 @@ from alfmu.kernel.form import (
     Solve,
     called,
     every,
+    lifetimes,
     renamed,
     rewritten,
     taken,
@@ -31,6 +32,12 @@ def test_what_has_to_be_known_before():
     assert set(taken([Factor(("w", "H"), ("F", "o"), 2, 1), Solve(("F", "o", "r"), ("x",), 2, 1)], ["x"])) == {
         *("w", "H", "r")
     }
+
+
+def test_values_of_a_loop_live_as_long_as_the_loop():
+    """Steps by number: a call 0, a choice 1 with a call 2, and a loop 3 with steps up to 6."""
+    begun = {"a": (0, 0), "b": (0, 6), "near": (1, 1), "c": (2, 6), "d": (2, 6)}
+    assert lifetimes(STEPS) == begun | dict.fromkeys(("more", "most", "far"), (3, 6))
 
 
 def test_steps_are_rewritten_inside_choices_and_loops():

@@ -100,6 +100,33 @@ def test_a_pulse_between_points_has_a_peak():
     assert np.delete(r["guide.force.peak"], [0, 6]) == pytest.approx(1.0)
 
 
+def test_inputs_that_are_extrapolated_have_their_peaks():
+    """A torque u on a bar: F = m / 2 |(omega^2, u / I)|, where u is a parabola and omega its integral over I."""
+    m, inertia = Mechanism("bar"), 1 / 3
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m.drive(A, m.input("u", "N.m"))
+    unit = alfmu.Instance(m, outputs=["A.force.peak"])
+    for name, value in {"solver.input_order": 2, "solver.step_size": 0.001}.items():
+        unit.set(name, value)
+    unit.initialize()
+
+    def torque(t):
+        return 4 - 500 * (t - 0.035) ** 2
+
+    speed = 0.0
+    for k in range(6):
+        unit.set("u", torque(0.02 * k))
+        unit.step(0.02)
+        t = np.linspace(0.02 * k, 0.02 * (k + 1), 20001)
+        known = 0.02 * np.arange(max(k - 2, 0), k + 1)  # a constant and a line at first
+        u = np.polyval(np.polyfit(known, torque(known), len(known) - 1), t)
+        rate = speed + np.concatenate([[0.0], np.cumsum((u[1:] + u[:-1]) / 2 * np.diff(t))]) / inertia
+        force = np.hypot(rate**2, u / inertia) / 2
+        assert unit.get("A.force.peak") == pytest.approx(force.max(), rel=2e-3), k
+        speed = rate[-1]
+
+
 def test_near_a_pole_it_is_what_is_finite():
     """The reaction of a driven four-bar has a pole where its links are aligned; beside it, it is as large as it is."""
     r = alfmu.simulate(

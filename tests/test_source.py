@@ -16,6 +16,7 @@ from test_left_out import WARNINGS, block, by_a_compiler, led
 import alfmu
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.memory import TALLY
 from alfmu.runtime import build
 from alfmu.simulation import run
 
@@ -154,6 +155,32 @@ def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
     assert all(hasattr(library, f"own_fmi{fmi}{each}") for each in ("DoStep", "SetBoolean", "GetContinuousStates"))
 
 
+def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
+    """A stiff spring at fixed steps of 10 ms: m omega^2 = k with omega h = 1, so that RK4 loses energy."""
+    m = alfmu.Mechanism("spring")
+    s = m.coordinate("s", "m", start=0.1)
+    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("block", mass=1.0).at(0, 0), coordinate=s)
+    m.drive(guide, -1e4 * s)
+    given = {"kind": "source", "parameters": {"solver.step_size": 0.01}}
+    with caplog.at_level("WARNING", "alfmu"):
+        alfmu.export(m, tmp_path / "spring.c", **given)
+    assert "the balance of energies is off by" in caplog.text
+    assert "plain C does not tell when it runs" in caplog.text
+
+
+@by_a_compiler
+@pytest.mark.parametrize("level", ["-O2", "-O3", "-Os"])
+def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_from_cpp(level, tmp_path):
+    """GCC took references of outputs for those of text variables at -O2. The header serves C++, too."""
+    m = alfmu.Mechanism("hatch")
+    bar = m.bar("bar", mass=1.0, length=0.5)
+    m.lock(m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=0.4)))
+    m.gravity(0, -9.81)
+    alfmu.export(m, tmp_path / "hatch.c", kind="source")
+    compiled([*WARNINGS, level, "-c", "hatch.c", "-o", "hatch.o"], tmp_path)
+    assert '\nextern "C" {\n' in (tmp_path / "hatch.h").read_text()
+
+
 @by_a_compiler
 def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
     path = with_binary(fmu_of("five_bar", kind="source"), 2, tmp_path / "own.fmu")
@@ -169,6 +196,43 @@ def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
         assert one
         assert not instance()
         library.fmi2FreeInstance(ctypes.c_void_p(one))
+
+
+@by_a_compiler
+def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of, tmp_path):
+    """A host that looks into steps of several internal ones still has both states; the third is refused with what to
+    do."""
+    given = {"kind": "source", "fmi": 3, "parameters": {"solver.step_size": 0.005}}
+    path, said = with_binary(fmu_of("five_bar", **given), 3, tmp_path / "own.fmu"), list[str]()
+    folder = path.with_suffix("")
+    token = re.search(r'instantiationToken="(.*?)"', (folder / "modelDescription.xml").read_text())[1].encode()
+    library = ctypes.CDLL(str(next((folder / "binaries").rglob("five_bar.*"))))
+    looks = list[float]()
+    c = ctypes
+    log_type = c.CFUNCTYPE(None, c.c_void_p, c.c_int, c.c_char_p, c.c_char_p)
+    look_type = c.CFUNCTYPE(None, c.c_void_p, c.c_double, *[c.c_bool] * 5, c.c_void_p, c.c_void_p)
+    log = log_type(lambda _, status, category, text: said.append(text.decode()))
+    look = look_type(lambda _, time, *rest: looks.append(time))
+    library.fmi3InstantiateCoSimulation.restype = c.c_void_p
+    no = c.c_bool(False)
+    rest = no, no, no, no, None, c.c_size_t(0), None, log, look
+    one = c.c_void_p(library.fmi3InstantiateCoSimulation(b"one", token, None, *rest))
+    assert (
+        library.fmi3EnterInitializationMode(one, c.c_bool(False), c.c_double(0), c.c_double(0), False, c.c_double(0))
+        == 0
+    )
+    assert library.fmi3ExitInitializationMode(one) == 0
+    states = [c.c_void_p() for _ in range(3)]
+    assert [library.fmi3GetFMUState(one, c.byref(each)) for each in states[:2]] == [0, 0]
+    flags, last = [c.c_bool() for _ in range(3)], c.c_double()
+    done = library.fmi3DoStep(
+        one, c.c_double(0.0), c.c_double(0.02), c.c_bool(False), *map(c.byref, flags), c.byref(last)
+    )
+    assert (done, looks) == (0, pytest.approx([0.005, 0.01, 0.015, 0.02]))
+    assert library.fmi3GetFMUState(one, c.byref(states[2])) == 3
+    assert "2 saved states; free one, or compile the FMU with larger INSTANCES or SAVED_STATES" in said[-1]
+    assert library.fmi3FreeFMUState(one, c.byref(states[0])) == 0
+    assert library.fmi3GetFMUState(one, c.byref(states[2])) == 0
 
 
 TARGETS = {
@@ -244,6 +308,24 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
         instance.step(0.02)
         for name in SMALL["outputs"]:
             assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-13, abs=1e-13), k
+
+
+@by_a_compiler
+def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_path):
+    """Values of programs share places: the numbers are those of an instance in which each has its own."""
+    given = {name: SMALL[name] for name in ("outputs", "freeze")}
+    path = alfmu.export(alfmu.load("five_bar"), tmp_path / "five_bar.c", kind="source", **given)
+    assert int(re.search(r"(\d+) bytes of memory", path.read_text())[1]) < 16_000
+    plain, instance = Plain(path), alfmu.Instance("five_bar", outputs=SMALL["outputs"])
+    instance.set("solver.method", "rk4")
+    instance.initialize()
+    assert plain("start", 0.0) == 0
+    for k in range(600):
+        assert plain("step", 0.02) == 0
+        instance.step(0.02)
+        for name in SMALL["outputs"]:
+            assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-9, abs=1e-9), k
+    assert instance.memory["tally"][TALLY.index("limits")] > 0
 
 
 REFUSED = {

@@ -6,6 +6,7 @@ compiler extensions. The files of `runtime/c/source` replace those of the same n
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
 import zipfile
@@ -16,7 +17,7 @@ from pathlib import Path
 from ..equations.interface import default_settings
 from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
-from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Steps, Traced, called
+from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Steps, Traced, called
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
@@ -28,8 +29,10 @@ from .constants import Structure, literal, loaded, tables
 
 __all__ = ["facts", "source"]
 
-_INSTANCE = 96
-"""Size of an Instance without messages, in numbers: an upper bound for every machine."""
+_LOGGER = logging.getLogger("alfmu")
+
+_INSTANCE = 80
+"""Size of an Instance without messages, in numbers: an upper bound, which the C checks on each machine."""
 
 _TEXT = 256
 """Longest message of an FMU."""
@@ -57,19 +60,20 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     if equations.name in _RESERVED:
         raise ExportError(f"{equations.name}: the model has a name of C; give the recipe another name")
     own, name = smallest(equations), equations.name
-    kept = Scene(identified(packed(own), guid), installed())
+    kept = Scene(identified(packed(own, shares=True), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
-    state, steps = _state(kept, own), internal_steps(own.interval, default_settings(own).step_size)
-    if kept.library.alfmu_share_places(kept.address) < 0:
-        raise MemoryError
+    state, steps = _state(kept, own, fmi), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
     without = [*without, "ERROR_CONTROL", *["START"] * (not starts), *["LIMITS"] * ("limit" not in own.kernel)]
     header, *texts = _texts(fmi, without)
     used = {*re.findall(r"(?:->|\.)(\w+)", _reached("".join([header, *texts])))}
-    work, kinds, wide = _lean(scene, own, used, steps)
+    run = _lean(scene, own, used)
+    if kept.library.alfmu_share_places(kept.address) < 0:
+        raise MemoryError
+    work, kinds, wide = _measured(scene, own, run, steps)
     widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
     word = 16 if widest < 2**15 else 32
     constants, size = tables(scene, fmi > 0, word // 8, used)
@@ -80,14 +84,16 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
-        defined["ARENA"] = f"(INSTANCES * {instance} + {STATES} * {saved})"
+        instance += 2 * saved * (fmi > 2)  # intermediate updates need two states of their own
+        defined["ARENA"] = f"(INSTANCES * {instance} + SAVED_STATES * {saved})"
+        defined["NO_MEMORY"] = _NO_MEMORY
         memory = f"{8 * (instance + STATES * saved)} bytes of memory for one instance and {STATES} states"
     head = [
         f"/* {name}: the mechanism and the runtime of alfmu in C99; generated.",
         f"   {size + start_size} bytes of constant tables, {memory}",
         f"   {work} */",
         f"#ifndef MOST_STEPS\n#define MOST_STEPS {max(_STEPS, 2 * steps)}\n#endif",
-        *["#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif"] * (fmi > 0),
+        *_HELD * (fmi > 0),
         "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif",
         "#if !defined(assert)\n#define assert(true) ((void)0)\n#endif",
         *(f"#include <{each}.h>" for each in _SYSTEM),
@@ -103,6 +109,17 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
     return files
 
+
+_HELD = [
+    "#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif",
+    f"#ifndef SAVED_STATES\n#define SAVED_STATES {STATES} /* at the same time */\n#endif",
+    "#define IN_TEXT_(number) #number\n#define IN_TEXT(number) IN_TEXT_(number)",
+]
+_NO_MEMORY = (
+    '"all memory is in use, that of " IN_TEXT(INSTANCES) " instances and " IN_TEXT(SAVED_STATES) " saved states; "'
+    ' "free one, or compile the FMU with larger INSTANCES or SAVED_STATES"'
+)
+"""The message if all memory is in use."""
 
 _SYSTEM = ("float", "limits", "math", "stdarg", "stdbool", "stddef", "stdint", "string")
 
@@ -123,8 +140,9 @@ def facts(path: Path) -> list[str]:
 # The scene ------------------------------------------------------------------------------------------------------------
 
 
-def _state(scene: Scene, e: Traced) -> bytes:
-    """Return the state after the start; raise ExportError if the default experiment fails."""
+def _state(scene: Scene, e: Traced, fmi: int) -> bytes:
+    """Return the state after the start; raise ExportError if the default experiment fails. Log its warnings, which
+    plain C does not give."""
     unit = Unit(scene)
     made = unit.initialize()
     state = unit.save()
@@ -135,6 +153,8 @@ def _state(scene: Scene, e: Traced) -> bytes:
             f"{unit.text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
             "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
         )
+    if (warning := unit.warning()) and not fmi:
+        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", warning)
     return state
 
 
@@ -152,25 +172,31 @@ _HEAD, _FLAGS, _NUMBERS, _CHOICES = 72, 14, 128, 3
 """Layout of a saved state (step/state.c): offset and number of flags, offset of numbers [bytes], number of choices."""
 
 
-def _lean(scene: Structure, e: Traced, used: Container[str], steps: int) -> tuple[str, set[int], bool]:
-    """Remove functions and programs that the C does not use from a scene. Return the line on its work, the kinds of
-    operations, and whether a function uses wide addresses."""
+def _lean(scene: Structure, e: Traced, used: Container[str]) -> dict[str, Program]:
+    """Remove functions and programs that the C does not use from a scene; return the programs that it runs."""
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
     for name, program in zip(e.kernel, scene.programs[: scene.program_count], strict=True):
         program.words *= name in run
-    costs: dict[str, int] = {}
+    for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
+        if name not in needed:
+            f.inputs = f.outputs = f.words = f.results = 0
+    scene.choice[scene.formulation].count = 1
+    return run
+
+
+def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], bool]:
+    """Fit the registers of a lean scene to its functions. Return the line on its work, the kinds of operations, and
+    whether a function uses wide addresses."""
+    costs = Counter[str]()
     kinds, wide = set[int](), False
     scene.registers = scene.constant_count
     for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
-        if name in needed:
+        if f.words or f.results:
             made = _operations(f)
             scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
             costs[name], kinds = made.total(), kinds | {*made}
-        else:
-            f.inputs = f.outputs = f.words = f.results = 0
-    scene.choice[scene.formulation].count = 1
     scene.lane_registers = 0
     most = {key: _most(program.steps, costs) for key, program in run.items()}
     return _work(e, most, steps, bool(scene.break_count)), kinds, wide
@@ -338,6 +364,10 @@ def _header(scene: Scene, name: str, place: int) -> str:
 #ifndef {guard}
 #define {guard}
 
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
 /* An instance and its memory, all of which it takes. There may be any number of them. */
 typedef struct {{
     double memory[{place}];
@@ -362,6 +392,10 @@ int {name}_start({name} *m, double time);
 int {name}_step({name} *m, double length);
 double {name}_get({name} *m, int variable);
 double {name}_time({name} *m);
+
+#ifdef __cplusplus
+}}
+#endif
 
 #endif
 """

@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 27
+VERSION = 29
 """Version of scene files, increased whenever their content changes meaning."""

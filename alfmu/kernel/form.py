@@ -31,6 +31,7 @@ __all__ = [
     "Traced",
     "called",
     "every",
+    "lifetimes",
     "renamed",
     "rewritten",
     "taken",
@@ -243,3 +244,28 @@ def taken(steps: Iterable[Step], wanted: Iterable[str] = ()) -> list[str]:
                 names.pop(each, None)
             names.update(dict.fromkeys(step.arguments))
     return list(names)
+
+
+def lifetimes(steps: Iterable[Step], begin: int = 0) -> dict[str, tuple[int, int]]:
+    """Return the numbers of the first and of the last step that use each value, counted from `begin` through both parts
+    of choices; whatever a loop uses lives from its beginning to its end."""
+    found: dict[str, tuple[int, int]] = {}
+
+    def live(names: Iterable[str], first: int, last: int) -> None:
+        for name in names:
+            known = found.get(name, (first, last))
+            found[name] = min(known[0], first), max(known[1], last)
+
+    at = begin
+    for step in steps:
+        first, inside = at, lifetimes(chain(*_inside(step)), at + 1)
+        at = max((last for _, last in inside.values()), default=at) + 1
+        if isinstance(step, Choice):
+            live([step.number], first, first)
+            for name, (begun, ended) in inside.items():
+                live([name], begun, ended)
+        elif isinstance(step, Loop):
+            live([step.number, *([step.most] if isinstance(step.most, str) else []), *inside], first, at - 1)
+        else:
+            live([*step.arguments, *step.results], first, at - 1)
+    return found

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .repeat import Numbers, Repeat
 from .stream import VALUE, Operations
 
-__all__ = ["Places", "line"]
+__all__ = ["Heap", "Places", "line"]
 
 _BESIDE = 8
 """Number of iterations before the first and after the last of a loop for which space may be reserved."""
@@ -47,7 +47,7 @@ class Places:
         self._choose()
         self.address = np.full(count, -1)
         """Addresses in the workspace."""
-        self.size = self._place(_Heap(reserved))
+        self.size = self._place(Heap(reserved))
 
     def _sequences(self) -> Iterator[tuple[int, NDArray, NDArray]]:
         """Yield operands of loops from elsewhere: index of the operand, operation in all iterations, values."""
@@ -72,7 +72,7 @@ class Places:
                 passes = self.stored[piece.start : piece.end].reshape(piece.times, piece.period)
                 passes[:] = passes.any(axis=0)
 
-    def _place(self, heap: _Heap) -> int:
+    def _place(self, heap: Heap) -> int:
         """Assign addresses, reused after the last use of a value; return the size of the workspace."""
         begin: list[list[_Table]] = [[] for _ in self._pieces]
         end: list[list[tuple[int, int]]] = [[] for _ in self._pieces]
@@ -145,7 +145,7 @@ class _Table(NamedTuple):
     offsets: NDArray
 
 
-class _Heap:
+class Heap:
     """Ranges of addresses, allocated first-fit, and freed."""
 
     def __init__(self, size: int):

@@ -39,8 +39,9 @@ from .alternatives import formulations as carried
 from .complete import FUNCTIONS, ordered
 from .emit import compiled_code
 from .exchange import ACCELERATIONS, FADING, obstacle
-from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, taken
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, lifetimes, taken
 from .memory import TIERS, Layout
+from .places import Heap
 from .scene import CALLS, Constants, Writer, code
 from .standalone import beginning, passed
 from .symbolic import ROUND_OFF, Watch
@@ -64,7 +65,10 @@ MAGIC = b"ALFMU\r\n\x1a"
 HEAD, IDENTITY = 64, 40
 """Number of bytes before the body: MAGIC, version, length, checksum, and the identity."""
 
-REFERENCES = ("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance")
+REFERENCES = (
+    *("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance"),
+    "input_order",
+)
 """Solver variables that the runtime reads."""
 
 FIELDS = ("z", "after", "begin", "u", "p", "k", "dt", "control", "tally", "pace", "past", "seen")
@@ -288,10 +292,11 @@ def function_sizes(equations: Traced) -> dict[str, int]:
     return found
 
 
-def packed(equations: Traced) -> bytes:
-    """Return the scene file of complete equations (`kernel.complete`), with their programs and functions."""
+def packed(equations: Traced, shares: bool = False) -> bytes:
+    """Return the scene file of complete equations (`kernel.complete`), with their programs and functions; values within
+    programs share places if `shares` is set."""
     with getting_ready():
-        return _file(equations)
+        return _file(equations, shares)
 
 
 def packed_start(equations: Configuration) -> bytes:
@@ -300,11 +305,13 @@ def packed_start(equations: Configuration) -> bytes:
     return _file(ordered(beginning(replace(equations, solver=chosen))))
 
 
-def _file(equations: Traced) -> bytes:
+def _file(equations: Traced, shares: bool = False) -> bytes:
     w = Writer()
     w.text(equations.name)
     table = _Table(equations)
     table.code()
+    if shares:
+        table.overlay()
     for number in NUMBERS.values():
         w.integer(int(number(table)))
     for real in REALS.values():
@@ -356,6 +363,27 @@ class _Table:
         self.number = {name: i for i, name in enumerate(e.functions)}
         self.program = {name: i for i, name in enumerate(e.kernel)}
         self.programs = [self._program(program.steps) for program in e.kernel.values()]
+
+    def overlay(self) -> None:
+        """Encode programs again so that values of one program alone, while they live, share places with others."""
+        kernel, lengths = self.e.kernel, {name: length for name, (_, length) in self.places.items()}
+        kept = {*HANDED.values(), ACCELERATIONS, *(name for each in kernel.values() for name in taken(each.steps))}
+        self.places, self.memory, self.workspace = {}, dict(self.layout.fields), 0
+        for name, length in lengths.items():
+            if name in kept:
+                self._place(name, length)
+        memory, begin, self.programs = self.memory, self.workspace, []
+        for program in kernel.values():
+            heap, self.memory, ending = Heap(begin), dict(memory), list[tuple[int, str]]()
+            for name, (first, last) in sorted(lifetimes(program.steps).items(), key=lambda each: each[1]):
+                for end, ended in [each for each in ending if each[0] < first]:
+                    ending.remove((end, ended))
+                    heap.give(self.memory[ended][0] - self.layout.size, lengths[ended])
+                if name not in self.memory:
+                    self.memory[name] = self.layout.size + heap.take(lengths[name]), lengths[name]
+                    ending.append((last, name))
+            self.programs.append(self._program(program.steps))
+            self.workspace = max(self.workspace, heap.size)
 
     def _place(self, name: str, length: int) -> None:
         self.places[name] = self.workspace, length

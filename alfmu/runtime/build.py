@@ -95,6 +95,9 @@ _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-s
 """Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this
 way, and as fast. Vectorised loops are explicit in the sources."""
 
+_SMALLEST = ("-fno-schedule-insns2", "-fno-caller-saves", "-fno-inline-functions-called-once", "-fno-if-conversion")
+"""Code of GCC that is no shorter, but repeats itself more: compressed, the library is 4 % smaller."""
+
 _LANES = ("-O2", "-fno-trapping-math")
 """Optimisation of files that work in lanes: their loops have one pass per lane, and the compiler replaces them by
 vectors."""
@@ -196,7 +199,7 @@ def build(name: str, path: Path, release: bool = False) -> None:
             files += sorted((SOURCES / "wasm").glob("*.c"))
         libraries = ["-lm"] if name != "win64" else []
         flags = [x for x in _FLAGS if x != "-fPIC"] if wasm else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
-        small = [*_SMALL, *_SMALLER * ("ziglang" in command)]
+        small = [*_SMALL, *(_SMALLER if "ziglang" in command else _SMALLEST)]
         objects = []
         for file in files:
             objects.append(str(Path(folder) / f"{file.stem}.o"))

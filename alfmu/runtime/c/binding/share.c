@@ -1,5 +1,5 @@
-/* Lets results within a function share places, for memory that is scarce (`alfmu.fmi.source`). No scene that runs
-   calls any of this. */
+/* Lets results within a function share places, and leaves out constants that no function reads, for memory that is
+   scarce (`alfmu.fmi.source`). No scene that runs calls any of this. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -17,7 +17,8 @@ typedef struct {
     Room room;
     const Function *f;
     uint16_t *code; /* [f->words + f->results] */
-    int constants;  /* places before this one keep their numbers */
+    int constants;  /* how many constants there are, which come first, and how many of them are kept */
+    int kept;
     int *last;      /* last run that reads a place: UNREAD, or RESULT if it is read after all runs */
     int *shared;    /* shared place of each place */
     int *taken;     /* whether a shared place is read by a later run */
@@ -38,7 +39,7 @@ static void find_last_reads(Sharing *s)
 /* Take the first free places for `count` results in a row; return the first of them. */
 static int take(Sharing *s, int count)
 {
-    int at = s->constants, found = 0;
+    int at = s->kept, found = 0;
     while (found < count)
         found = s->taken[at++] ? 0 : found + 1;
     for (int k = 1; k <= count; k++)
@@ -46,8 +47,8 @@ static int take(Sharing *s, int count)
     return at - count;
 }
 
-/* Replace the places in the code; return how many there are then. The results of a run take no place that the run
-   reads, as it may read its own results. */
+/* Replace the places in the code, of which `first` precede the results; return how many there are then. The results of
+   a run take no place that the run reads, as it may read its own results. */
 static int replace(Sharing *s, int first)
 {
     int places = first, run = 0;
@@ -73,33 +74,67 @@ static int replace(Sharing *s, int first)
     return places;
 }
 
+/* Number the constants that functions with 16-bit places read, and move them to the front; return their number. All are
+   kept if a function has 32-bit places. */
+static int keep_constants(Scene *scene, int *numbers)
+{
+    double *constants = (double *)scene->constants;
+    int kept = 0, all = 0;
+    for (int which = 0; which < scene->function_count; which++) {
+        const Function *f = scene->functions + which;
+        const uint16_t *code = f->narrow, *end = code + f->words;
+        all = all || (!code && f->words);
+        for (; code && code < end; code += NARROW_HEAD + code[1] * OPERANDS[code[0]])
+            for (int k = 0; k < code[1] * OPERANDS[code[0]]; k++)
+                numbers[code[NARROW_HEAD + k]] = 1;
+        for (size_t k = 0; code && k < (size_t)f->results; k++)
+            numbers[end[k]] = 1;
+    }
+    for (int k = 0; k < scene->constant_count; k++)
+        if (all || numbers[k]) {
+            constants[kept] = constants[k];
+            numbers[k] = kept++;
+        }
+    return kept;
+}
+
 /* Let the results within each function of a scene share places. Derivatives of the scene are no longer valid. Return
    -1 without memory. */
 API int alfmu_share_places(Scene *scene)
 {
-    int missing = 0;
+    Room room = {0};
+    int *numbers = arrange_integers(&room, UINT16_MAX + 1, 0), missing = room.missing, kept = 0;
+    if (!missing)
+        kept = keep_constants(scene, numbers);
     for (int which = 0; which < scene->function_count && !missing; which++) {
         Function *f = (Function *)scene->functions + which;
-        Sharing s = {{0}, f, (uint16_t *)f->narrow, scene->constant_count, NULL, NULL, NULL};
+        Sharing s = {{0}, f, (uint16_t *)f->narrow, scene->constant_count, kept, NULL, NULL, NULL};
         const size_t size = (size_t)f->registers + 1;
-        int first = s.constants;
+        int arguments = 0;
         if (!s.code)
             continue;
         for (int k = 0; k < f->inputs; k++)
-            first += f->lengths[k];
+            arguments += f->lengths[k];
         s.last = arrange_integers(&s.room, size, UNREAD);
         s.shared = arrange_integers(&s.room, size, 0);
         s.taken = arrange_integers(&s.room, size, 0);
         missing = s.room.missing;
         if (!missing) {
             find_last_reads(&s);
-            for (int k = 0; k < first; k++) {
-                s.shared[k] = k;
-                s.taken[k] = k < s.constants || s.last[k] != UNREAD;
+            for (int k = 0; k < s.constants; k++)
+                s.shared[k] = numbers[k];
+            for (int k = 0; k < kept; k++)
+                s.taken[k] = 1;
+            for (int k = 0; k < arguments; k++) {
+                s.shared[s.constants + k] = kept + k;
+                s.taken[kept + k] = s.last[s.constants + k] != UNREAD;
             }
-            f->registers = replace(&s, first);
+            f->registers = replace(&s, kept + arguments);
         }
         arrange_leave(&s.room);
     }
+    arrange_leave(&room);
+    if (!missing)
+        scene->constant_count = kept;
     return missing ? -1 : 0;
 }

@@ -147,7 +147,8 @@ enum {
     WARNED_OF_SECOND_ORDER = 256,
     WARNED_OF_DRIFT = 512,
     WARNED_OF_REST = 1024,
-    EVERY_WARNING = 2047
+    WARNED_OF_IMPORTER = 2048,
+    EVERY_WARNING = 4095
 };
 
 /* The arena: numbers are allocated in order, and released together back to a mark. */

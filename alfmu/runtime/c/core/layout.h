@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 27
+#define SCENE_VERSION 29
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -210,7 +210,8 @@
     X(tolerance) \
     X(max_iterations) \
     X(relative_tolerance) \
-    X(absolute_tolerance)
+    X(absolute_tolerance) \
+    X(input_order)
 
 #define SCENE_NUMBERS(X) \
     X(parameters) \
@@ -240,6 +241,7 @@
     X(max_iterations) \
     X(relative_tolerance) \
     X(absolute_tolerance) \
+    X(input_order) \
     X(formulation) \
     X(branch) \
     X(continues) \

@@ -40,7 +40,7 @@ Component *component_new(
     snprintf(why, why_size, "%s",
         !name || !*name ? "its instance name is empty; give one"
             : !guid     ? "the GUID, or instantiation token, is missing; give that of its description"
-                        : "there is not enough memory");
+                        : NO_MEMORY);
     if (!name || !*name || !guid)
         return NULL;
     c = calloc(1, sizeof *c);
@@ -269,12 +269,12 @@ static Status step_watched(Component *c, double point, double step, int *early)
         return component_refused(c, whole == NO_STEP_ON ? STATUS_ERROR : STATUS_DISCARD);
     c->before = save_into(c, c->before);
     if (!c->before)
-        return component_refuse(c, ERROR_, "DoStep", "there is not enough memory");
+        return component_refuse(c, ERROR_, "DoStep", NO_MEMORY);
     whole = log_step(c, point, step);
     if (whole == DONE && count > 1.0) {
         c->after = save_into(c, c->after);
         if (!c->after)
-            return component_refuse(c, ERROR_, "DoStep", "there is not enough memory");
+            return component_refuse(c, ERROR_, "DoStep", NO_MEMORY);
         state_restore(i, c->before->bytes, c->before->size);
     }
     for (double k = 1.0; k <= count; k += 1.0) {
@@ -373,7 +373,7 @@ Status component_save(Component *c, void **state, const char *call)
     if (!component_in(c, ANY, call) || !state || (*state && !state_known(c, *state, call)))
         return STATUS_ERROR;
     *state = save_into(c, *state);
-    return *state ? STATUS_OK : component_refuse(c, ERROR_, call, "there is not enough memory");
+    return *state ? STATUS_OK : component_refuse(c, ERROR_, call, NO_MEMORY);
 }
 
 Status component_restore(Component *c, void *state, const char *call)
@@ -426,7 +426,7 @@ Status component_read(Component *c, const void *bytes, size_t size, void **state
             "the saved state is not one of this mechanism, or has changed since (check sum); save it again");
     made = new_state(c);
     if (!made)
-        return component_refuse(c, ERROR_, call, "there is not enough memory");
+        return component_refuse(c, ERROR_, call, NO_MEMORY);
     memcpy(made->bytes, bytes, size);
     *state = made;
     return STATUS_OK;

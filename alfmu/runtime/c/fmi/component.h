@@ -12,6 +12,10 @@
 
 #include "internal_begin.h"
 
+#ifndef NO_MEMORY
+#define NO_MEMORY "there is not enough memory"
+#endif
+
 /* Result of a call, with the numbers of fmi2Status and fmi3Status. */
 typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } Status;
 

@@ -12,6 +12,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "inputs.h"
 #include "instance.h"
 #include "interpret.h"
 #include "message.h"
@@ -52,10 +53,7 @@ static void evaluate_breaks(Instance *i, double time, double *found)
     const size_t arena = arena_mark(i);
     double *u = arena_alloc(i, (size_t)s->inputs), *du = arena_alloc(i, (size_t)s->inputs), *y[] = {found};
     const double *x[] = {&time, u, du, instance_field(i, s->p)};
-    for (int k = 0; k < s->inputs; k++) {
-        du[k] = isfinite(i->slopes[1 + k]) ? i->slopes[1 + k] : 0.0;
-        u[k] = i->m[s->u + k] + du[k] * (time - *instance_time(i));
-    }
+    inputs_within(i, *instance_time(i), time, u, du);
     function_call(i, s->breaks, x, y);
     arena_release(i, arena);
 }

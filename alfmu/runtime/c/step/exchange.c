@@ -19,6 +19,7 @@
 #include "interpret.h"
 #include "jumps.h"
 #include "layout.h"
+#include "message.h"
 #include "outputs.h"
 #include "projection.h"
 #include "record.h"
@@ -188,7 +189,8 @@ Outcome exchange_accept(Instance *i, int *far)
     const Scene *s = i->scene;
     const size_t n = (size_t)scene_coordinates(s);
     const double *z = instance_field(i, s->z);
-    double *nominals;
+    double *nominals, worst = 0.0;
+    size_t which = 0;
     const Outcome outcome = exchange_read(i);
     *far = 0;
     if (outcome != DONE)
@@ -197,8 +199,19 @@ Outcome exchange_accept(Instance *i, int *far)
     arena_reset(i);
     nominals = arena_alloc(i, (size_t)scene_exchanged(s));
     exchange_nominals(i, nominals);
-    for (size_t k = 0; k < 2 * n; k++)
-        *far |= fabs(i->exchange[k] - z[k < n ? k : (size_t)s->n + k - n]) > FAR_AWAY * nominals[k];
+    for (size_t k = 0; k < 2 * n; k++) {
+        const double off = fabs(i->exchange[k] - z[k < n ? k : (size_t)s->n + k - n]) / nominals[k];
+        if (off > worst) {
+            worst = off;
+            which = k % n;
+        }
+    }
+    *far = worst > FAR_AWAY;
+    if (*far)
+        instance_warn(i, WARNED_OF_IMPORTER,
+            "%s, t = %.6g s: a step of the importer left %s or its rate %.1e of its nominal value off the constraints, "
+            "more than %.0e; let it take shorter steps, or use its solver with error control",
+            s->name, *instance_time(i), s->coordinates[which].name, worst, FAR_AWAY);
     arena_reset(i);
     return DONE;
 }

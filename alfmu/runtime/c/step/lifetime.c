@@ -68,10 +68,11 @@ static size_t layout_parts(Instance *i, double *numbers)
 static size_t scratch_length(const Scene *s, int starts)
 {
     const size_t side = (size_t)(s->n + s->l + s->ties + 1), kept = (size_t)(s->past + s->past_size - s->pace);
-    size_t room = 8 * side + 2 * (size_t)(s->mass.entries + s->constraint.entries) + kept;
+    /* A step has one mass matrix and one constraint matrix at a time. */
+    size_t room = 8 * side + (size_t)(s->mass.entries + s->constraint.entries) + kept;
     if (starts) /* Matrices for singular values are dense; the others are sparse. */
         room += (s->n <= DENSE ? 12 * side * side : 0) + (size_t)56 * side + s->closing.entries + s->holding.entries
-            + 14 * (size_t)(s->mass.entries + s->constraint.entries)
+            + 15 * (size_t)(s->mass.entries + s->constraint.entries)
             + 16 * (size_t)(s->gaps.entries + s->tie_rows.entries);
     room += 4 * (size_t)(scene_driven(s) + s->outputs) + laws_room(s) + breaks_room(s) + peaks_room(s)
         + (size_t)s->limit_count * (2 + (size_t)s->n);

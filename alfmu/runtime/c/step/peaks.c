@@ -11,6 +11,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "inputs.h"
 #include "instance.h"
 #include "outputs.h"
 #include "record.h"
@@ -33,7 +34,7 @@
 
 size_t peaks_room(const Scene *s)
 {
-    return s->peaks ? 2 * scene_state_length(s) + (size_t)s->seen_size + (size_t)(s->inputs + 4 * s->n)
+    return s->peaks ? 2 * scene_state_length(s) + (size_t)s->seen_size + (size_t)(3 * s->inputs + 4 * s->n)
             + (BETWEEN_STEPS + 2) * (size_t)s->peaks
         : 0;
 }
@@ -107,7 +108,9 @@ void peaks_along(Instance *i, const double *begin)
     const size_t arena = arena_mark(i), n = (size_t)s->n, size = scene_state_length(s);
     double *z = instance_field(i, s->z), *before = peak_samples(i), *end = arena_alloc(i, size),
            *seen = arena_alloc(i, (size_t)s->seen_size);
-    double *u = arena_alloc(i, (size_t)s->inputs), *found = arena_alloc(i, (BETWEEN_STEPS + 1) * (size_t)s->peaks);
+    double *u = arena_alloc(i, (size_t)s->inputs), *inside = arena_alloc(i, (size_t)s->inputs),
+           *rates = arena_alloc(i, (size_t)s->inputs);
+    double *found = arena_alloc(i, (BETWEEN_STEPS + 1) * (size_t)s->peaks);
     double *top = arena_alloc(i, (size_t)s->peaks);
     const double from = begin[s->time], h = z[s->time] - from;
     const int known = before[KNOWN_BEFORE] != 0.0 && LENGTHENED * (from - before[TIME_BEFORE]) > h,
@@ -150,9 +153,9 @@ void peaks_along(Instance *i, const double *begin)
         for (size_t k = 0; k < (size_t)scene_states(s); k++)
             z[s->work + 1 + (int)k]
                 = begin[s->work + 1 + (int)k] + x * (end[s->work + 1 + (int)k] - begin[s->work + 1 + (int)k]);
-        for (int k = 0; k < s->inputs; k++)
-            if (isfinite(i->slopes[1 + k]))
-                i->m[s->u + k] = u[k] + i->slopes[1 + k] * (t - i->slopes[0]);
+        memcpy(instance_field(i, s->u), u, (size_t)s->inputs * sizeof *u);
+        inputs_within(i, i->slopes[0], t, inside, rates);
+        memcpy(instance_field(i, s->u), inside, (size_t)s->inputs * sizeof *u);
         instance_set_time(i, t);
         if (outputs_read_away(i))
             update_magnitudes(i, here);

@@ -91,6 +91,8 @@ int settings_moving(const Instance *i)
 /* Return the remedy for errors that shorter steps may reduce. */
 const char *settings_or_shorter(const Instance *i)
 {
+    if (i->flags.mode)
+        return "let the importer take shorter steps, or use its solver with error control";
     return settings_moving(i) ? "reduce solver.step_size" : "check forces, dimensions and start values";
 }
 

@@ -143,8 +143,8 @@ static inline const double *value_address(const Instance *i, int reference)
 
 static inline double value_of(const Instance *i, int reference)
 {
-    const double *place = value_address(i, reference);
-    return place ? *place : i->flags.choice[reference - i->scene->parameters] + 1;
+    const int choice = reference - i->scene->parameters;
+    return choice >= 0 && choice < i->scene->choices ? i->flags.choice[choice] + 1 : *value_address(i, reference);
 }
 
 const double *instance_place(const Instance *i, int reference)
