@@ -164,7 +164,7 @@ def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
     given = {"kind": "source", "parameters": {"solver.step_size": 0.01}}
     with caplog.at_level("WARNING", "alfmu"):
         alfmu.export(m, tmp_path / "spring.c", **given)
-    assert "the balance of energies is off by" in caplog.text
+    assert "the energy balance is off by" in caplog.text
     assert "plain C does not tell when it runs" in caplog.text
 
 
