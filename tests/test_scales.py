@@ -288,6 +288,37 @@ def test_a_four_bar_torn_apart_of_any_size_moves_alike(make):
         assert np.abs(angles(i, second * times, values) - usual).max() <= 1e-9, length
 
 
+def test_a_start_that_nothing_determines_is_in_proportion():
+    """A five-bar has two freedoms and one start value: places and rates nearest to the guess decide the other one."""
+    m = Mechanism("five_bar")
+    L = m.parameter("L", 1.0, "m")
+    guesses = {"a": (-0.07, 0.18, 1.9), "b": (0.2, 0.6, 0.6), "c": (0.8, 0.6, 2.3), "d": (1.05, 0.2, 1.2)}
+    bars = {}
+    for k, (name, (x, y, angle)) in enumerate(guesses.items()):
+        start = {"start": angle, "rate": 3.0, "independent": True} if name == "a" else {"start": angle}
+        pose = [m.coordinate(f"{name}x", "m", start=x * L), m.coordinate(f"{name}y", "m", start=y * L)]
+        length = (0.4, 0.7, 0.7, 0.4)[k] * L
+        bars[name] = m.bar(name, mass=1.0, length=length, pose=(*pose, m.coordinate(f"{name}th", "rad", **start)))
+    m.revolute("A", m.ground.at(0, 0), bars["a"].start)
+    m.revolute("B", bars["a"].end, bars["b"].start)
+    m.revolute("C", bars["b"].end, bars["c"].end)
+    m.revolute("D", bars["d"].end, bars["c"].start)
+    m.revolute("E", m.ground.at(L, 0), bars["d"].start)
+    m.gravity(0, 0)
+    i = unit(m)
+
+    def started(length: float) -> NDArray:
+        i._unit.reset()
+        i.set("L", length)
+        i.initialize()
+        return np.array([i.get(f"{bar}.{what}") for bar in bars for what in ("angle", "angular_velocity")])
+
+    usual = started(1.0)
+    assert usual[1] == pytest.approx(3.0, abs=1e-12)
+    for length in (1e-2, 0.3, 0.7, 3.0, 100.0):
+        assert np.abs(started(length) - usual).max() <= 1e-12, length
+
+
 # Constraints that hardly agree ------------------------------------------------------------------------------------
 
 
