@@ -52,9 +52,6 @@ const char *settings_or_penalty(const Instance *i)
 {
     if (penalty_is_given(i))
         return "; or solver.penalty 0, which scales it with the masses";
-    if (i->scene->timed)
-        return "; or look whether its laws agree, and lead to positions at which the loops can be closed: none is "
-               "beyond a dead position";
     return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
 }
 
