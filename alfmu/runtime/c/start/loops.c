@@ -16,6 +16,9 @@
 #include "scene.h"
 #include "text.h"
 
+/* Weight of a coordinate that least squares leave alone: corrections in proportion to its square are zero. */
+#define STANDS_STILL 1e-200
+
 const double *loops_starts(const Instance *i)
 {
     return i->values + i->scene->own;
@@ -63,6 +66,8 @@ Loops loops_new(Instance *i, const unsigned char *held, double length)
         loops.units[c] = coordinate_is_length(s, c) ? length : 1.0;
         loops.columns[c] = s->readiness[c] * loops.units[c];
     }
+    if (s->timed) /* Time is not corrected, but start rates of what moves with it contain its rate. */
+        loops.columns[s->n - 1] = STANDS_STILL;
     return loops;
 }
 
