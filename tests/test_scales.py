@@ -11,6 +11,7 @@ import pytest
 import turned
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import alfmu
 from alfmu import Mechanism
@@ -317,6 +318,33 @@ def test_a_start_that_nothing_determines_is_in_proportion():
     assert usual[1] == pytest.approx(3.0, abs=1e-12)
     for length in (1e-2, 0.3, 0.7, 3.0, 100.0):
         assert np.abs(started(length) - usual).max() <= 1e-12, length
+
+
+def test_a_start_in_space_that_nothing_determines_is_in_proportion_and_turns_with_the_mechanism():
+    """A rotor in two gimbals, of which only the rotor's hinge has a start rate, in absolute coordinates."""
+
+    def started(size: float, turn: NDArray) -> NDArray:
+        m = Mechanism("gimbals")
+        last, origin = m.spatial_ground, np.zeros(3)
+        for name, axis, center in (("outer", (0, 0, 1), (0.1, 0, 0)), ("inner", (1, 0, 0), (0, 0.1, 0.2))):
+            at = size * turn @ np.array(center)
+            body = m.spatial_body(name, mass=1.0, inertia=(size**2 / 50,) * 3, position=tuple(at))
+            m.spatial_revolute(f"{name}_hinge", last.at(*-origin), body.at(*-at), axis=tuple(turn @ np.array(axis)))
+            last, origin = body, at
+        body = m.spatial_body("rotor", mass=1.0, inertia=(size**2 / 50,) * 3)
+        spin = m.spatial_revolute("spin", last.at(*-origin), body.at(), axis=tuple(turn @ np.array((0, 1, 0.2))))
+        m.tie(m.start("spin_angle", 0.0, "rad", rate=40.0), spin.free)
+        m.gravity(0, 0, 0)
+        i = unit(m)
+        i.initialize()
+        rates = [[i.get(f"{name}.angular_velocity.{k}") for k in "xyz"] for name in ("outer", "inner", "rotor")]
+        return np.array(rates) @ turn
+
+    usual = started(1.0, np.eye(3))
+    assert np.abs(usual[0]).max() > 0.1  # a gimbal moves along, as near the guess as the rotor
+    for k, size in enumerate((1.0, 0.01, 0.3, 7.0)):
+        turn = Rotation.random(random_state=k).as_matrix()
+        assert np.abs(started(size, turn) - usual).max() <= 1e-10, size
 
 
 # Constraints that hardly agree ------------------------------------------------------------------------------------
