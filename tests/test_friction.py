@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from oracles.rubbing import Crank
+from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu import Mechanism
@@ -327,6 +328,59 @@ def test_a_slider_crank_against_an_event_driven_reference(cranked, method, toler
 
 WEDGE, LOAD = 1.0, 5.0
 """Masses [kg]."""
+
+
+@pytest.mark.parametrize("size", [1.0, 0.02])
+def test_joints_that_turn_and_slide_reverse_together(size):
+    """A slider-crank swings with constant friction in the crank's hinge and in the guide, which reverse at once: the
+    equation of one freedom, integrated from one reversal to the next."""
+    k, rest, arm, hinge, guide = 300.0, 0.25, (0.2, 0.3), 0.08, 0.5
+    m = Mechanism("swing")
+    crank, rod = m.bar("crank", mass=1.0, length=arm[0] * size), m.bar("rod", mass=0.5, length=arm[1] * size)
+    slide = m.body("slide", mass=1.0)
+    th, bend = m.coordinate("th", "rad", start=0.9, independent=True), m.coordinate("bend", "rad", start=-1.4)
+    A = m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=th)
+    m.revolute("B", crank.end, rod.start, coordinate=bend)
+    way = m.coordinate("way", "m", start=0.38 * size)
+    G = m.prismatic("G", m.ground.at(0, 0), slide.at(0, 0), coordinate=way)
+    m.revolute("C", rod.end, slide.at(0, 0))
+    m.spring_damper(G, stiffness=k, rest=rest * size)
+    m.friction(A, coulomb=1.0, load=hinge * size**2)
+    m.friction(G, coulomb=1.0, load=guide * size)
+    m.gravity(0, 0)
+    q, w = ca.SX.sym("q"), ca.SX.sym("w")
+    y, x = arm[0] * ca.sin(q), arm[0] * ca.cos(q) + ca.sqrt(arm[1] ** 2 - (arm[0] * ca.sin(q)) ** 2)
+
+    def square(e: ca.SX) -> ca.SX:
+        return (ca.jacobian(e, q) * w) ** 2
+
+    middle = square((arm[0] * ca.cos(q) + x) / 2) + square(y / 2)
+    turn = square(ca.asin(-y / arm[1]))
+    T = arm[0] ** 2 / 6 * w**2 + square(x) / 2 + middle / 4 + arm[1] ** 2 / 48 * turn
+    J, dx = ca.hessian(T, w)[0], ca.jacobian(x, q)
+    terms = ca.Function("terms", [q, w], [J, ca.jacobian(J, q) * w**2 / 2, k * (x - rest) * dx, ca.fabs(dx)])
+    times, found, t, state = np.arange(81) * 0.02, [], 0.0, np.array([0.9, 0.0])
+    while t < times[-1]:
+        _, _, load, slope = map(float, terms(*state))
+        assert abs(load) > hinge + guide * slope  # it does not stick
+        sign = -math.copysign(1, load)
+
+        def rate(_t: float, z: np.ndarray, sign: float = sign) -> list[float]:
+            j, d, f, s = map(float, terms(*z))
+            return [z[1], (-f - d - sign * (hinge + guide * s)) / j]
+
+        def stop(_t: float, z: np.ndarray) -> float:
+            return z[1]
+
+        stop.terminal, stop.direction = True, -sign
+        part = solve_ivp(
+            rate, (t, times[-1]), state, "DOP853", rtol=1e-12, atol=1e-13, events=stop, dense_output=True, max_step=0.01
+        )
+        found += [part.sol(at) for at in times[len(found) :] if at <= part.t[-1]]
+        t, state = part.t[-1], np.array([part.y[0, -1], 0.0])
+    run = alfmu.simulate(m, 1.6, 0.02, parameters={"solver.relative_tolerance": 1e-9})
+    assert run["crank.angle"] == pytest.approx(np.array(found)[:, 0], abs=1e-9)
+    assert run["crank.angular_velocity"] == pytest.approx(np.array(found)[:, 1], abs=1e-8)
 
 
 def wedge() -> Mechanism:

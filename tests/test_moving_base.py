@@ -159,6 +159,26 @@ def test_rest_in_a_singular_position_without_a_start_value(started: bool, caplog
     assert any("starts at rest in a singular position" in message for message in caplog.messages) != started
 
 
+def test_start_rate_from_a_base_that_turns_by_a_law() -> None:
+    """A bar in absolute coordinates starts at 1 rad/s from a base at w + w^2: rate and its derivatives by hand."""
+    m = Mechanism("on_a_turntable")
+    w = m.parameter("w", 0.6, "rad/s")
+    turn, relative = w * m.time + ca.sin(w * w * m.time), m.start("relative", 0.1, "rad", rate=1.0)
+    base = m.body("base", mass=0.0, inertia=0.0, pose=(0.0, 0.0, turn))
+    pose = (m.coordinate("x", "m", start=0.5), m.coordinate("y", "m", start=0.0), m.coordinate("th", "rad", start=0.0))
+    bar = m.bar("bar", mass=1.0, length=1.0, pose=pose)
+    m.tie(relative, bar.angle - base.angle)
+    m.revolute("A", base.at(0.0, 0.0), bar.start)
+    m.gravity(0.0, 0.0)
+    of = ["bar.angle", "bar.angular_velocity"]
+    found = alfmu.derivatives(m, ["w", "start.relative_rate"], 0.2, 0.1, outputs=of)
+    speed = 1.0 + 0.6 + 0.36
+    assert found.result["bar.angular_velocity"] == pytest.approx(speed, abs=1e-9)
+    assert found.result["bar.angle"] == pytest.approx(0.1 + speed * found.result.time, abs=1e-9)
+    assert found["bar.angular_velocity", "w"] == pytest.approx(1.0 + 2 * 0.6, abs=1e-9)
+    assert found["bar.angular_velocity", "start.relative_rate"] == pytest.approx(1.0, abs=1e-9)
+
+
 @pytest.fixture(scope="module")
 def passages() -> Iterator[ModuleType]:
     yield from script("_passages")

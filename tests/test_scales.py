@@ -11,10 +11,12 @@ import pytest
 import turned
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import alfmu
 from alfmu import Mechanism
 from alfmu.runtime.pipeline import ready
+from alfmu.simulation import Result
 
 STEPS = 30
 SIZES = ((1.0, 1.0), (1e-2, 1e6), (1e-4, 1e-9), (4e-6, 1.0), (1e4, 1e6))
@@ -144,6 +146,26 @@ def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     assert np.abs(there - here).max() <= 5e-9
     small = {"L": 1e-4, "start.angle_rate": 400.0, "solver.relative_tolerance": 1e-10}
     assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
+
+
+def test_bodies_that_joints_carry_take_no_more_steps_far_from_the_origin():
+    """A four-bar in joint coordinates: the loop is closed from pivot to pivot, and not from the origin."""
+
+    def moved(at: float) -> Result:
+        m = Mechanism("far")
+        crank, rod, rocker = (m.bar(f"bar{k}", mass=1.0, length=length) for k, length in enumerate((0.5, 0.9, 1.0)))
+        th = m.coordinate("th", "rad", start=0.8, rate=4.0, independent=True)
+        m.revolute("A", m.ground.at(at, -at / 2), crank.start, coordinate=th)
+        m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=-0.2))
+        side = m.coordinate("side", "rad", start=1.8)
+        m.revolute("D", m.ground.at(at + 1.25, -at / 2), rocker.start, coordinate=side)
+        m.revolute("C", rod.end, rocker.end)
+        m.gravity(0.0, -9.81)
+        return alfmu.simulate(m, 2.0, 0.02, parameters={"solver.relative_tolerance": 1e-9})
+
+    here, there = moved(0.0), moved(4096.0)
+    assert there["bar0.angle"] == pytest.approx(here["bar0.angle"], abs=1e-9)
+    assert there.counters.evaluations <= 1.2 * here.counters.evaluations
 
 
 def of_points(tilt: float) -> Mechanism:
@@ -286,6 +308,64 @@ def test_a_four_bar_torn_apart_of_any_size_moves_alike(make):
         second = length**0.5
         values = {"L": length, "start.angle_rate": 4 / second, "solver.relative_tolerance": 1e-9}
         assert np.abs(angles(i, second * times, values) - usual).max() <= 1e-9, length
+
+
+def test_a_start_that_nothing_determines_is_in_proportion():
+    """A five-bar has two freedoms and one start value: places and rates nearest to the guess decide the other one."""
+    m = Mechanism("five_bar")
+    L = m.parameter("L", 1.0, "m")
+    guesses = {"a": (-0.07, 0.18, 1.9), "b": (0.2, 0.6, 0.6), "c": (0.8, 0.6, 2.3), "d": (1.05, 0.2, 1.2)}
+    bars = {}
+    for k, (name, (x, y, angle)) in enumerate(guesses.items()):
+        start = {"start": angle, "rate": 3.0, "independent": True} if name == "a" else {"start": angle}
+        pose = [m.coordinate(f"{name}x", "m", start=x * L), m.coordinate(f"{name}y", "m", start=y * L)]
+        length = (0.4, 0.7, 0.7, 0.4)[k] * L
+        bars[name] = m.bar(name, mass=1.0, length=length, pose=(*pose, m.coordinate(f"{name}th", "rad", **start)))
+    m.revolute("A", m.ground.at(0, 0), bars["a"].start)
+    m.revolute("B", bars["a"].end, bars["b"].start)
+    m.revolute("C", bars["b"].end, bars["c"].end)
+    m.revolute("D", bars["d"].end, bars["c"].start)
+    m.revolute("E", m.ground.at(L, 0), bars["d"].start)
+    m.gravity(0, 0)
+    i = unit(m)
+
+    def started(length: float) -> NDArray:
+        i._unit.reset()
+        i.set("L", length)
+        i.initialize()
+        return np.array([i.get(f"{bar}.{what}") for bar in bars for what in ("angle", "angular_velocity")])
+
+    usual = started(1.0)
+    assert usual[1] == pytest.approx(3.0, abs=1e-12)
+    for length in (1e-2, 0.3, 0.7, 3.0, 100.0):
+        assert np.abs(started(length) - usual).max() <= 1e-12, length
+
+
+def test_a_start_in_space_that_nothing_determines_is_in_proportion_and_turns_with_the_mechanism():
+    """A rotor in two gimbals, of which only the rotor's hinge has a start rate, in absolute coordinates."""
+
+    def started(size: float, turn: NDArray) -> NDArray:
+        m = Mechanism("gimbals")
+        last, origin = m.spatial_ground, np.zeros(3)
+        for name, axis, center in (("outer", (0, 0, 1), (0.1, 0, 0)), ("inner", (1, 0, 0), (0, 0.1, 0.2))):
+            at = size * turn @ np.array(center)
+            body = m.spatial_body(name, mass=1.0, inertia=(size**2 / 50,) * 3, position=tuple(at))
+            m.spatial_revolute(f"{name}_hinge", last.at(*-origin), body.at(*-at), axis=tuple(turn @ np.array(axis)))
+            last, origin = body, at
+        body = m.spatial_body("rotor", mass=1.0, inertia=(size**2 / 50,) * 3)
+        spin = m.spatial_revolute("spin", last.at(*-origin), body.at(), axis=tuple(turn @ np.array((0, 1, 0.2))))
+        m.tie(m.start("spin_angle", 0.0, "rad", rate=40.0), spin.free)
+        m.gravity(0, 0, 0)
+        i = unit(m)
+        i.initialize()
+        rates = [[i.get(f"{name}.angular_velocity.{k}") for k in "xyz"] for name in ("outer", "inner", "rotor")]
+        return np.array(rates) @ turn
+
+    usual = started(1.0, np.eye(3))
+    assert np.abs(usual[0]).max() > 0.1  # a gimbal moves along, as near the guess as the rotor
+    for k, size in enumerate((1.0, 0.01, 0.3, 7.0)):
+        turn = Rotation.random(random_state=k).as_matrix()
+        assert np.abs(started(size, turn) - usual).max() <= 1e-10, size
 
 
 # Constraints that hardly agree ------------------------------------------------------------------------------------

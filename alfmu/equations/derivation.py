@@ -345,7 +345,7 @@ class _Expressions:
 
 
 def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, read: _Readings) -> _Expressions:
-    own, n, plain, lam, f_applied = at.own, at.n, closed.plain, closed.lam, terms.f_applied
+    own, plain, lam, f_applied = at.own, closed.plain, closed.lam, terms.f_applied
     gaps = closed.signs * stack([plain.gap(*c) for c in closed.closures])
     y = stack(read.values)
     carried, weights = carried_by(m, read.borne, closed.closures, lam, lengths_of(m, closed.rows))
@@ -377,7 +377,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
         ),
         **({"counted": stack([angle for _, angle in counted.values()])} if counted else {}),
         "gaps": gaps,
-        "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + terms.slipping, n, m.moves),
+        "gaps_matrix": ca.horzcat(ca.jacobian(gaps, own[0]) + terms.slipping, ca.SX(gaps.numel(), int(m.moves))),
         "kinetic_energy": terms.T,
         "potential_energy": terms.V,
         "input_power": ca.dot(f_applied - passive, at.v),
@@ -392,7 +392,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
         "guess_rate": (ca.jtimes(guess, at.s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, at.begin) if m.moves else 0),
         "ties": ties,
-        "ties_matrix": _still(ca.jacobian(ties, own[0]), n, m.moves),
+        "ties_matrix": ca.jacobian(ties, at.q),
         **terms.moving,
     }
     return _Expressions(expressions, symbols, counted, tied)
@@ -533,11 +533,6 @@ def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
     """Return an expression with its angles as they are before a run has counted turns."""
     nears = [body.near for body in _between_points(m)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
-
-
-def _still(matrix: ca.SX, n: int, moves: bool) -> ca.SX:
-    """Return a derivative by n coordinates, with an empty column for time if it is one."""
-    return ca.horzcat(matrix[:, :n], ca.SX(matrix.shape[0], int(moves)))
 
 
 def _followed(m: Mechanism) -> list[Followed]:

@@ -150,7 +150,8 @@ def evaluable(equations: Stage) -> Stage:
 def telling(equations: Equations) -> list[int]:
     """Return the independent coordinates that have a start value each."""
     ties = equations.ties_matrix.sparsity_out(0).T
-    return [column for begin, end in pairwise(ties.colind()) if end - begin == 1 for column in ties.row()[begin:end]]
+    rows = [[c for c in ties.row()[a:b] if c < equations.dependent] for a, b in pairwise(ties.colind())]
+    return [row[0] for row in rows if len(row) == 1]
 
 
 @once

@@ -125,11 +125,11 @@ class Loops:
         metres = np.array([c.unit == "m" for c in coordinates])
         rows = np.array(lengths, dtype=bool)
         gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
-        arm = matrix[np.ix_(rows, ~metres)].max(initial=0.0)
+        arm = np.linalg.norm(matrix[np.ix_(rows, ~metres)], axis=0).max(initial=0.0)
         if arm <= _RANK * matrix.max(initial=0.0):  # no loop rotates: all are prismatic or open
             arm = max(gaps[rows].max(initial=0.0), np.abs(self.given[metres]).max(initial=0.0))
-        self.size = 2.0 ** np.round(np.log2(arm or 1.0))
-        """Length [m] of the longest arm of a loop, rounded to a power of two so that scaling is exact."""
+        self.size = arm or 1.0
+        """Length [m] of the longest arms of the loops, which scales and turns with them."""
         self.units = np.where(metres, self.size, 1.0)
         self._row_units = np.where(rows, self.size, 1.0)
         self._ready = np.array(

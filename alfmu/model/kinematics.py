@@ -33,7 +33,8 @@ __all__ = ["FREE", "Closing", "Closure", "Displacement", "Frame", "Kinematics", 
 
 @dataclass
 class Frame:
-    """Place of a body: its point with local coordinates `local` is at (x, y), and its x axis points along (ex, ey)."""
+    """Place of a body: its point with local coordinates `local` is at (x, y) from its root, and its x axis points along
+    (ex, ey)."""
 
     x: ca.SX
     y: ca.SX
@@ -45,6 +46,10 @@ class Frame:
     """Whether the angle is known modulo whole turns only."""
     turned: ca.SX | None = None
     """The angle with whole turns counted, if known."""
+    root: Marker | None = None
+    """Where its chain of joints begins, on a body that no joint places; None for such a body."""
+    origin: tuple[Scalar, Scalar] = (0.0, 0.0)
+    """The root in ground axes."""
 
     @property
     def counted(self) -> ca.SX:
@@ -59,6 +64,11 @@ class Frame:
 
     def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """Return a point of the body's frame in ground axes."""
+        x, y = self.arm(x, y)
+        return symbolic(_sum(x, self.origin[0])), symbolic(_sum(y, self.origin[1]))
+
+    def arm(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """Return the way from the root to a point of the body's frame, in ground axes."""
         x, y = _sum(x, -self.local[0]), _sum(y, -self.local[1])
         if _vanishes(x) and _vanishes(y):
             return self.x, self.y
@@ -140,6 +150,22 @@ class Kinematics:
             self.places[at] = self.frame(at.body).place(at.x, at.y)
         return self.places[at]
 
+    def way(self, first: Marker, second: Marker) -> tuple[ca.SX, ca.SX]:
+        """Return the way from a marker to another in ground axes: as exact far from the origin as near it if joints
+        place both from one body."""
+        (one, x1, y1), (other, x2, y2) = self._rooted(first), self._rooted(second)
+        if one.body is other.body:
+            x, y = self.frame(one.body).turn(_sum(other.x, -one.x), _sum(other.y, -one.y))
+        else:
+            (xa, ya), (xb, yb) = self.place(one), self.place(other)
+            x, y = xb - xa, yb - ya
+        return x + (x2 - x1), y + (y2 - y1)
+
+    def _rooted(self, at: Marker) -> tuple[Marker, Scalar, Scalar]:
+        """Return the root of the chain that carries a marker, and the way from there to the marker."""
+        frame = self.frame(at.body)
+        return (at, 0.0, 0.0) if frame.root is None else (frame.root, *frame.arm(at.x, at.y))
+
     def center(self, body: Body) -> tuple[ca.SX, ca.SX]:
         """Return the centre of mass of a body in ground axes."""
         if body not in self.places:
@@ -157,9 +183,9 @@ class Kinematics:
             return joint.free
         if joint.kind == "revolute":
             return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
-        (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
+        x, y = self.way(joint.first, joint.second)
         ux, uy, _, _ = self.axes(joint)
-        return ux * (x2 - x1) + uy * (y2 - y1)
+        return ux * x + uy * y
 
     def counted(self, joint: AnyJoint) -> ca.SX:
         """Return the free displacement, with whole turns counted for an angle."""
@@ -175,8 +201,8 @@ class Kinematics:
         in_space = [m.place for m in between if isinstance(m, SpatialMarker)]
         if in_space:
             return ca.norm_2(in_space[1] - in_space[0])
-        (x1, y1), (x2, y2) = (self.place(m) for m in between if isinstance(m, Marker))
-        return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
+        x, y = self.way(*(m for m in between if isinstance(m, Marker)))
+        return ca.sqrt(x**2 + y**2)
 
     def locked(self, lock: Lock | Motion) -> tuple[ca.SX, bool]:
         """Return the displacement that a lock or a motion keeps, and whether it is an angle known modulo whole turns
@@ -243,14 +269,12 @@ class Kinematics:
         if isinstance(closure, Rigidity) or direction == "length":
             square, length = self._apart(closure)
             return (square - length**2) / (2 * length)
-        (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
-        if direction == "x":
-            return x2 - x1
-        if direction == "y":
-            return y2 - y1
+        x, y = self.way(closure.first, closure.second)
+        if direction in ("x", "y"):
+            return x if direction == "x" else y
         if direction == "normal":
             _, _, nx, ny = self.axes(closure)
-            return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
+            return nx * x + ny * y - closure.offset
         first, second = self.frame(closure.first.body), self.frame(closure.second.body)
         if not (first.wrapped or second.wrapped):
             return second.angle - first.angle - closure.angle
@@ -268,8 +292,7 @@ class Kinematics:
             if isinstance(closure, Rigidity):
                 _, _, dx, dy, length = self._span(closure.body)
             else:
-                (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
-                dx, dy, length = x2 - x1, y2 - y1, closure.length
+                (dx, dy), length = self.way(closure.first, closure.second), closure.length
             self.squares[closure] = dx**2 + dy**2, length
         return self.squares[closure]
 
@@ -344,14 +367,13 @@ class Kinematics:
             other, marker = joint.second, joint.first
             frame = _turned(self.frame(other.body), -angle, (marker.x, marker.y))
             guide = frame
-        x, y = self.place(other)
+        root, x, y = self._rooted(other)
         dx, dy = e.get("x", 0), e.get("y", 0)
         if joint.kind == "prismatic":
             c, s = _cis(joint.axis)
             dx, dy = guide.turn(c * free - s * across, s * free + c * across)
         sign = 1 if forward else -1
-        frame.x, frame.y = x + sign * dx, y + sign * dy
-        return frame
+        return replace(frame, x=symbolic(x + sign * dx), y=symbolic(y + sign * dy), root=root, origin=self.place(root))
 
     def _displaced(self, frame: Frame, joint: Joint) -> Frame:
         """Return a body in absolute coordinates, displaced at a joint that its pose closes."""

@@ -16,6 +16,9 @@
 #include "scene.h"
 #include "text.h"
 
+/* Weight of a coordinate that least squares leave alone: corrections in proportion to its square are zero. */
+#define STANDS_STILL 1e-200
+
 const double *loops_starts(const Instance *i)
 {
     return i->values + i->scene->own;
@@ -45,15 +48,13 @@ static int row_is_length(const Scene *s, int k)
     return !strcmp(k < s->l ? s->rows[k].unit : s->variables[s->own + s->tied[k - s->l]].unit, "m");
 }
 
-/* Prepare the loops. Their unit of length is a power of two near the length of the mechanism, so that scaling is exact;
-   the derivatives of the start take it as constant. */
+/* Prepare the loops. Their unit of length is that of the mechanism, so that a start which nothing determines scales
+   with it; the derivatives of the start take it as constant. */
 Loops loops_new(Instance *i, const unsigned char *held, double length)
 {
     const Scene *s = i->scene;
     Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL, NULL,
         NULL, NULL};
-    int exponent;
-    length = frexp(length, &exponent) < sqrt(0.5) ? ldexp(0.5, exponent) : ldexp(1.0, exponent);
     loops.residue = arena_alloc(i, (size_t)loops.count);
     loops.trial = arena_alloc(i, (size_t)s->n);
     loops.rows = arena_alloc(i, (size_t)loops.count);
@@ -65,6 +66,8 @@ Loops loops_new(Instance *i, const unsigned char *held, double length)
         loops.units[c] = coordinate_is_length(s, c) ? length : 1.0;
         loops.columns[c] = s->readiness[c] * loops.units[c];
     }
+    if (s->timed) /* Time is not corrected, but start rates of what moves with it contain its rate. */
+        loops.columns[s->n - 1] = STANDS_STILL;
     return loops;
 }
 

@@ -97,25 +97,28 @@ double units_own_length(Instance *i, const double *q)
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l, entries = (size_t)p->entries;
     double *C = arena_alloc(i, entries), *turned = arena_alloc(i, entries), *there = arena_alloc(i, n),
            *zeros = arena_alloc(i, n);
-    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l), known = 0.0, arm = 0.0,
-           radius = INFINITY, found;
+    double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l),
+           *reached = arena_alloc(i, l), known = 0.0, arm = 0.0, radius = INFINITY, found;
     Range *sizes = (Range *)arena_alloc(i, 3 * entries), *amplitudes = (Range *)arena_alloc(i, 3 * entries);
     Row_units *told = (Row_units *)arena_alloc(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
     memset(told, 0, l * sizeof *told);
+    memset(reached, 0, l * sizeof *reached);
     constraints_evaluate(i, q, zeros, NULL, C, NULL, NULL);
     units_sample_coefficients(i, q, NULL, sizes, amplitudes);
     units_tell(s, sizes, amplitudes, told);
     for (int c = 0; c < s->n; c++)
         for (int e = p->offsets[c]; !coordinate_is_length(s, c) && e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
+            /* The Euler parameters of a body together change by half its angle, whatever its attitude. */
+            reached[r] = coordinate_is_angle(s, c) ? fmax(reached[r], amplitudes[e].most)
+                                                   : hypot(reached[r], 0.5 * C[e]);
+        }
+    for (int r = 0; r < s->l; r++)
+        if (!strcmp(s->rows[r].unit, "m")) {
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
-            /* A turn changes Euler parameters by half its angle. */
-            const double reached = amplitudes[e].most * (coordinate_is_angle(s, c) ? 1.0 : 0.5);
-            if (strcmp(s->rows[r].unit, "m"))
-                continue;
-            known = fmax(known, unit > 0.0 ? reached / unit : 0.0);
-            arm = fmax(arm, reached);
+            known = fmax(known, unit > 0.0 ? reached[r] / unit : 0.0);
+            arm = fmax(arm, reached[r]);
         }
     for (int k = 0; k < RANKED && arm == 0.0; k++) { /* A displacement along the radius turns nothing: try several. */
         memset(size, 0, l * sizeof *size);

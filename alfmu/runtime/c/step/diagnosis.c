@@ -10,6 +10,7 @@
 #include "interpret.h"
 #include "layout.h"
 #include "linear.h"
+#include "loops.h"
 #include "message.h"
 #include "scene.h"
 #include "scene_sizes.h"
@@ -117,6 +118,58 @@ Outcome diagnose_length(Instance *i, double t)
         return instance_say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size",
             s->name, t, moved, instance_row_label(i, row, label, sizeof label), gap);
     return DONE;
+}
+
+/* Largest turn [rad] or way, over the length of the mechanism, between two positions to which laws lead, and how many
+   such positions are looked at. */
+#define LED 0.1
+#define MOST_LED 200
+
+/* Return FAILED if laws of motion lead to a position before `end` at which the loops cannot be closed, as there is
+   none beyond a dead position. Positions follow each other so closely that each is found from the one before. */
+Outcome diagnose_laws(Instance *i, double end)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double *q = arena_alloc(i, n), *before = arena_alloc(i, n), t = *instance_time(i), open = t, speed = 0.0, dt;
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    char label[100] = "";
+    Loops loops;
+    if (!s->timed || !s->l)
+        return DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    for (int k = 0; k < s->frictions; k++) /* A joint that sticks may slip. */
+        held[s->friction[k].row] = 0;
+    loops = loops_new(i, held, *i->length);
+    loops.untied = 1;
+    memcpy(q, instance_field(i, s->z), n * sizeof *q);
+    for (int c = 0; c < scene_coordinates(s); c++)
+        speed = fmax(speed, fabs(instance_field(i, s->z)[s->n + c]) / loops.units[c]);
+    dt = LED / fmax(speed, LED / (end - t));
+    for (int k = 0; k < MOST_LED && t < end && dt > 1e-9 * (end - t); k++) {
+        memcpy(before, q, n * sizeof *q);
+        q[s->n - 1] = t + fmin(dt, end - t);
+        loops_follow(i, &loops, q);
+        if (loops_close(i, &loops, q)) {
+            t = before[s->n - 1] = q[s->n - 1];
+            dt *= *label ? 0.5 : fmin(2.0, LED / fmax(coordinates_apart(s, loops.units, before, q), LED / 2));
+            continue;
+        }
+        if (!*label) {
+            open = q[s->n - 1];
+            loops_gap_label(i, &loops, label, sizeof label);
+        }
+        memcpy(q, before, n * sizeof *q);
+        dt /= 2;
+    }
+    arena_release(i, arena);
+    if (!*label)
+        return DONE;
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: its laws lead on to positions at which the loops cannot be closed; at t = %.6g s the nearest "
+        "one leaves %s; check that they agree, and let them turn round before a dead position",
+        s->name, t, open, label);
 }
 
 /* Report a communication step that exceeds the work limit of one call. */

@@ -35,13 +35,13 @@ void friction_distances(Instance *i, double *found)
             found[k] = MOVING * friction_rest(i) - fabs(found[k]);
 }
 
-/* Return the least distance of the joints that meet an event in this step. */
-static double find_least_distance(const double *rooms, const unsigned char *meets, int count)
+/* Return the least distance of the joints that meet an event in this step, each in its own unit. */
+static double find_least_distance(const double *rooms, const unsigned char *meets, const double *units, int count)
 {
     double found = INFINITY;
     for (int k = 0; k < count; k++)
-        if (meets[k] && !(rooms[k] >= found))
-            found = rooms[k];
+        if (meets[k] && !(rooms[k] / units[k] >= found))
+            found = rooms[k] / units[k];
     return found;
 }
 
@@ -130,14 +130,20 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     const int count = s->frictions;
-    double *now = arena_alloc(i, (size_t)count);
+    double *now = arena_alloc(i, (size_t)count), *units = arena_alloc(i, (size_t)count);
     const double start = kept->state[s->time];
-    double low = start, high = *instance_time(i), at_low = find_least_distance(before, meets, count),
-           at_high = find_least_distance(after, meets, count);
-    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * friction_rest(i) / STOPPED);
-    double weight_low = 1.0, weight_high = 1.0, there = at_high;
+    double low = start, high = *instance_time(i), at_low, at_high, there, scale = INFINITY;
+    double weight_low = 1.0, weight_high = 1.0;
     const double early = EARLIEST * i->values[s->step_size];
     Outcome outcome = DONE;
+    /* The search compares joints that turn with joints that slide: the unit of each is its largest distance. */
+    for (int k = 0; k < count; k++) {
+        units[k] = fmax(fmax(fabs(before[k]), fabs(after[k])), DBL_MIN);
+        if (meets[k])
+            scale = fmin(scale, fmax(1.0, NEARLY_STOPPED * friction_rest(i) / (STOPPED * units[k])));
+    }
+    at_low = find_least_distance(before, meets, units, count);
+    there = at_high = find_least_distance(after, meets, units, count);
     for (int pass = 0; pass < SEARCHED && outcome == DONE; pass++) {
         double t;
         if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), early))
@@ -155,7 +161,7 @@ static Outcome locate_event(Instance *i, const Step_memory *kept, const double *
         if (outcome != DONE)
             break;
         friction_distances(i, now);
-        there = find_least_distance(now, meets, count);
+        there = find_least_distance(now, meets, units, count);
         if (there < 0.0) {
             if (at_low <= 0.0) { /* The joint moves in the wrong direction from the beginning. */
                 restore_step(i, kept);
@@ -234,7 +240,9 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
             break;
         friction_distances(i, after);
         {
-            const double first = find_least_distance(after, meets, (int)count);
+            double first = INFINITY;
+            for (size_t k = 0; k < count; k++)
+                first = meets[k] ? fmin(first, after[k]) : first;
             for (size_t k = 0; k < count; k++)
                 meets[k] = meets[k] && fabs(*friction_slip(i, (int)k)) == 1.0 && after[k] <= fmax(fabs(first), rest);
         }

@@ -182,6 +182,10 @@ static Outcome step_rk4_controlled(Instance *i, double end)
     double h = fmin(left, i->values[s->step_size]), error = INFINITY, before;
     Outcome outcome = FAILED;
     memcpy(begin, z, size);
+    if (near && diagnose_laws(i, start + h) != DONE) { /* Steps to a dead position would become ever shorter. */
+        arena_release(i, arena);
+        return FAILED;
+    }
     for (; h >= fmin(GIVEN_UP, left) && i->left > 0 && !run_is_ended(i); h *= SHORTENED) {
         before = error;
         error = INFINITY;

@@ -317,6 +317,8 @@ static Outcome step_once(Instance *i, double start, double h)
     if (s->peaks && !i->within)
         peaks_begin(i);
     outcome = make_communication_step(i, start, h);
+    if (outcome != DONE && outcome != REFUSED && !i->ended && diagnose_laws(i, start + h) != DONE)
+        outcome = FAILED;
     if (outcome != DONE && changed)
         instance_go_back(i);
     else if (outcome != DONE)

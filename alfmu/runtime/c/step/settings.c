@@ -52,9 +52,6 @@ const char *settings_or_penalty(const Instance *i)
 {
     if (penalty_is_given(i))
         return "; or solver.penalty 0, which scales it with the masses";
-    if (i->scene->timed)
-        return "; or check that its laws of motion agree and do not lead beyond a dead position, where the loops "
-               "cannot be closed";
     return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
 }
 
