@@ -306,6 +306,30 @@ def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
         alfmu.imported(path, leave="tyres")
 
 
+def test_inertias_that_no_body_has_come_at_once_and_give_way_to_their_mean(tmp_path: Path):
+    """A pendulum whose acceleration is a closed form; its fixed joint follows nothing and takes no effort."""
+    link = "<link name='{}'><inertial><origin xyz='0 0 -0.3'/><mass value='2'/><inertia ixx='{}' iyy='0.02' izz='0.07' "
+    link += "/></inertial></link>"
+    text = "<robot name='r'><link name='w'/>" + link.format("b", "0.03") + link.format("c", "0.04")
+    text += "<joint name='j' type='continuous'><parent link='w'/><child link='b'/><axis xyz='0 1 0'/></joint>"
+    text += "<joint name='k' type='fixed'><parent link='b'/><child link='c'/><mimic joint='j'/></joint>"
+    text += "<transmission name='t'><joint name='k'/></transmission></robot>"
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match=r"moments of inertia are \[0.02, 0.03, 0.07\] .* \(and 1 more"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, inertia="mean")
+    assert "replaced by their mean (2 from line 1, b, c)" in found.notes[0]
+    assert not found.mechanism.inputs
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01, parameters={"start.j_angle": 0.5})
+    inertia = 0.12 / 3 + 0.13 / 3 + 4 * 0.3**2
+    expected = -4 * 9.81 * 0.3 * np.sin(0.5) / inertia
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-12)
+    path.write_text(text.replace("'0.03'", "'-0.03'"))
+    with pytest.raises(alfmu.InputError, match=r"\[-0.03, 0.02, 0.07\] kg.m2; no body has a negative one"):
+        alfmu.imported(path, inertia="mean")
+
+
 UNKNOWN = {
     "xml": "<mujoco><default><joint wobble='1'/></default><worldbody><body name='b'><joint name='j' hum='2'/>"
     "<geom size='0.1'/></body></worldbody><sway/></mujoco>",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Never
 
@@ -220,6 +220,10 @@ class Linkage:
     """Share of its weight that does not act on a link."""
     stops: bool = True
     """Whether limits of joints are end stops."""
+    tuned: list[tuple[Joint, float, float]] = field(default_factory=list)
+    """Joints with a time constant and a damping ratio for a spring and a damper."""
+    balanced: bool = False
+    """Whether moments of inertia that no body has are replaced by their mean."""
     limited: list[Node] = field(default_factory=list)
     """Elements with limits of joints."""
     leaves: Sequence[str] = ()
@@ -278,6 +282,26 @@ class Linkage:
     def refuse(self, part: str, why: str) -> None:
         """Store the refusal of a part of the mechanism that is being exported."""
         self.causes.append(f"{self.name}: {part}: {why}")
+
+    def weigh(self) -> None:
+        """Refuse moments of inertia that no body has, or replace them by their mean; then tune springs by inertia."""
+        for link in self.links:
+            moments = np.linalg.eigvalsh(link.inertial.inertia)
+            tiny = 1e-12 * np.abs(moments).max()
+            if moments[0] >= -tiny and 2 * moments[2] <= moments.sum() + tiny:
+                continue
+            if self.balanced and moments[0] > 0:
+                link.inertial = replace(link.inertial, inertia=moments.mean() * np.eye(3))
+                self.note("moments of inertia that no body has are replaced by their mean", link.node)
+                continue
+            what = "no body has a negative one, or one above the sum of the others"
+            mean = "; --option inertia=mean takes their mean" if moments[0] > 0 else ""
+            shorter = ", ".join(f"{x:.6g}" for x in moments)
+            where = link.node.where
+            self.causes.append(f"{where}: its principal moments of inertia are [{shorter}] kg.m2; {what}{mean}")
+        for joint, time, ratio in self.tuned:
+            inertia = self.mass_along(((joint, 1.0),))
+            joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
 
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""
