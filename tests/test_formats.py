@@ -259,6 +259,8 @@ def test_what_files_often_have_is_left_out(kind: str, tmp_path: Path):
     found = alfmu.imported(path)
     assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
     assert len(found.left_out) + len(found.warnings) > 2
+    massless = [each for each in found.notes if "joints that move no mass and no inertia" in each]
+    assert [each[-11:] for each in massless] == ["(line 1, j)"] * (kind == "urdf")
 
 
 def test_included_files_are_one_with_the_file(tmp_path: Path):

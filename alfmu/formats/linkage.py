@@ -284,7 +284,7 @@ class Linkage:
         self.causes.append(f"{self.name}: {part}: {why}")
 
     def weigh(self) -> None:
-        """Refuse moments of inertia that no body has, or replace them by their mean; then tune springs by inertia."""
+        """Replace moments of inertia that no body has by their mean, or refuse them; then tune springs by inertia."""
         for link in self.links:
             moments = np.linalg.eigvalsh(link.inertial.inertia)
             tiny = 1e-12 * np.abs(moments).max()
@@ -299,9 +299,25 @@ class Linkage:
             shorter = ", ".join(f"{x:.6g}" for x in moments)
             where = link.node.where
             self.causes.append(f"{where}: its principal moments of inertia are [{shorter}] kg.m2; {what}{mean}")
+        if self.causes:
+            return
+        self._check_moving()
         for joint, time, ratio in self.tuned:
             inertia = self.mass_along(((joint, 1.0),))
             joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
+
+    def _check_moving(self) -> None:
+        """Tell of joints that move no mass, and that nothing else moves."""
+        M, _, columns = self.masses
+        ends = [link for closure in self.closures for link, _ in (closure.first, closure.second)]
+        bound = [joint for each in self.couplings for joint, _ in (*each.of, *each.by)]
+        bound += [joint for tendon in self.tendons for joint, _ in tendon.along]
+        bound += [each for joint in columns if joint.follows for each in (joint, joint.follows[0])]
+        held = {k for link in ends for k in self.twists[1][link]} | {k for joint in bound for k in columns[joint]}
+        for joint, own in columns.items():
+            if any(M[k, k] == 0 and k not in held for k in own):
+                what = "joints that move no mass and no inertia, which no loop holds, so that it cannot run"
+                self.note(f"{what}; give the links both, or make the joints fixed", joint.node)
 
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""
