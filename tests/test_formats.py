@@ -175,8 +175,10 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
         ("<html/>", "alfmu reads <mujoco>"),
         ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", "nothing in it moves"),
         (SDF.format("<joint type='revolute'/>"), "joint: it has no name; give one"),
-        ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='gearbox'><parent>world</parent>"
-         "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'gearbox' joint does not map"),
+        ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='spring'><parent>world</parent>"
+         "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'spring' joint does not map"),
+        (SDF.format("<joint name='j' type='gearbox'><parent>world</parent><child>l</child></joint>"),
+         r"joint\[j\]: it has no <gearbox_reference_body>; give one"),
         ("<sdf version='1.9'><model name='m'><link name='l'><pose relative_to='f'/></link><frame name='f'><pose "
          "relative_to='l'/></frame></model></sdf>", "in a circle"),
         ("<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='planar'><parent link='a'/>"

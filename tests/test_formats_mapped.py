@@ -212,6 +212,36 @@ def test_models_of_a_world_move_together(tmp_path: Path):
     assert "models with a name that another has, or none, have a number added (line 1, a_2)" in found.notes
 
 
+GEARS = """<sdf version='1.9'><model name='m'>{}<joint name='g' type='gearbox'><parent>a</parent><child>b</child>
+<gearbox_ratio>3</gearbox_ratio><gearbox_reference_body>f</gearbox_reference_body><axis><xyz>0 1 0</xyz></axis>
+<axis2><xyz>0 {} 0</xyz></axis2></joint></model></sdf>"""
+
+
+def test_a_gearbox_of_sdf_makes_its_child_turn_by_its_parent(tmp_path: Path):
+    """A pendulum that turns a wheel on the same frame, against its closed form; and a frame that a link carries."""
+    inertia = "<inertia><ixx>0.1</ixx><iyy>{}</iyy><izz>0.1</izz></inertia>"
+    link = "<link name='{}'><inertial><pose>0 0 {} 0 0 0</pose><mass>2</mass>" + inertia + "</inertial></link>"
+    hinge = "<joint name='{0}' type='{3}'><parent>{1}</parent><child>{2}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+    text = link.format("f", 0, 0.1) + link.format("a", -0.3, 0.12) + link.format("b", 0, 0.05)
+    path = tmp_path / "gears.sdf"
+    hinges = hinge.format("h", "world", "f", "fixed") + hinge.format("j", "f", "a", "revolute")
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "f", "b", "revolute"), -1))
+    run = alfmu.simulate(str(path), 0.3, 0.1, parameters={"start.j_angle": 0.5})
+    np.testing.assert_allclose(run["k.angle"], 3 * run["j.angle"], atol=1e-12)
+    expected = -2 * 9.8 * 0.3 * np.sin(0.5) / (0.12 + 2 * 0.3**2 + 3**2 * 0.05)
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-12)
+    hinges = hinge.format("h", "world", "a", "revolute") + hinge.format("j", "a", "f", "revolute")
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "f", "b", "revolute"), 1))
+    run = alfmu.simulate(str(path), 0.3, 0.1, parameters={"start.j_angle": 0.5})
+    np.testing.assert_allclose(run["k.angle"], 3 * run["j.angle"], atol=1e-12)
+    path.write_text(path.read_text().replace("<axis2><xyz>0", "<axis2><xyz>1"))
+    with pytest.raises(alfmu.InputError, match="its <axis2> is not along the hinge k, on which b turns"):
+        alfmu.imported(path)
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "world", "b", "revolute"), 1))
+    with pytest.raises(alfmu.InputError, match="between links that turn on its reference body by hinges; b does not"):
+        alfmu.imported(path)
+
+
 def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     shape = (
         "<collision name='c'><density>800</density><geometry><box><size>0.2 0.4 0.6</size></box></geometry></collision>"
