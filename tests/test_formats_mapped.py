@@ -252,6 +252,13 @@ def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     mass = 800 * 0.2 * 0.4 * 0.6
     assert body.mass == pytest.approx(mass, rel=1e-14)
     np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.52, 0.4, 0.2]), rtol=1e-13)
+    posed = shape.replace("<density>", "<pose relative_to='f' degrees='true'>0.3 0 0 0 90 0</pose><density>")
+    frame = "<frame name='f'><pose degrees='true'>1 2 3 0 0 90</pose></frame>"
+    link = f"<link name='l'><pose>0 0 1 0 0 0</pose><inertial auto='true'/>{posed}</link>"
+    path.write_text(sdf(frame + link + HINGE.format("h", "world", "l")))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    np.testing.assert_allclose(body.center, [1, 2.3, 2], rtol=1e-13)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.2, 0.52]), rtol=1e-13)
 
 
 BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"

@@ -207,12 +207,12 @@ class File:
             node.fail("the quaternion is zero")
         return Pose(vector(x[:3]), of_quaternion((x[6], x[3], x[4], x[5])))
 
-    def _in_link(self, node: Node, what: str) -> Pose:
+    def _in_link(self, node: Node, link: Node) -> Pose:
         """Return the pose of a link's part in the link."""
         posed = node.one("pose")
-        if posed is not None and posed.attributes.get("relative_to"):
-            posed.fail(f"relative_to of {what} does not map; give the pose in the link")
-        return self._given(posed)
+        base = posed.attributes.get("relative_to", "") if posed is not None else ""
+        apart = self._pose(link.attributes["name"], node).inverse @ self._pose(base, node) if base else Pose()
+        return apart @ self._given(posed)
 
     def _named(self, name: str) -> str:
         """Return the name of a link, a joint or a frame; the name of a nested model stands for its frame."""
@@ -345,13 +345,13 @@ class File:
         moments = [given.number(each, 1.0) for each in ("ixx", "iyy", "izz")]
         products = [given.number(each, 0.0) for each in ("ixy", "ixz", "iyz")]
         mass = Children(node).positive("mass", 1.0)
-        return Inertial.of(mass, self._in_link(node, "an inertial"), moments, products)
+        return Inertial.of(mass, self._in_link(node, link), moments, products)
 
     def _of_shapes(self, link: Node, inertial: Node) -> Inertial:
         """Return the inertia of a link from its collision shapes as homogeneous solids."""
         parts = []
         for each in link.all("collision"):
-            at = self._in_link(each, "a shape that gives inertia")
+            at = self._in_link(each, link)
             density = Children(each).number("density", Children(inertial).number("density", 1000.0))
             shape = next((x for x in (each.one("geometry") or each).each() if x.tag in _SOLIDS), None)
             if shape is None:
