@@ -82,8 +82,34 @@ def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(arm(b=' range="0.6 0.9"'))
     found = alfmu.imported(path)
-    assert found.warnings == ("limits beyond which the start is (line 3, jb)",)
+    assert found.warnings == (
+        "limits beyond which the start is; --option limits=inside starts within them (line 3, jb)",
+    )
     assert not found.mechanism.end_stops
+
+
+def test_a_folded_leg_starts_within_its_limits_on_request(tmp_path: Path):
+    """A slider-crank of equal arms, whose slider stays at zero from there; within the limits, s = 2 l cos(angle)."""
+    path = tmp_path / "leg.xml"
+    geom = '<geom type="capsule" size="0.02" fromto="0 0 0 0 0 {}"/>'
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><option><flag contact="disable"/></option><worldbody>'
+        f'<body name="a"><joint name="hip" axis="0 1 0" range="0.2 1.3"/>{geom.format(-0.4)}'
+        f'<body name="b" pos="0 0 -0.4"><joint name="knee" axis="0 1 0" range="0.4 2.6"/>{geom.format(0.4)}'
+        '</body></body><body name="c"><joint name="foot" type="slide" axis="0 0 -1" range="0.1 0.7"/>'
+        '<geom size="0.03"/></body></worldbody><equality><connect body1="b" body2="c" anchor="0 0 0.4"/></equality>'
+        "</mujoco>"
+    )
+    found = alfmu.imported(path)
+    assert "limits beyond which the start is" in found.warnings[0]
+    assert alfmu.simulate(found.mechanism, 0.1, 0.1)["c.position"][-1] == pytest.approx(0, abs=1e-9)
+    inside = alfmu.imported(path, limits="inside")
+    assert not inside.warnings
+    run = alfmu.simulate(inside.mechanism, 0.5, 0.01)
+    hip, knee, foot = (run[name] for name in ("hip.angle", "knee.angle", "c.position"))
+    np.testing.assert_allclose(foot, 0.4 * (np.cos(hip) - np.cos(hip + knee)), atol=1e-9)
+    for start, low, high in ((hip[0], 0.2, 1.3), (knee[0], 0.4, 2.6), (foot[0], 0.1, 0.7)):
+        assert low - 1e-9 <= start <= high + 1e-9
 
 
 def test_a_tendon_without_a_motor_is_a_spring(tmp_path: Path):

@@ -275,10 +275,11 @@ class Loops:
         chosen = self._independent(x)
         start = self._start
         gap = float(np.abs(np.array(self._plain(self.given))[self._kept]).max(initial=0.0))
-        # Independent coordinates keep the given values exactly, if these lead to a position near this one.
+        # Independent coordinates keep the given values exactly, if these lead to a near position, within limits too.
         held = np.array([name in chosen for name in self.names])
         from_there = np.where(held, start, x)
-        kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), -anywhere, anywhere)
+        low, high = (-anywhere, anywhere) if beyond else (self._low, self._high)
+        kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), low, high)
         if opens <= _NEARLY and np.abs(kept - x).max(initial=0.0) <= np.abs(x - start).max(initial=0.0) + _NEARLY:
             x, left = kept, opens
         if left > _NEARLY:

@@ -301,6 +301,8 @@ class _Declaring:
             coordinates = [expression + offset if offset else expression]
         else:
             names = [f"{name}{word}" for word in words]
+            if self.linkage.inside and joint.limits:
+                start = tuple(min(max(x, low), high) for x, (low, high) in zip(start, joint.limits, strict=True))
             coordinates = [self._coordinate(*x) for x in zip(names, units, start, rates, strict=True)]
             self.limits |= dict(zip(names, joint.limits, strict=False))
             if self.linkage.posed:
@@ -365,7 +367,8 @@ class _Declaring:
         given: dict[str, Any] = {}
         given |= {which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE}
         if not limits[0] - onset <= value <= limits[1] + onset:
-            self.linkage.warn("limits beyond which the start is", node)
+            inside = "" if self.linkage.inside else "; --option limits=inside starts within them"
+            self.linkage.warn(f"limits beyond which the start is{inside}", node)
         elif given:
             self.script.do(
                 "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,

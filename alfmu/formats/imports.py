@@ -28,8 +28,8 @@ _NAMED = 4
 
 
 _COMMON = {
-    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "ignore"], "inertia": Literal["refuse", "mean"],
-    "leave": str, "folders": str, "drives": str,
+    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "inside", "ignore"],
+    "inertia": Literal["refuse", "mean"], "leave": str, "folders": str, "drives": str,
 }  # fmt: skip
 """Options of all formats with their values; the first value is the default, or the empty text."""
 
@@ -67,12 +67,12 @@ def imported(path: str | Path, **options: Any) -> Imported:
     """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
     Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
-    and slider); `limits`, whether limits of joints become end stops (`stop`, the default) or are ignored (`ignore`);
-    `contacts="leave"` leaves contacts out; `inertia="mean"` replaces moments of inertia that no body has by their mean;
-    `leave`, kinds of other elements to leave out although they affect the motion; `folders` with included files, beside
-    that of the file. MJCF: `key`, the keyframe at the start. SDF: `model`, one of several. URDF: `base`, fixed
-    (default) or floating; `loops`, a file of loops beside it. Raises InputError with file, line and element of all that
-    cannot be mapped.
+    and slider); `limits`, whether limits of joints become end stops (`stop`, the default), within which joints
+    start (`inside`), or are ignored (`ignore`); `contacts="leave"` leaves contacts out; `inertia="mean"` replaces
+    moments of inertia that no body has by their mean; `leave`, kinds of other elements to leave out, although they
+    affect the motion; `folders` with included files, beside that of the file. MJCF: `key`, the keyframe at the start.
+    SDF: `model`, one of several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises
+    InputError with file, line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -128,7 +128,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     limits, drives, inertia = (given.pop(each) for each in ("limits", "drives", "inertia"))
     readers: dict[str, Callable[..., Any]] = {"mujoco": mjcf.File, "sdf": sdf.File, "robot": urdf.File}
     linkage: Linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders).linkage
-    linkage.stops = limits == "stop"
+    linkage.stops, linkage.inside = limits != "ignore", limits == "inside"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
     linkage.balanced |= inertia == "mean"

@@ -220,6 +220,8 @@ class Linkage:
     """Share of its weight that does not act on a link."""
     stops: bool = True
     """Whether limits of joints are end stops."""
+    inside: bool = False
+    """Whether joints start within their limits, at the nearest value to that of the file."""
     tuned: list[tuple[Joint, float, float]] = field(default_factory=list)
     """Joints with a time constant and a damping ratio for a spring and a damper."""
     balanced: bool = False
