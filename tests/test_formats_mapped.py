@@ -112,6 +112,28 @@ def test_a_folded_leg_starts_within_its_limits_on_request(tmp_path: Path):
         assert low - 1e-9 <= start <= high + 1e-9
 
 
+def test_a_plane_loop_whose_points_lie_beside_its_plane_moves_if_gaps_are_left(tmp_path: Path):
+    """A parallelogram, which is a pendulum; no position closes its gap of 2 mm along the hinges."""
+    path = tmp_path / "swing.xml"
+    body = '<inertial pos="0 0 {}" mass="{}" diaginertia="0.1 0.1 0.1"/>'
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="j" axis="0 1 0"/>'
+        + body.format(-0.5, 2)
+        + '<body name="c" pos="0 0 -1"><joint name="k" axis="0 1 0"/><site name="s" pos="0.7 0.002 0"/>'
+        + body.format(0, 3)
+        + '</body></body><body name="b" pos="0.7 0 0"><joint name="l" axis="0 1 0"/><site name="t" pos="0 0 -1"/>'
+        + body.format(-0.5, 2)
+        + '</body></worldbody><equality><connect name="p" site1="s" site2="t"/></equality></mujoco>'
+    )
+    assert "leaves 0.002 m or rad; --option leave=gaps" in alfmu.imported(path).moved
+    found = alfmu.imported(path, leave="gaps")
+    assert "left out are the directions y of p" in found.moved
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01, parameters={"start.j_angle": 0.5})
+    inertia = 2 * (0.1 + 2 * 0.5**2) + 3 * 1.0**2
+    expected = -9.81 * np.sin(0.5) * (2 * 2 * 0.5 + 3 * 1.0) / inertia
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-11)
+
+
 def test_a_tendon_without_a_motor_is_a_spring(tmp_path: Path):
     """Its text is Python, and actuators of its joints carry it; a motor would be left out."""
     numbers = []

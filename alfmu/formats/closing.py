@@ -46,6 +46,9 @@ _ROUGH = 1e-5
 """Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint counts as
 equal to others except for rounded numbers: files give a right angle as 1.5708."""
 
+_LOOSE = 0.1
+"""Gap [mechanism's size, rad] up to which it does so if the user leaves gaps: points that are placed by eye."""
+
 _APART = (0.1, 0.3, -0.3)
 """Distances [mechanism's size, rad] along the motion at which this equality is tested."""
 
@@ -77,7 +80,7 @@ class Closed:
     gap: float
     """Largest gap at the given place [m, rad]."""
     left: float
-    """Largest gap at this position, above zero if the loops do not close."""
+    """Largest gap [m, rad] at this position, far above round-off if the loops do not close."""
     way: float
     """Largest change of a coordinate [rad, mechanism's size]."""
     beyond: tuple[str, ...]
@@ -98,7 +101,9 @@ class Loops:
         driven: Sequence[str],
         given: Collection[str],
         limits: Mapping[str, tuple[float, float]],
+        loose: bool = False,
     ):
+        self._agree = _LOOSE if loose else _ROUGH
         coordinates = list(mechanism.coordinates)
         self.names = [c.name for c in coordinates]
         self.driven = {name for name in driven if name in self.names}
@@ -164,13 +169,13 @@ class Loops:
         for part in _APART:
             tried, gaps, matrix = self._corrected(x + part * way, kept)
             if kept.all():
-                if np.abs(gaps).max(initial=0.0) > _ROUGH:
+                if np.abs(gaps).max(initial=0.0) > self._agree:
                     return False
                 kept = self._enough(matrix)
                 if kept.all() or (exact and np.linalg.matrix_rank(matrix, rtol=_RANK) <= kept.sum()):
                     return False
                 _, gaps, _ = self._corrected(tried, kept)
-            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY and np.abs(gaps[~kept]).max() > _ROUGH:
+            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY and np.abs(gaps[~kept]).max() > self._agree:
                 return False
         self._kept = kept
         return True
@@ -245,7 +250,7 @@ class Loops:
         """Return the nearest closed position found from the given one and, if that is far, from other positions."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
-        if left <= _ROUGH and len(self._kept) and self._kept.all() and self._spare(best):
+        if left <= self._agree and len(self._kept) and self._kept.all() and self._spare(best):
             best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:
             return best, left
@@ -283,7 +288,7 @@ class Loops:
         if opens <= _NEARLY and np.abs(kept - x).max(initial=0.0) <= np.abs(x - start).max(initial=0.0) + _NEARLY:
             x, left = kept, opens
         if left > _NEARLY:
-            x = start
+            left, x = float(np.abs(self.at(x)[0] * self._row_units[self._kept]).max()), start
         values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
         spare: dict[str, tuple[str, ...]] = {}
         for (name, direction), is_kept in zip(self._rows, self._kept, strict=True):

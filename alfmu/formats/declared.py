@@ -82,7 +82,8 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
     chosen = {c.name for c in mechanism.coordinates}
     values, spare = guessed.values, dict[str, tuple[str, ...]]()
     if mechanism.closures:
-        closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
+        loose = "gaps" in linkage.leaves
+        closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits, loose).close()
         chosen, values, spare = closed.independent, closed.values, closed.spare
         if not chosen:
             notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
@@ -93,6 +94,7 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
                 f"joints of its loops suppress some directions more than once, and agree on them only to "
                 f"{closed.missed:.1g} m or rad, as numbers are rounded; left out are the directions {left}"
             )
+            warned = notes[-1] if loose else warned
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))
             warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
@@ -104,7 +106,8 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
     """Return how far closing the loops moved coordinates, as text."""
     said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
     if closed.left > _OPEN:
-        return f"{said}, and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
+        said += f", and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
+        return f"{said}; --option leave=gaps leaves out directions of loops that other joints suppress with a gap"
     units = {c.name: c.unit for c in mechanism.coordinates}
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
