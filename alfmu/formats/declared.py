@@ -96,18 +96,19 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
             )
             warned = notes[-1] if loose else warned
         if closed.gap > _OPEN:
-            notes.append(_moved(mechanism, guessed.values, closed))
+            notes.append(_moved(mechanism, guessed.values, closed, loose))
             warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
     final = _Declaring(linkage, description, chosen, values, spare)
     return final.script, final.renamed, notes, warned
 
 
-def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> str:
+def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed, loose: bool) -> str:
     """Return how far closing the loops moved coordinates, as text."""
     said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
     if closed.left > _OPEN:
         said += f", and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
-        return f"{said}; --option leave=gaps leaves out directions of loops that other joints suppress with a gap"
+        remedy = "; --option leave=gaps leaves out directions of loops that other joints suppress with a gap"
+        return said + remedy * (not loose)
     units = {c.name: c.unit for c in mechanism.coordinates}
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
