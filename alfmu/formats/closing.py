@@ -46,7 +46,7 @@ _ROUGH = 1e-5
 """Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint counts as
 equal to others except for rounded numbers: files give a right angle as 1.5708."""
 
-_LOOSE = 0.1
+_LOOSE = 0.03
 """Gap [mechanism's size, rad] up to which it does so if the user leaves gaps: points that are placed by eye."""
 
 _APART = (0.1, 0.3, -0.3)
