@@ -158,14 +158,15 @@ class Loops:
         """Leave out directions of joints that other joints suppress except for rounded numbers, which make loops rigid
         or keep them open; return whether there are any.
 
-        The other joints must suppress them far from the position, too: here the position may merely be singular.
+        The other joints must suppress them far from the position, too, with the same gap: here the position may merely
+        be singular.
         """
         gaps, matrix = self._all(x)
         exact = np.abs(gaps).max(initial=0.0) <= _CLOSED
         along = _motions(matrix, _ROUGH)
         way = along @ np.linspace(1.0, 2.0, along.shape[1])
         way /= max(np.abs(way).max(initial=0.0), 1e-300)
-        kept = self._kept
+        kept, stay = self._kept, list[Array]()
         for part in _APART:
             tried, gaps, matrix = self._corrected(x + part * way, kept)
             if kept.all():
@@ -175,8 +176,10 @@ class Loops:
                 if kept.all() or (exact and np.linalg.matrix_rank(matrix, rtol=_RANK) <= kept.sum()):
                     return False
                 _, gaps, _ = self._corrected(tried, kept)
-            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY and np.abs(gaps[~kept]).max() > self._agree:
-                return False
+            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY:
+                stay.append(gaps[~kept])
+                if np.abs(stay[-1]).max() > self._agree or np.ptp(stay, axis=0).max() > 2 * _ROUGH:
+                    return False
         self._kept = kept
         return True
 

@@ -89,10 +89,11 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
             notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
             warned = notes[-1]
         if spare:
+            why = "at any position" if loose else "as numbers are rounded"
             left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
             notes.append(
                 f"joints of its loops suppress some directions more than once, and agree on them only to "
-                f"{closed.missed:.1g} m or rad, as numbers are rounded; left out are the directions {left}"
+                f"{closed.missed:.1g} m or rad, {why}; left out are the directions {left}"
             )
             warned = notes[-1] if loose else warned
         if closed.gap > _OPEN:
