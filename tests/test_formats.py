@@ -263,6 +263,10 @@ def test_what_files_often_have_is_left_out(kind: str, tmp_path: Path):
     assert len(found.left_out) + len(found.warnings) > 2
     massless = [each for each in found.notes if "joints that move no mass and no inertia" in each]
     assert [each[-11:] for each in massless] == ["(line 1, j)"] * (kind == "urdf")
+    if kind == "urdf":
+        axis = "<parent link='b'/><child link='c'/><mimic joint='j'/></joint>"
+        path.write_text(URDF.format(f"<link name='c'/><joint name='k' type='continuous'>{axis}"))
+        assert "which no loop holds, so that it cannot run" in alfmu.imported(path).notes[0]
 
 
 def test_included_files_are_one_with_the_file(tmp_path: Path):

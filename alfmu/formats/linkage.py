@@ -315,7 +315,9 @@ class Linkage:
         ends = [link for closure in self.closures for link, _ in (closure.first, closure.second)]
         bound = [joint for each in self.couplings for joint, _ in (*each.of, *each.by)]
         bound += [joint for tendon in self.tendons for joint, _ in tendon.along]
-        bound += [each for joint in columns if joint.follows for each in (joint, joint.follows[0])]
+        for joint in columns:
+            if joint.follows is not None:
+                bound += [joint, joint.follows[0]] if M[columns[joint][0], columns[joint][0]] else [joint]
         held = {k for link in ends for k in self.twists[1][link]} | {k for joint in bound for k in columns[joint]}
         for joint, own in columns.items():
             if any(M[k, k] == 0 and k not in held for k in own):
