@@ -301,6 +301,7 @@ def alone(what: str) -> Mechanism:
         "blade": lambda: m.blade("blade", bar.end),
         "stiffness": lambda: m.spring_damper(pin, damping=th**2),
         "gravity": lambda: m.gravity(0, -9.0),
+        "sum": lambda: m.end_stop("stop", 2 * th + 0.1, upper=1.0, stiffness=1.0, unit="rad"),
     }
     if what in parts:
         parts[what]()
@@ -314,7 +315,7 @@ REFUSED = {
     "armature": "holds no inertia of motors", "rotor": "is an expression", "blade": "it is a blade",
     "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
-    "pose": "permit 4 motions, and the coordinates 2",
+    "pose": "permit 4 motions, and the coordinates 2", "sum": "pendulum: an end stop: an end stop acts",
 }  # fmt: skip
 
 

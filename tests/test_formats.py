@@ -175,8 +175,10 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
         ("<html/>", "alfmu reads <mujoco>"),
         ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", "nothing in it moves"),
         (SDF.format("<joint type='revolute'/>"), "joint: it has no name; give one"),
-        ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='gearbox'><parent>world</parent>"
-         "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'gearbox' joint does not map"),
+        ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='spring'><parent>world</parent>"
+         "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'spring' joint does not map"),
+        (SDF.format("<joint name='j' type='gearbox'><parent>world</parent><child>l</child></joint>"),
+         r"joint\[j\]: it has no <gearbox_reference_body>; give one"),
         ("<sdf version='1.9'><model name='m'><link name='l'><pose relative_to='f'/></link><frame name='f'><pose "
          "relative_to='l'/></frame></model></sdf>", "in a circle"),
         ("<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='planar'><parent link='a'/>"
@@ -259,6 +261,12 @@ def test_what_files_often_have_is_left_out(kind: str, tmp_path: Path):
     found = alfmu.imported(path)
     assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
     assert len(found.left_out) + len(found.warnings) > 2
+    massless = [each for each in found.notes if "joints that move no mass and no inertia" in each]
+    assert [each[-11:] for each in massless] == ["(line 1, j)"] * (kind == "urdf")
+    if kind == "urdf":
+        axis = "<parent link='b'/><child link='c'/><mimic joint='j'/></joint>"
+        path.write_text(URDF.format(f"<link name='c'/><joint name='k' type='continuous'>{axis}"))
+        assert "which no loop holds, so that it cannot run" in alfmu.imported(path).notes[0]
 
 
 def test_included_files_are_one_with_the_file(tmp_path: Path):

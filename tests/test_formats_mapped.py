@@ -82,8 +82,54 @@ def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(arm(b=' range="0.6 0.9"'))
     found = alfmu.imported(path)
-    assert found.warnings == ("limits that the start exceeds (line 3, jb)",)
+    assert found.warnings == ("limits that the start exceeds; --option limits=inside starts within them (line 3, jb)",)
     assert not found.mechanism.end_stops
+
+
+def test_a_folded_leg_starts_within_its_limits_on_request(tmp_path: Path):
+    """A slider-crank of equal arms, whose slider stays at zero from there; within the limits, s = 2 l cos(angle)."""
+    path = tmp_path / "leg.xml"
+    geom = '<geom type="capsule" size="0.02" fromto="0 0 0 0 0 {}"/>'
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><option><flag contact="disable"/></option><worldbody>'
+        f'<body name="a"><joint name="hip" axis="0 1 0" range="0.2 1.3"/>{geom.format(-0.4)}'
+        f'<body name="b" pos="0 0 -0.4"><joint name="knee" axis="0 1 0" range="0.4 2.6"/>{geom.format(0.4)}'
+        '</body></body><body name="c"><joint name="foot" type="slide" axis="0 0 -1" range="0.1 0.7"/>'
+        '<geom size="0.03"/></body></worldbody><equality><connect body1="b" body2="c" anchor="0 0 0.4"/></equality>'
+        "</mujoco>"
+    )
+    found = alfmu.imported(path)
+    assert "limits that the start exceeds" in found.warnings[0]
+    assert alfmu.simulate(found.mechanism, 0.1, 0.1)["c.position"][-1] == pytest.approx(0, abs=1e-9)
+    inside = alfmu.imported(path, limits="inside")
+    assert not inside.warnings
+    run = alfmu.simulate(inside.mechanism, 0.5, 0.01)
+    hip, knee, foot = (run[name] for name in ("hip.angle", "knee.angle", "c.position"))
+    np.testing.assert_allclose(foot, 0.4 * (np.cos(hip) - np.cos(hip + knee)), atol=1e-9)
+    for start, low, high in ((hip[0], 0.2, 1.3), (knee[0], 0.4, 2.6), (foot[0], 0.1, 0.7)):
+        assert low - 1e-9 <= start <= high + 1e-9
+
+
+def test_a_plane_loop_whose_points_lie_beside_its_plane_moves_if_gaps_are_left(tmp_path: Path):
+    """A parallelogram, which is a pendulum; no position closes its gap of 2 mm along the hinges."""
+    path = tmp_path / "swing.xml"
+    body = '<inertial pos="0 0 {}" mass="{}" diaginertia="0.1 0.1 0.1"/>'
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="j" axis="0 1 0"/>'
+        + body.format(-0.5, 2)
+        + '<body name="c" pos="0 0 -1"><joint name="k" axis="0 1 0"/><site name="s" pos="0.7 0.002 0"/>'
+        + body.format(0, 3)
+        + '</body></body><body name="b" pos="0.7 0 0"><joint name="l" axis="0 1 0"/><site name="t" pos="0 0 -1"/>'
+        + body.format(-0.5, 2)
+        + '</body></worldbody><equality><connect name="p" site1="s" site2="t"/></equality></mujoco>'
+    )
+    assert "leaves 0.002 m or rad; --option leave=gaps" in alfmu.imported(path).moved
+    found = alfmu.imported(path, leave="gaps")
+    assert "these directions are left out: y of p" in found.moved
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01, parameters={"start.j_angle": 0.5})
+    inertia = 2 * (0.1 + 2 * 0.5**2) + 3 * 1.0**2
+    expected = -9.81 * np.sin(0.5) * (2 * 2 * 0.5 + 3 * 1.0) / inertia
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-11)
 
 
 def test_a_tendon_without_a_motor_is_a_spring(tmp_path: Path):
@@ -212,6 +258,36 @@ def test_models_of_a_world_move_together(tmp_path: Path):
     assert "models with a name that another has, or none, have a number added (line 1, a_2)" in found.notes
 
 
+GEARS = """<sdf version='1.9'><model name='m'>{}<joint name='g' type='gearbox'><parent>a</parent><child>b</child>
+<gearbox_ratio>3</gearbox_ratio><gearbox_reference_body>f</gearbox_reference_body><axis><xyz>0 1 0</xyz></axis>
+<axis2><xyz>0 {} 0</xyz></axis2></joint></model></sdf>"""
+
+
+def test_a_gearbox_of_sdf_makes_its_child_turn_by_its_parent(tmp_path: Path):
+    """A pendulum that turns a wheel on the same frame, against its closed form; and a frame that a link carries."""
+    inertia = "<inertia><ixx>0.1</ixx><iyy>{}</iyy><izz>0.1</izz></inertia>"
+    link = "<link name='{}'><inertial><pose>0 0 {} 0 0 0</pose><mass>2</mass>" + inertia + "</inertial></link>"
+    hinge = "<joint name='{0}' type='{3}'><parent>{1}</parent><child>{2}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+    text = link.format("f", 0, 0.1) + link.format("a", -0.3, 0.12) + link.format("b", 0, 0.05)
+    path = tmp_path / "gears.sdf"
+    hinges = hinge.format("h", "world", "f", "fixed") + hinge.format("j", "f", "a", "revolute")
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "f", "b", "revolute"), -1))
+    run = alfmu.simulate(str(path), 0.3, 0.1, parameters={"start.j_angle": 0.5})
+    np.testing.assert_allclose(run["k.angle"], 3 * run["j.angle"], atol=1e-12)
+    expected = -2 * 9.8 * 0.3 * np.sin(0.5) / (0.12 + 2 * 0.3**2 + 3**2 * 0.05)
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-12)
+    hinges = hinge.format("h", "world", "a", "revolute") + hinge.format("j", "a", "f", "revolute")
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "f", "b", "revolute"), 1))
+    run = alfmu.simulate(str(path), 0.3, 0.1, parameters={"start.j_angle": 0.5})
+    np.testing.assert_allclose(run["k.angle"], 3 * run["j.angle"], atol=1e-12)
+    path.write_text(path.read_text().replace("<axis2><xyz>0", "<axis2><xyz>1"))
+    with pytest.raises(alfmu.InputError, match="its <axis2> is not along the hinge k, on which b turns"):
+        alfmu.imported(path)
+    path.write_text(GEARS.format(text + hinges + hinge.format("k", "world", "b", "revolute"), 1))
+    with pytest.raises(alfmu.InputError, match="between links that turn on its reference body by hinges; b does not"):
+        alfmu.imported(path)
+
+
 def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     shape = (
         "<collision name='c'><density>800</density><geometry><box><size>0.2 0.4 0.6</size></box></geometry></collision>"
@@ -222,6 +298,13 @@ def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     mass = 800 * 0.2 * 0.4 * 0.6
     assert body.mass == pytest.approx(mass, rel=1e-14)
     np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.52, 0.4, 0.2]), rtol=1e-13)
+    posed = shape.replace("<density>", "<pose relative_to='f' degrees='true'>0.3 0 0 0 90 0</pose><density>")
+    frame = "<frame name='f'><pose degrees='true'>1 2 3 0 0 90</pose></frame>"
+    link = f"<link name='l'><pose>0 0 1 0 0 0</pose><inertial auto='true'/>{posed}</link>"
+    path.write_text(sdf(frame + link + HINGE.format("h", "world", "l")))
+    (body,) = alfmu.imported(path).mechanism.spatial_bodies
+    np.testing.assert_allclose(body.center, [1, 2.3, 2], rtol=1e-13)
+    np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.2, 0.52]), rtol=1e-13)
 
 
 BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"
@@ -304,6 +387,30 @@ def test_all_reasons_come_at_once_the_most_frequent_first(tmp_path: Path):
     assert "actuators, left out by option" in str(told[0].message)
     with pytest.raises(alfmu.InputError, match="option leave is 'tyres'; alfmu can leave out actuators"):
         alfmu.imported(path, leave="tyres")
+
+
+def test_inertias_that_no_body_has_come_at_once_and_give_way_to_their_mean(tmp_path: Path):
+    """A pendulum whose acceleration is a closed form; its fixed joint follows nothing and takes no effort."""
+    link = "<link name='{}'><inertial><origin xyz='0 0 -0.3'/><mass value='2'/><inertia ixx='{}' iyy='0.02' izz='0.07' "
+    link += "/></inertial></link>"
+    text = "<robot name='r'><link name='w'/>" + link.format("b", "0.03") + link.format("c", "0.04")
+    text += "<joint name='j' type='continuous'><parent link='w'/><child link='b'/><axis xyz='0 1 0'/></joint>"
+    text += "<joint name='k' type='fixed'><parent link='b'/><child link='c'/><mimic joint='j'/></joint>"
+    text += "<transmission name='t'><joint name='k'/></transmission></robot>"
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match=r"moments of inertia are \[0.02, 0.03, 0.07\] .* \(and 1 more"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, inertia="mean")
+    assert "replaced by their mean (2 from line 1, b, c)" in found.notes[0]
+    assert not found.mechanism.inputs
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01, parameters={"start.j_angle": 0.5})
+    inertia = 0.12 / 3 + 0.13 / 3 + 4 * 0.3**2
+    expected = -4 * 9.81 * 0.3 * np.sin(0.5) / inertia
+    np.testing.assert_allclose(run["j.angular_acceleration"][0], expected, rtol=1e-12)
+    path.write_text(text.replace("'0.03'", "'-0.03'"))
+    with pytest.raises(alfmu.InputError, match=r"\[-0.03, 0.02, 0.07\] kg.m2; no body has a negative one"):
+        alfmu.imported(path, inertia="mean")
 
 
 UNKNOWN = {

@@ -805,6 +805,16 @@ def test_laws_of_time_carry_a_mechanism():
     assert tau == pytest.approx(wanted, abs=1e-10)
 
 
+def test_joints_that_cannot_move_are_not_proposed_as_actuated():
+    m = Mechanism("stand")
+    base, arm = (m.spatial_body(name, mass=1.0, inertia=(1, 1, 1), relative=True) for name in ("base", "arm"))
+    m.spatial_weld("foot", m.spatial_ground.at(0, 0, 0), base.at(0, 0, 0))
+    angle = m.coordinate("angle", "rad")
+    m.spatial_revolute("hinge", base.at(0, 0, 0), arm.at(0, 0, 0), axis=(0, 1, 0), coordinate=angle)
+    with pytest.raises(alfmu.InputError, match="name those: actuated=hinge, angle"):
+        kinematics(m)
+
+
 TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
 
 

@@ -82,9 +82,13 @@ def test_vectors_have_the_same_bits(compiled):
 @pytest.mark.parametrize("name", ["alone", "four"])
 def test_special_angles(compiled, name):
     sine, cosine = compiled(name, [0.0, -0.0, 1e300, math.inf, -math.inf, math.nan, math.pi, math.pi / 2])
-    assert math.copysign(1.0, sine[0]) == 1.0 and math.copysign(1.0, sine[1]) == -1.0
+    assert math.copysign(1.0, sine[0]) == 1.0
+    assert math.copysign(1.0, sine[1]) == -1.0
     np.testing.assert_array_equal(cosine[:2], 1.0)
     assert sine[2] == pytest.approx(-0.8178819121159085, rel=1e-15)  # 40 digits
-    assert np.isnan(sine[3:6]).all() and np.isnan(cosine[3:6]).all()
-    assert sine[6] == 1.2246467991473532e-16 and cosine[6] == -1.0
-    assert sine[7] == 1.0 and cosine[7] == 6.123233995736766e-17
+    assert np.isnan(sine[3:6]).all()
+    assert np.isnan(cosine[3:6]).all()
+    assert sine[6] == 1.2246467991473532e-16
+    assert cosine[6] == -1.0
+    assert sine[7] == 1.0
+    assert cosine[7] == 6.123233995736766e-17

@@ -1,6 +1,8 @@
 """States: first-order equations integrated with the motion, by every method, with and without constraints."""
 
+import copy
 import math
+import pickle
 from functools import cache
 
 import casadi as ca
@@ -278,6 +280,14 @@ def test_inputs_that_are_extrapolated_reach_the_rates(method):
     second = after(0.0, slope * h, h, slope)
     expected = after(second, 2 * slope * h, rest, slope)
     assert i.get("current") == pytest.approx(expected, rel=1e-6)
+
+
+def test_an_instance_belongs_to_its_process():
+    for put in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(
+            alfmu.InputError, match="five_bar: an instance can be neither pickled nor copied; make one in"
+        ):
+            put(alfmu.Instance("five_bar"))
 
 
 def test_a_saved_state_goes_on_with_the_same_bits():

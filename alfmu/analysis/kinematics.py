@@ -943,7 +943,7 @@ def kinematics(
     names = list(dict.fromkeys(own)) if actuated is None else names_in(whole.name, "actuated joints", actuated)
     if not names:
         every: list[Any] = [*declared.joints, *declared.spatial_joints, *declared.coordinates]
-        some = ", ".join([each.name for each in every][:4])
+        some = ", ".join([each.name for each in every if getattr(each, "kind", "") != "weld"][:4])
         raise InputError(f"{whole.name}: no joint is actuated by a drive or a motion; name those: actuated={some}")
     m, moved = _undriven(declared, names)
     where = begun(source(m, whole.given), {}, inputs or {}, time)

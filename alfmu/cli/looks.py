@@ -82,7 +82,8 @@ def add(command: Command) -> None:
     sub.add_argument("file", metavar="FILE", help="an MJCF (.xml), SDF or URDF file")
     sub.add_argument("-o", "--output", metavar="FILE.py", help="where to write it (default: NAME.py here)")
     sub.add_argument("--loops", metavar="FILE", help="loops of a URDF (default: the file NAME.yaml beside it)")
-    sub.add_argument("--limits", choices=("stop", "ignore"), help="take limits of joints as end stops (default)")
+    what = "take limits of joints as end stops (default), and start inside them"
+    sub.add_argument("--limits", choices=("stop", "inside", "ignore"), help=what)
     sub.add_argument("--all", action="store_true", help="also list elements without effect that were left out")
     add_option(sub)
 

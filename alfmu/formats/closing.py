@@ -46,6 +46,9 @@ _ROUGH = 1e-5
 """Singular value of constraints over the largest, and gap [mechanism's size, rad], up to which a constraint counts as
 equal to others except for rounded numbers: files give a right angle as 1.5708."""
 
+_LOOSE = 0.03
+"""Gap [mechanism's size, rad] up to which it does so if the user leaves gaps: points that are placed by eye."""
+
 _APART = (0.1, 0.3, -0.3)
 """Distances [mechanism's size, rad] along the motion at which this equality is tested."""
 
@@ -77,7 +80,7 @@ class Closed:
     gap: float
     """Largest gap at the given place [m, rad]."""
     left: float
-    """Largest gap at this position, above zero if the loops do not close."""
+    """Largest gap [m, rad] at this position, far above round-off if the loops do not close."""
     way: float
     """Largest change of a coordinate [rad, mechanism's size]."""
     beyond: tuple[str, ...]
@@ -98,7 +101,9 @@ class Loops:
         driven: Sequence[str],
         given: Collection[str],
         limits: Mapping[str, tuple[float, float]],
+        loose: bool = False,
     ):
+        self._agree = _LOOSE if loose else _ROUGH
         coordinates = list(mechanism.coordinates)
         self.names = [c.name for c in coordinates]
         self.driven = {name for name in driven if name in self.names}
@@ -153,25 +158,28 @@ class Loops:
         """Leave out directions of joints that other joints suppress except for rounded numbers, which make loops rigid
         or keep them open; return whether there are any.
 
-        The other joints must suppress them far from the position, too: here the position may merely be singular.
+        The other joints must suppress them far from the position, too, with the same gap: here the position may merely
+        be singular.
         """
         gaps, matrix = self._all(x)
         exact = np.abs(gaps).max(initial=0.0) <= _CLOSED
         along = _motions(matrix, _ROUGH)
         way = along @ np.linspace(1.0, 2.0, along.shape[1])
         way /= max(np.abs(way).max(initial=0.0), 1e-300)
-        kept = self._kept
+        kept, stay = self._kept, list[Array]()
         for part in _APART:
             tried, gaps, matrix = self._corrected(x + part * way, kept)
             if kept.all():
-                if np.abs(gaps).max(initial=0.0) > _ROUGH:
+                if np.abs(gaps).max(initial=0.0) > self._agree:
                     return False
                 kept = self._enough(matrix)
                 if kept.all() or (exact and np.linalg.matrix_rank(matrix, rtol=_RANK) <= kept.sum()):
                     return False
                 _, gaps, _ = self._corrected(tried, kept)
-            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY and np.abs(gaps[~kept]).max() > _ROUGH:
-                return False
+            if np.abs(gaps[kept]).max(initial=0.0) <= _NEARLY:
+                stay.append(gaps[~kept])
+                if np.abs(stay[-1]).max() > self._agree or np.ptp(stay, axis=0).max() > 2 * _ROUGH:
+                    return False
         self._kept = kept
         return True
 
@@ -245,7 +253,7 @@ class Loops:
         """Return the nearest closed position found from the given one and, if that is far, from other positions."""
         start, ready = self._start, self._ready
         best, left = self._followed(start, ready, low, high)
-        if left <= _ROUGH and len(self._kept) and self._kept.all() and self._spare(best):
+        if left <= self._agree and len(self._kept) and self._kept.all() and self._spare(best):
             best, left = self._followed(start, ready, low, high)
         if left <= _NEARLY and np.abs(best - start).max(initial=0.0) <= _FAR:
             return best, left
@@ -275,14 +283,15 @@ class Loops:
         chosen = self._independent(x)
         start = self._start
         gap = float(np.abs(np.array(self._plain(self.given))[self._kept]).max(initial=0.0))
-        # Independent coordinates keep the given values exactly, if these lead to a position near this one.
+        # Independent coordinates keep the given values exactly, if these lead to a near position, within limits too.
         held = np.array([name in chosen for name in self.names])
         from_there = np.where(held, start, x)
-        kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), -anywhere, anywhere)
+        low, high = (-anywhere, anywhere) if beyond else (self._low, self._high)
+        kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), low, high)
         if opens <= _NEARLY and np.abs(kept - x).max(initial=0.0) <= np.abs(x - start).max(initial=0.0) + _NEARLY:
             x, left = kept, opens
         if left > _NEARLY:
-            x = start
+            left, x = float(np.abs(self.at(x)[0] * self._row_units[self._kept]).max()), start
         values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
         spare: dict[str, tuple[str, ...]] = {}
         for (name, direction), is_kept in zip(self._rows, self._kept, strict=True):

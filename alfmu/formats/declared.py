@@ -82,30 +82,34 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
     chosen = {c.name for c in mechanism.coordinates}
     values, spare = guessed.values, dict[str, tuple[str, ...]]()
     if mechanism.closures:
-        closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
+        loose = "gaps" in linkage.leaves
+        closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits, loose).close()
         chosen, values, spare = closed.independent, closed.values, closed.spare
         if not chosen:
             notes.append("its closed loops permit no motion here; a redundant constraint or an axis may be misaligned")
             warned = notes[-1]
         if spare:
+            why = "at any position" if loose else "as numbers in the file are rounded"
             left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
             notes.append(
                 "joints of its loops constrain some directions more than once, and agree there only to "
-                f"{closed.missed:.1g} m or rad, as numbers in the file are rounded; these directions are left out: "
-                f"{left}"
+                f"{closed.missed:.1g} m or rad, {why}; these directions are left out: {left}"
             )
+            warned = notes[-1] if loose else warned
         if closed.gap > _OPEN:
-            notes.append(_moved(mechanism, guessed.values, closed))
+            notes.append(_moved(mechanism, guessed.values, closed, loose))
             warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
     final = _Declaring(linkage, description, chosen, values, spare)
     return final.script, final.renamed, notes, warned
 
 
-def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> str:
+def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed, loose: bool) -> str:
     """Return how far closing the loops moved coordinates, as text."""
     said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
     if closed.left > _OPEN:
-        return f"{said}, and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
+        said += f", and were not closed: the nearest position leaves {closed.left:.2g} m or rad"
+        remedy = "; --option leave=gaps leaves out directions of loops that other joints suppress with a gap"
+        return said + remedy * (not loose)
     units = {c.name: c.unit for c in mechanism.coordinates}
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
@@ -302,6 +306,8 @@ class _Declaring:
             coordinates = [expression + offset if offset else expression]
         else:
             names = [f"{name}{word}" for word in words]
+            if self.linkage.inside and joint.limits:
+                start = tuple(min(max(x, low), high) for x, (low, high) in zip(start, joint.limits, strict=True))
             coordinates = [self._coordinate(*x) for x in zip(names, units, start, rates, strict=True)]
             self.limits |= dict(zip(names, joint.limits, strict=False))
             if self.linkage.posed:
@@ -366,7 +372,8 @@ class _Declaring:
         given: dict[str, Any] = {}
         given |= {which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE}
         if not limits[0] - onset <= value <= limits[1] + onset:
-            self.linkage.warn("limits that the start exceeds", node)
+            inside = "" if self.linkage.inside else "; --option limits=inside starts within them"
+            self.linkage.warn(f"limits that the start exceeds{inside}", node)
         elif given:
             self.script.do(
                 "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,

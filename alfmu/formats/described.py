@@ -240,7 +240,7 @@ class _Describing:
 
     def _motion(self, of: Any, what: str) -> Joint:
         """Return the joint motion along which a force acts; refuse any other direction."""
-        name = getattr(of, "name", "")
+        name = "" if isinstance(of, ca.SX) else getattr(of, "name", "")
         if name not in self.motions:
             self.refuse(name or what, f"{what} acts between points or along an expression; files hold those of joints")
         return self.motions.get(name) or Joint("", "revolute", self.node)

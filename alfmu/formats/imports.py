@@ -28,8 +28,8 @@ _NAMED = 4
 
 
 _COMMON = {
-    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "ignore"], "leave": str, "folders": str,
-    "drives": str,
+    "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "inside", "ignore"],
+    "inertia": Literal["refuse", "mean"], "leave": str, "folders": str, "drives": str,
 }  # fmt: skip
 """Options of all formats with their values; the first value is the default, or the empty text."""
 
@@ -67,10 +67,11 @@ def imported(path: str | Path, **options: Any) -> Imported:
     """Import an MJCF, SDF or URDF file: its mechanism, its ignored elements, and its declaration in Python.
 
     Options of all formats: `drives`, names of joints that get an input each, separated by commas (`all` for every hinge
-    and slider); `limits`, whether limits of joints become end stops (`stop`, the default) or are ignored (`ignore`);
-    `contacts="leave"` leaves contacts out; `leave`, kinds of other elements to leave out although they affect the
-    motion; `folders` with included files, beside that of the file. MJCF: `key`, the keyframe at the start. SDF:
-    `model`, one of several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises
+    and slider); `limits`, whether limits of joints become end stops (`stop`, the default), within which joints
+    start (`inside`), or are ignored (`ignore`); `contacts="leave"` leaves contacts out; `inertia="mean"` replaces
+    moments of inertia that no body has by their mean; `leave`, kinds of other elements to leave out, although they
+    affect the motion; `folders` with included files, beside that of the file. MJCF: `key`, the keyframe at the start.
+    SDF: `model`, one of several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises
     InputError with file, line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
@@ -124,12 +125,14 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     leaves = [each.strip() for each in given.pop("leave").split(",") if each.strip()]
     if unknown := [each for each in leaves if each not in LEAVES]:
         raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
-    limits, drives = given.pop("limits"), given.pop("drives")
+    limits, drives, inertia = (given.pop(each) for each in ("limits", "drives", "inertia"))
     readers: dict[str, Callable[..., Any]] = {"mujoco": mjcf.File, "sdf": sdf.File, "robot": urdf.File}
     linkage: Linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders).linkage
-    linkage.stops = limits == "stop"
+    linkage.stops, linkage.inside = limits != "ignore", limits == "inside"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)
+    linkage.balanced |= inertia == "mean"
+    linkage.weigh()
     linkage.name = linkage.name or path.stem
     linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
     for node, why in root.unread({node for nodes in linkage.left_out.values() for node in nodes}):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Never
 
@@ -25,8 +25,9 @@ __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkag
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "flexible", "free", "includes", "medium", "tendons", "unknown")
-"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints."""
+LEAVES = ("actuators", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
+"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints;
+`gaps`: directions of loops that other joints suppress already, but where points are apart."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -220,6 +221,12 @@ class Linkage:
     """Share of its weight that does not act on a link."""
     stops: bool = True
     """Whether limits of joints are end stops."""
+    inside: bool = False
+    """Whether joints start within their limits, at the nearest value to that of the file."""
+    tuned: list[tuple[Joint, float, float]] = field(default_factory=list)
+    """Joints with a time constant and a damping ratio for a spring and a damper."""
+    balanced: bool = False
+    """Whether moments of inertia that no body has are replaced by their mean."""
     limited: list[Node] = field(default_factory=list)
     """Elements with limits of joints."""
     leaves: Sequence[str] = ()
@@ -278,6 +285,44 @@ class Linkage:
     def refuse(self, part: str, why: str) -> None:
         """Store the refusal of a part of the mechanism that is being exported."""
         self.causes.append(f"{self.name}: {part}: {why}")
+
+    def weigh(self) -> None:
+        """Replace moments of inertia that no body has by their mean, or refuse them; then tune springs by inertia."""
+        for link in self.links:
+            moments = np.linalg.eigvalsh(link.inertial.inertia)
+            tiny = 1e-12 * np.abs(moments).max()
+            if moments[0] >= -tiny and 2 * moments[2] <= moments.sum() + tiny:
+                continue
+            if self.balanced and moments[0] > 0:
+                link.inertial = replace(link.inertial, inertia=moments.mean() * np.eye(3))
+                self.note("moments of inertia that no body has are replaced by their mean", link.node)
+                continue
+            what = "no body has a negative one, or one above the sum of the others"
+            mean = "; --option inertia=mean takes their mean" if moments[0] > 0 else ""
+            shorter = ", ".join(f"{x:.6g}" for x in moments)
+            where = link.node.where
+            self.causes.append(f"{where}: its principal moments of inertia are [{shorter}] kg.m2; {what}{mean}")
+        if self.causes:
+            return
+        self._check_moving()
+        for joint, time, ratio in self.tuned:
+            inertia = self.mass_along(((joint, 1.0),))
+            joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
+
+    def _check_moving(self) -> None:
+        """Tell of joints that move no mass, and that nothing else moves."""
+        M, _, columns = self.masses
+        ends = [link for closure in self.closures for link, _ in (closure.first, closure.second)]
+        bound = [joint for each in self.couplings for joint, _ in (*each.of, *each.by)]
+        bound += [joint for tendon in self.tendons for joint, _ in tendon.along]
+        for joint in columns:
+            if joint.follows is not None:
+                bound += [joint, joint.follows[0]] if M[columns[joint][0], columns[joint][0]] else [joint]
+        held = {k for link in ends for k in self.twists[1][link]} | {k for joint in bound for k in columns[joint]}
+        for joint, own in columns.items():
+            if any(M[k, k] == 0 and k not in held for k in own):
+                what = "joints that move no mass and no inertia, which no loop holds, so that it cannot run"
+                self.note(f"{what}; give the links both, or make the joints fixed", joint.node)
 
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""

@@ -80,7 +80,6 @@ class _Settings:
     """Folder of meshes."""
     strips: bool = False
     """Whether folders in names of meshes are left out."""
-    balance: bool = False
     total: float = 0.0
     """Mass of all bodies together [kg], if above zero."""
     euler: str = "xyz"
@@ -121,8 +120,6 @@ class File:
         }
         self.inertias: dict[tuple[str, bool], Inertial] = {}
         """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
-        self.tuned: list[tuple[Joint, float, float]] = []
-        """Joints with a time constant and a damping ratio for a spring and a damper."""
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
@@ -149,9 +146,6 @@ class File:
             else:
                 self.linkage.note("these shapes of fixed bodies have no mass here, as it is not known", node)
         self._balanced()
-        for joint, time, ratio in self.tuned:
-            inertia = self.linkage.mass_along(((joint, 1.0),))
-            joint.stiffness, joint.damping = (inertia / (time * ratio) ** 2,), (2 * inertia / time,)
         every(self._parts("tendon"), self._tendon)
         if self.settings.off & {"equality", "constraint"}:
             self.linkage.leave("equality constraints, which the options disable", *root.all("equality"))
@@ -205,7 +199,7 @@ class File:
         found.bounds = given.positive("boundmass", found.bounds[0]), given.positive("boundinertia", found.bounds[1])
         found.meshes = given.text("meshdir", given.text("assetdir", found.meshes))
         found.strips = given.flag("strippath", found.strips)
-        found.balance = given.flag("balanceinertia", found.balance)
+        self.linkage.balanced = given.flag("balanceinertia", self.linkage.balanced)
         found.total = max(given.number("settotalmass", found.total), 0.0)
         self.linkage.leave("lengthrange", *node.all("lengthrange"))
         if given.text("coordinate", "local") != "local":
@@ -341,14 +335,12 @@ class File:
     def _balanced(self) -> None:
         """Adjust masses and inertias by the compiler settings."""
         given, (mass, least) = self.settings, self.settings.bounds
-        if not (mass or least or given.balance or given.total):
+        if not (mass or least or given.total):
             return
         whole = 0.0
         for link in self.linkage.links:
             moments, axes = np.linalg.eigh(link.inertial.inertia)
             moments = np.maximum(moments, least)
-            if given.balance and moments[0] + moments[1] < moments[2]:
-                moments = np.full(3, moments.mean())
             at = Pose(link.inertial.center, axes)
             link.inertial = Inertial.of(max(link.inertial.mass, mass), at, moments.tolist())
             whole += link.inertial.mass
@@ -441,7 +433,7 @@ class File:
         joint.effort = self._range(given, "actuatorfrc")
         time, ratio = given.numbers("springdamper", 2, (0.0, 0.0))
         if time > 0 and ratio > 0 and scalar:
-            self.tuned.append((joint, time, ratio))
+            self.linkage.tuned.append((joint, time, ratio))
         elif time or ratio:
             what = "springdamper gives a time and a damping ratio above zero, of a hinge or a slide"
             given.fail("springdamper", what)

@@ -208,12 +208,12 @@ class File:
             node.fail("the quaternion is zero")
         return Pose(vector(x[:3]), of_quaternion((x[6], x[3], x[4], x[5])))
 
-    def _in_link(self, node: Node, what: str) -> Pose:
+    def _in_link(self, node: Node, link: Node) -> Pose:
         """Return the pose of a link's part in the link."""
         posed = node.one("pose")
-        if posed is not None and posed.attributes.get("relative_to"):
-            posed.fail(f"relative_to of {what} does not map; give the pose in the link")
-        return self._given(posed)
+        base = posed.attributes.get("relative_to", "") if posed is not None else ""
+        apart = self._pose(link.attributes["name"], node).inverse @ self._pose(base, node) if base else Pose()
+        return apart @ self._given(posed)
 
     def _named(self, name: str) -> str:
         """Return the name of a link, a joint or a frame; the name of a nested model stands for its frame."""
@@ -260,10 +260,11 @@ class File:
         if Children(self.model).flag("static", False):
             self.model.fail("the model is static; nothing of it moves")
         ends = {each: (self._link_of(each, "parent"), self._link_of(each, "child")) for each in joints}
+        gears = [each for each in joints if each.attributes.get("type") == "gearbox"]
         self.made: dict[str, Joint] = {}
         following: list[tuple[Node, Joint]] = []
         nodes = {each.attributes["name"]: each for each in links}
-        left, placed = list(joints), {""}
+        left, placed = [each for each in joints if each not in gears], {""}
         while len(placed) <= len(nodes):
             step = next((j for j in left if len(placed & set(ends[j])) == 1), None)
             if step is None:
@@ -299,6 +300,7 @@ class File:
         for mimic, joint in following:
             with self.linkage.trying(mimic):
                 self._mimic(mimic, joint)
+        self.linkage.every(gears, lambda x: self._gearbox(x, *ends[x]))
 
     def _reverse(self, joint: Joint) -> None:
         """Reverse a joint, so that it leads from child to parent."""
@@ -344,13 +346,13 @@ class File:
         moments = [given.number(each, 1.0) for each in ("ixx", "iyy", "izz")]
         products = [given.number(each, 0.0) for each in ("ixy", "ixz", "iyz")]
         mass = Children(node).positive("mass", 1.0)
-        return Inertial.of(mass, self._in_link(node, "an inertial"), moments, products)
+        return Inertial.of(mass, self._in_link(node, link), moments, products)
 
     def _of_shapes(self, link: Node, inertial: Node) -> Inertial:
         """Return the inertia of a link from its collision shapes as homogeneous solids."""
         parts = []
         for each in link.all("collision"):
-            at = self._in_link(each, "a shape that gives inertia")
+            at = self._in_link(each, link)
             density = Children(each).number("density", Children(inertial).number("density", 1000.0))
             shape = next((x for x in (each.one("geometry") or each).each() if x.tag in _SOLIDS), None)
             if shape is None:
@@ -374,23 +376,45 @@ class File:
     def _joint(self, node: Node) -> tuple[Joint, Pose]:
         """Return a joint with its axes in its frame, and that frame in the world."""
         frame = self.base @ self._pose(node.attributes["name"], node)
+        return jointed(self.linkage, node, lambda axis: self._axis_in(axis, frame)), frame
 
-        def axis_in(axis: Node) -> Array:
-            xyz = axis.one("xyz")
-            x = vector(numbers(xyz, "<xyz>", xyz.text, 3)) if xyz is not None else np.array((0.0, 0.0, 1.0))
-            base = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
-            if Children(axis).flag("use_parent_model_frame", self.version < (1, 5)):
-                if self.version >= (1, 7):
-                    axis.fail("use_parent_model_frame is not in this version of SDF; use expressed_in")
-                base = "__model__"
-            if not np.linalg.norm(x) > 0:
-                axis.fail("the axis has no direction")
-            if base:
-                whole = Pose() if base == "world" else self.base @ self._pose(base, axis)
-                x = frame.turn.T @ whole.turn @ x
-            return x
+    def _axis_in(self, axis: Node, frame: Pose) -> Array:
+        """Return the direction of an axis in the frame of its joint."""
+        xyz = axis.one("xyz")
+        x = vector(numbers(xyz, "<xyz>", xyz.text, 3)) if xyz is not None else np.array((0.0, 0.0, 1.0))
+        base = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
+        if Children(axis).flag("use_parent_model_frame", self.version < (1, 5)):
+            if self.version >= (1, 7):
+                axis.fail("use_parent_model_frame is not in this version of SDF; use expressed_in")
+            base = "__model__"
+        if not np.linalg.norm(x) > 0:
+            axis.fail("the axis has no direction")
+        if base:
+            whole = Pose() if base == "world" else self.base @ self._pose(base, axis)
+            x = frame.turn.T @ whole.turn @ x
+        return x
 
-        return jointed(self.linkage, node, axis_in), frame
+    def _gearbox(self, node: Node, parent: str, child: str) -> None:
+        """Make the hinge of a gearbox's child follow that of its parent; angles are from the reference body."""
+        base = self.links.get(self._link_of(node, "gearbox_reference_body"))
+        ratio = Children(node).number("gearbox_ratio", 1.0)
+        frame = self.base @ self._pose(node.attributes["name"], node)
+        hinges, factor = [], -ratio
+        for name, tag in ((parent, "axis"), (child, "axis2")):
+            link = self.links.get(name)
+            inner, outer = (base, link) if base is not None and base.parent is link else (link, base)
+            if inner is None or inner.parent is not outer or [joint.kind for joint in inner.joints] != ["revolute"]:
+                what = "alfmu takes a gearbox between links that turn on its reference body by hinges"
+                node.fail(f"{what}; {name or 'world'} does not")
+            own, axis = inner.joints[0], frame.turn @ self._axis_in(node.need(tag), frame)
+            given = (self.base @ self._pose(inner.name, node)).turn @ own.axes[0]
+            along = axis @ given / np.linalg.norm(axis) / np.linalg.norm(given)
+            if abs(along) < 1 - 1e-9:
+                node.fail(f"its <{tag}> is not along the hinge {own.name}, on which {name} turns")
+            hinges.append(own)
+            factor *= math.copysign(1.0, along if inner is link else -along)
+        self.linkage.pass_over(node, {"axis": "limits"}, "parent", "child", "pose", "axis2", "physics")
+        follow(self.linkage, node, hinges[1], hinges[0], factor, 0.0)
 
     def _closure(self, node: Node, parent: str, child: str) -> Closure:
         joint, frame = self._joint(node)
@@ -453,7 +477,7 @@ def _renamed(node: Node, own: Callable[[str], str]) -> None:
         reference = _REFERENCES.get(each.tag, "")
         if reference and each.attributes.get(reference):
             each.attributes[reference] = own(each.attributes[reference])
-    for each in node.all("parent", "child"):
+    for each in node.all("parent", "child", "gearbox_reference_body"):
         each.text = own(each.text.strip())
     for each in node.all("axis", "axis2"):
         if Children(each).flag("use_parent_model_frame", False):
@@ -472,7 +496,7 @@ def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: flo
     order = linkage.joints
     if other.kind == "free" or joint.kind == "free":
         node.fail("mimic maps only between joints with one axis")
-    if other.follows is not None or order.index(other) >= order.index(joint):
+    if other.follows or joint.follows or order.index(other) >= order.index(joint):
         coefficients = [offset, factor]
         linkage.couplings.append(Coupling(f"{joint.name}_mimic", node, ((joint, 1.0),), ((other, 1.0),), coefficients))
         return

@@ -62,6 +62,8 @@ class File:
         self.contacts = contacts
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
+        self.fixed: set[str] = set()
+        """Names of joints that stand still."""
         self.other = self._other(root.file, loops)
         self.changed = dict(zip(self.other.get("joint_name", []), self.other.get("joint_type", []), strict=False))
         links, joints = root.all("link"), root.all("joint", "drake:joint")
@@ -204,14 +206,15 @@ class File:
         if kind not in _KINDS or (kind == "ball") != (node.tag == "drake:joint"):
             node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
         left = {each: each for each in ("safety_controller", "calibration")}
-        if kind in ("fixed", "floating", "ball"):
-            for child in node.all("mimic", *(_RESISTING if kind != "fixed" else ())):
+        if kind in ("floating", "ball"):
+            for child in node.all("mimic", *_RESISTING):
                 child.fail(f"<{child.tag}> of a {kind} joint does not map")
-            left |= dict.fromkeys(
-                ("axis", "limit", *_RESISTING), "axes, limits and dynamics of joints of a type without an axis"
-            )
+        if kind in ("fixed", "floating", "ball"):
+            why = "axes, limits and dynamics of joints of a type without an axis"
+            left |= dict.fromkeys(("axis", "limit", "mimic", *_RESISTING), why)
         self.linkage.pass_over(node, left)
         if kind == "fixed":
+            self.fixed.add(name)
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
             node.fail("a floating joint maps only at the root of the tree")
@@ -331,5 +334,6 @@ class File:
                 self.linkage.note("inputs of transmissions are efforts of the joints, not of the actuators", node)
         for each in node.all("joint"):
             name = Reading(each).text("name")
-            known(each, name, self.joints, "joint that moves")
+            if name not in self.fixed:
+                known(each, name, self.joints, "joint that moves")
             self.linkage.drive([name], strict=False)

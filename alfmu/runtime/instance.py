@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Never, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -564,6 +564,13 @@ class Instance:
         raw = np.empty(len(_COUNTED) + len(TALLY) + 1)
         self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
         return {**dict(zip(_COUNTED, raw.tolist(), strict=False)), "shared": raw[-1]}
+
+    def __reduce__(self) -> Never:
+        """Refuse to be pickled or copied, as its memory belongs to this process."""
+        raise InputError(
+            f"{self.name}: an instance can be neither pickled nor copied; make one in each process by "
+            "alfmu.Instance(), and carry its state there by save() and restore()"
+        )
 
     def save(self) -> bytes:
         """Return the complete state, from which `restore` continues with the same bits."""
