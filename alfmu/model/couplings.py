@@ -188,8 +188,8 @@ class Couplings(Joints):
             if abs(abs(left) - r) > _FIT * r:
                 raise DeclarationError(
                     f"{self.name}: {guide.name} passes the centre of {pinion.body.name} at {abs(left):g} m, and the "
-                    f"radius of {what} is {r:g} m, so that its side is not known; say by side= whether the pinion lies to "
-                    "the 'left' or the 'right' of the pitch line, seen along the guide"
+                    f"radius of {what} is {r:g} m, so that its side is not known; say by side= whether the pinion lies "
+                    "to the 'left' or the 'right' of the pitch line, seen along the guide"
                 )
             side = "left" if left > 0 else "right"
         angle = _toothed(self, what, INVOLUTE if pressure_angle is None else pressure_angle)
