@@ -24,6 +24,7 @@ __all__ = [
     "StepError",
     "WriteError",
     "collected",
+    "needs",
 ]
 
 
@@ -105,3 +106,12 @@ def collected() -> Iterator[list[str]]:
         yield said
     finally:
         logger.removeFilter(take)
+
+
+@contextmanager
+def needs(what: str, extra: str) -> Iterator[None]:
+    """Raise InputError if the block imports a missing package of an extra; `what` says who needs it."""
+    try:
+        yield
+    except ImportError:
+        raise InputError(f"{what}; install it with: pip install 'alfmu[{extra}]'") from None

@@ -22,11 +22,12 @@ from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import Counters
-from ..model.errors import InputError, StepError
+from ..model.errors import StepError, needs
 from ..model.settings import Settings
 from ..simulation import prepared
 from ..simulation.oracle import Instance
-from .charts import require, save
+from ..view.plot import save
+from .charts import require
 from .tables import Cell, Row, paragraph, shown, write_csv
 
 if TYPE_CHECKING:
@@ -221,10 +222,8 @@ def exact_state(th: float, w: float, m2: float) -> tuple[NDArray, NDArray]:
     The constraint matrix has the null space [1 0 -1 0 -2 0 2 0] away from singular positions; (9) bordered with it is
     regular, and its solution has least norm.
     """
-    try:
+    with needs("a reference in many digits needs mpmath", "bench"):
         import mpmath
-    except ImportError:
-        raise InputError("a reference in many digits needs mpmath; pip install 'alfmu[bench]' has it") from None
     with mpmath.workdps(DIGITS):
         th, w, m2, g, h = (mpmath.mpf(x) for x in (th, w, m2, GRAVITY, 0.5))
         c, s = mpmath.cos(th), mpmath.sin(th)
