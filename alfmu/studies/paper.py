@@ -379,7 +379,7 @@ def figure_7(effort: Effort) -> Chapter:
         motion += [_motion_row(m2, name, r, th) for name, r in runs.items()]
         multipliers += [_multipliers_row(equations, m2, name, r, exact.multipliers(th, w)) for name, r in runs.items()]
         series.append(_figure_7_series(m2, times, th, exact.multipliers(th, w), runs))
-        _figure_7_plot(axes[:, column], m2, times, th, exact.multipliers(th, w), runs)
+        _figure_7_plot(axes[:, column], m2, times, th, runs)
     text = (
         "The five-bar with one redundant constraint starts at the singular position `th = 0` and falls under gravity, "
         "with `rk4` and corrections (10) after each step. `classic` is (8) as printed with the paper's penalty, "
@@ -487,9 +487,7 @@ def _only(r: Run, length: int) -> NDArray:
     return values
 
 
-def _figure_7_plot(
-    axes: Sequence[Axes], m2: float, times: NDArray, th: NDArray, lam: NDArray, runs: dict[str, Run]
-) -> None:
+def _figure_7_plot(axes: Sequence[Axes], m2: float, times: NDArray, th: NDArray, runs: dict[str, Run]) -> None:
     axes[0].set_title(f"m2 = {m2:g} kg", loc="right", fontweight="bold")
     axes[0].plot(times, th, color=COLOURS["reference"], lw=3, alpha=0.4, label="exact")
     for name, r in runs.items():

@@ -45,9 +45,6 @@ class Anchor:
     y: float
 
 
-ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
-
-
 @dataclass(frozen=True)
 class Link:
     """A body: the points of its joints, springs and ends, at least one, from its centre of mass [m].
