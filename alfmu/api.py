@@ -197,7 +197,7 @@ def convert(
 
     path = Path(path)
     if path.suffix not in FORMS:
-        raise InputError(f"{path} is none of the files that alfmu converts to: {', '.join(FORMS)}")
+        raise InputError(f"{path} is not a file that alfmu converts to; its name must end in one of {', '.join(FORMS)}")
     found = subject(mechanism, parameters)
     names = [c.name for c in found.coordinates]
     numbers = [dict(zip(names, x.tolist(), strict=False)) for x in (found.state.q, found.state.v)] + [found.parameters]

@@ -208,7 +208,7 @@ def test_the_oracle_meets_them():
 
 
 def test_too_many_are_refused():
-    with pytest.raises(StepError, match="jump or bend more than 4096 times up to 1 s; take shorter"):
+    with pytest.raises(StepError, match="have more than 4096 jumps or kinks up to 1 s; take shorter"):
         alfmu.simulate(bar(lambda m: ca.floor(1e5 * m.time)), 1.0, 1.0)
 
 

@@ -173,7 +173,7 @@ def test_whoever_gives_no_command_or_asks_for_help_is_shown_what_there_is(words,
         main(words)
     assert ended.value.code == (0 if words else 2)
     said = "".join(capsys.readouterr())
-    assert "raw a mechanism where it starts" in said
+    assert "raw a mechanism in its start position" in said
     assert ("page that runs" in said) == (len(words) < 2)
 
 
@@ -239,7 +239,7 @@ MISTAKES = [
     (["info", "fivebar"], "did you mean five_bar? Use one of bennett"),
     (["live", "five_bar.fmu"], "five_bar.fmu is an FMU; give the mechanism instead"),
     (["simulate", "five_bar.csv"], "five_bar.csv is a table; give the mechanism instead"),
-    (["animate", "empty.py"], "empty.py is no result; `alfmu simulate` makes one of it"),
+    (["animate", "empty.py"], "empty.py is not a result; `alfmu simulate` writes one"),
     (["info", "slider_crank", "--option", "coordinates=polar"], "use one of absolute, joint, mixed, natural"),
     (["info", "five_bar", "--option", "colour=red"], "has no option 'colour'; it has coordinates"),
     (["export", "five_bar", "--set", "m9=1"], "no input or parameter 'm9'"),

@@ -173,7 +173,7 @@ def test_the_c_of_the_runtime_is_free_of_warnings(command, tmp_path):
 def values(e: Equations) -> NDArray:
     """Of a run of one second; the scene is loaded for it."""
     instance = alfmu.Instance(e)
-    assert hasattr(instance._scene, "code") == (e.library is not None)
+    assert bool(instance._scene.code) == (e.library is not None)
     return run(instance, 1.0, 0.02, parameters={"start.angle": 0.4}).values
 
 
@@ -328,7 +328,7 @@ def test_without_a_compiler(monkeypatch, own_cache):
         alfmu.simulate("particle_on_circle", 0.1, 0.02, kernel="compiled")
     e = prepared(derived("particle_on_circle"), "auto")
     assert e.library is None
-    assert not hasattr(alfmu.Instance(e)._scene, "code")
+    assert not bool(alfmu.Instance(e)._scene.code)
     assert not libraries(own_cache)
 
 

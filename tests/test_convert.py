@@ -245,7 +245,9 @@ def test_what_a_format_cannot_hold_is_refused_at_once(tmp_path: Path, capsys: py
         assert part in str(refused.value)
     assert main(["convert", "bennett", "-o", str(path)]) == 1
     assert "declare bodies and joints" in capsys.readouterr().err
-    with pytest.raises(alfmu.InputError, match=r"file\.txt is none of .* converts to: \.xml, \.urdf"):
+    with pytest.raises(
+        alfmu.InputError, match=r"file\.txt is not a file .* converts to; its name must end in one of \.xml, \.urdf"
+    ):
         alfmu.convert(robot(), tmp_path / "file.txt")
     assert not list(tmp_path.iterdir())
 
@@ -307,12 +309,12 @@ def alone(what: str) -> Mechanism:
 
 REFUSED = {
     "spring": "a spring acts between points", "friction": "in proportion to the reaction", "static": "static friction",
-    "lock": "it is a lock", "law": "depend on time", "effort": "no sum of inputs", "force": "a force from the ground",
-    "rod": "a rod without mass", "energy": "is an expression", "armature": "holds no inertia of motors",
-    "rotor": "is an expression", "blade": "it is a blade",
-    "world": "call the ground so", "stiffness": "no constant",
+    "lock": "it is a lock", "law": "depend on time", "effort": "not a sum of inputs",
+    "force": "a force from the ground", "rod": "a rod without mass", "energy": "is an expression",
+    "armature": "holds no inertia of motors", "rotor": "is an expression", "blade": "it is a blade",
+    "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
-    "pose": "leave 4 motions, and the coordinates 2",
+    "pose": "permit 4 motions, and the coordinates 2",
 }  # fmt: skip
 
 

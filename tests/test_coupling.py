@@ -118,7 +118,7 @@ def test_what_passes_a_bond_is_the_work(tmp_path):
 def test_a_study_says_what_it_lacks(tmp_path):
     path = drive(tmp_path)
     system = System.load(path)
-    with pytest.raises(InputError, match="has nothing to compare with"):
+    with pytest.raises(InputError, match="has no mechanism to compare with"):
         couple(System("plain", {"a": first_order()}, []))
     with pytest.raises(InputError, match=r"no output .link1\.angel.; did you mean link1\.angle"):
         couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.link1.angle": "link1.angel"})))
@@ -134,7 +134,7 @@ def test_a_study_says_what_it_lacks(tmp_path):
         couple(system, halvings=-1)
     with pytest.raises(InputError, match="no master 'best'"):
         couple(system, masters=["best"])
-    with pytest.raises(InputError, match="are no bond"):
+    with pytest.raises(InputError, match="are not a bond"):
         couple(system.changed(bonds=[("motor.torque", "controller.output")]))
 
 

@@ -106,7 +106,10 @@ SYMBOLS = [
         'm.revolute("B", m.ground.at(u, 0), rod.end)',
         "joint B uses is in m, and the input u in N.m; give one in m",
     ),
-    ('m.revolute("B", m.ground.at(2 * u, 0), rod.end)', "the input u is in N.m, and what it moves is in m, rad or 1"),
+    (
+        'm.revolute("B", m.ground.at(2 * u, 0), rod.end)',
+        "the input u is in N.m, and an input that prescribes motion is in m, rad or 1",
+    ),
     (
         'm.revolute("B", m.ground.at(m.rate(th), 0), rod.end)',
         "depends on the rate of th; .* parameters, coordinates, time and inputs",
@@ -120,7 +123,7 @@ SYMBOLS = [
     ("m.motion(A, 0.5 + m.time); m.motion(A, 0.5)", "A has a motion already"),
     (
         'b = m.bar("b", mass=1.0, length=l); m.motion(m.revolute("B", rod.end, b.start, coordinate=2 * m.time), 0.0)',
-        "the coordinate of B says already",
+        "the coordinate of B already prescribes",
     ),
     ("m.motion(A, m.time)", "the motion of A is in rad, and time in s; give one in rad"),
     ("m.motion(A, 2 * m.time)", r"the start th is 0.5 rad \(28.65 deg\), and its motion has 0 rad at t = 0; leave the"),
@@ -132,7 +135,7 @@ SYMBOLS = [
     ('m.input("w", "rad", derivatives=3)', "the derivatives of w is 3; give 0, 1 or 2"),
     ('m.input("w", "rad", order=0.5)', "the order of w is 0.5; give 0, 1 or 2"),
     ('m.input("w", "rad", jump=0)', "the jump of w is 0 rad; it must be above zero"),
-    ('m.input("w", "N", derivatives=1)', "w is in N; what moves is in m, rad or 1"),
+    ('m.input("w", "N", derivatives=1)', "w is in N; give a displacement in m, rad or 1"),
     (
         'm.bar("b", mass=1 + th, length=l)',
         "mass of b depends on the coordinate th; it must .* expression in parameters$",
@@ -165,8 +168,8 @@ UNITS = [
     ('m.bar("b", mass=l, length=l)', "the mass of b is in kg, and the parameter l in m"),
     ('m.gravity(0, -m.parameter("g", 9.81, "m/s"))', "gravity is in m/s2, and the parameter g in m/s"),
     ('m.prismatic("G", rod.end, m.body("b", mass=1.0).at(), coordinate=th)', "coordinate of G, a prismatic, is in m"),
-    ('m.coordinate("x", "kg")', "x is in kg; what moves is in m, rad or 1"),
-    ('m.constraint("c", th, "N")', "constraint c is in N; what moves is in m, rad or 1"),
+    ('m.coordinate("x", "kg")', "x is in kg; give a displacement in m, rad or 1"),
+    ('m.constraint("c", th, "N")', "constraint c is in N; give a displacement in m, rad or 1"),
     ('m.input("v", "Nm")', "v: unknown unit 'Nm'; did you mean N.m?"),
     ('m.parameter("p", 1.0, "kg m2")', "did you mean kg.m2?"),
     ('m.parameter("p", 1.0, "m/s^2")', "did you mean m/s2?"),
@@ -255,7 +258,7 @@ def test_a_mistake_is_named_at_its_line(declare, line, says):
 PYTHON = [
     ("if th > 0:\n    pass", "an if, .* asks whether an expression is true.* ca.if_else"),
     ('m.bar("b", mass=1.0, length=max(l, 0.5))', "ca.fmax"),
-    ("for _ in range(l):\n    pass", r"a symbol is no whole number.* def odd\(n: int = 3\)"),
+    ("for _ in range(l):\n    pass", r"a symbol is not a whole number.* def odd\(n: int = 3\)"),
     ('m.revolut("B", 1, 2)', "no attribute 'revolut'; did you mean revolute"),
     ("np.isfinite(th)", "functions of NumPy .* are not for symbols; use those of CasADi"),
 ]
@@ -304,18 +307,21 @@ def test_a_function_that_declares_no_mechanism_says_so(tmp_path, text, says):
 DERIVED = [
     (
         'm.input("A.force.x", "N")',
-        r"'A.force.x' is derived already \(force along x on rod from ground\).*take another name",
+        r"'A.force.x' is the name of a derived variable \(force along x on rod from ground\).*take another name",
     ),
-    ('m.output("rod.angle", th, "rad")', "'rod.angle' is derived already"),
-    ('m.lock(A)\nm.output("A.locking_torque", u, "N.m")', "'A.locking_torque' is derived already"),
-    ('m.lock(A)\nm.output("A.impulse", 0.0, "N.m.s")', "'A.impulse' is derived already"),
-    ('m.lock(A)\nm.compliances()\nm.parameter("A.compliance.locked", 1.0)', "'A.compliance.locked' is derived already"),
+    ('m.output("rod.angle", th, "rad")', "'rod.angle' is the name of a derived variable"),
+    ('m.lock(A)\nm.output("A.locking_torque", u, "N.m")', "'A.locking_torque' is the name of a derived variable"),
+    ('m.lock(A)\nm.output("A.impulse", 0.0, "N.m.s")', "'A.impulse' is the name of a derived variable"),
+    (
+        'm.lock(A)\nm.compliances()\nm.parameter("A.compliance.locked", 1.0)',
+        "'A.compliance.locked' is the name of a derived variable",
+    ),
     ('m.bar("b", mass=1.0, length=l)', "nothing places b"),
     (
         'm.motion(A, 0.5)\nm.input("A.torque", "N.m")',
-        "'A.torque' is derived already .torque that the motion of A takes",
+        "'A.torque' is the name of a derived variable .torque that the motion of A takes",
     ),
-    ('m.input("w", "rad", derivatives=1)', "the input w has derivatives and moves nothing"),
+    ('m.input("w", "rad", derivatives=1)', "the input w has derivatives and prescribes no motion"),
 ]
 
 
@@ -344,7 +350,7 @@ def test_massless_bodies_that_nothing_holds_are_named(declare, lines, motion, bo
 
 def test_a_coordinate_that_moves_nothing_is_named(declare):
     path, _ = declare('m.coordinate("idle")')
-    with pytest.raises(alfmu.AssemblyError, match=r"motion along idle .* it moves nothing"):
+    with pytest.raises(alfmu.AssemblyError, match=r"motion along idle .* it moves no body"):
         alfmu.derive(alfmu.load(path))
 
 
@@ -554,7 +560,7 @@ def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, ca
     assert main(["info", str(path)]) == 0
     out = capsys.readouterr().out
     way = abs(2 * math.cos(0.5) - 0.2)
-    assert f"assembly moved b by {way:.3g} m from where the guesses have them" in out
+    assert f"assembly moved b by {way:.3g} m from their guesses" in out
     assert "no start value determines y: their guesses are used" in out
 
 

@@ -552,7 +552,7 @@ def test_a_state_of_first_order_is_integrated_with_the_motion(built):
 
 
 REFUSED = {
-    "an input that moves something": "angle moves something",
+    "an input that moves something": "angle prescribes a motion",
     "a force that jumps with an input": "input passes a value",
     "outputs": "monitor.distance",
 }

@@ -459,9 +459,9 @@ RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
     [
         ([*RUN, "-o", "out.json"], "out.json cannot hold a table; its name must end in .csv"),
         ([*RUN, "-o", "model.fmu"], "model.fmu cannot hold a table"),
-        ([*RUN, "-o", "theirs.csv"], "theirs.json is there and was not written by alfmu"),
-        (RUN, "particle_on_circle.csv is there and was not written by alfmu"),
-        ([*RUN, "-o", "in.csv", "--input", "in.csv"], "in.csv has the inputs of the run"),
+        ([*RUN, "-o", "theirs.csv"], "theirs.json exists and was not written by alfmu"),
+        (RUN, "particle_on_circle.csv exists and was not written by alfmu"),
+        ([*RUN, "-o", "in.csv", "--input", "in.csv"], "in.csv holds the inputs of the run"),
         ([*RUN, "-o", "r.csv", "--plot", "model.fmu"], "model.fmu cannot hold a plot"),
         (["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"], "model.fmu cannot hold an animation"),
     ],
@@ -554,7 +554,7 @@ def test_bad_facts_beside_a_result_are_said(facts, result, capsys):
     result.write_bytes(facts if isinstance(facts, bytes) else facts.encode())
     assert main(["animate", "r.csv"]) == 1
     assert capsys.readouterr().err == (
-        "alfmu: r.csv: alfmu wrote no r.json beside it; say which mechanism it is with --mechanism\n"
+        "alfmu: r.csv: there is no r.json of alfmu beside it; say which mechanism it is with --mechanism\n"
     )
     assert main(["animate", "r.csv", "-o", "film.html", "--mechanism", "slider_crank"]) == 0
 
@@ -671,7 +671,7 @@ def test_a_bad_check_sum_is_said(good, here, capsys):
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (lambda data: data[:100], "100 bytes in place of"),
+        (lambda data: data[:100], "100 bytes instead of"),
         (lambda data: data[:-9] + bytes(9), "check sum does not agree"),
         (lambda data: None, "there is no scene.bin in its resources"),
     ],

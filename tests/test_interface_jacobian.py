@@ -346,7 +346,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     state, derivative = unit.save(), unit.get("rod.angle/u")
     assert derivative > 0
     unit.set("u", 0.0)
-    with pytest.raises(alfmu.StepError, match=r"rooted, t = 0.04 s: rod.angle/u cannot be computed for this step"):
+    with pytest.raises(alfmu.StepError, match=r"rooted, t = 0.04 s: rod.angle/u cannot be computed over this step"):
         unit.step(0.02)
     assert unit.get("rod.angle/u") == derivative
     unit.set("u", 0.25)
@@ -366,7 +366,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
                 rank.set(name, 0.3 * np.sin(0.3 * (k + 1) + j))
             rank.step(0.05)
 
-    with pytest.raises(alfmu.StepError, match=r"link1.angle/A.torque cannot be computed for this step"):
+    with pytest.raises(alfmu.StepError, match=r"link1.angle/A.torque cannot be computed over this step"):
         through_the_singular_position()
 
 

@@ -811,7 +811,10 @@ TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: kinematics(five_bar(), ["A"]), "robot has 2 degrees of freedom, and A determines 1 of them; most of"),
+        (
+            lambda: kinematics(five_bar(), ["A"]),
+            "robot has 2 degrees of freedom, and A determines 1 of them; the undetermined motion is",
+        ),
         (lambda: kinematics(five_bar(), ["A", "crank_angleA"]), "A, crank_angleA name one motion twice"),
         (lambda: kinematics(five_bar(), ["Z"]), "robot has no place 'Z'"),
         (lambda: kinematics(five_bar(), ["tool"]), "tool has 2 values and cannot be actuated as a whole"),
@@ -821,7 +824,7 @@ TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
             lambda: kinematics(five_bar(), []),
             "robot: no joint is actuated by a drive or a motion; name those",
         ),
-        (lambda: kinematics(alfmu.derive(five_bar())), "robot: how it looks is not known of equations alone"),
+        (lambda: kinematics(alfmu.derive(five_bar())), "robot: equations alone do not define a drawing"),
         (lambda: kinematics("robot.fmu"), "an FMU does not contain its equations"),
         (lambda: kinematics(five_bar()).forward({"tool.x": 1.0}), "robot: 'tool.x' is not actuated; it has A, B"),
         (lambda: kinematics(five_bar()).forward((1.0,)), "robot: 1 value for 2 joints; give one for each of A, B"),
@@ -836,12 +839,12 @@ TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
         (lambda: kinematics(five_bar()).inverse({}), "robot: no values are given"),
         (lambda: kinematics(five_bar()).solutions({"tool.x": 0.2}), "robot: these values leave 1 degree of freedom"),
         (lambda: kinematics(five_bar()).solutions({"tool": (0.2, 0.4)}, starts=-1), "robot: starts is -1"),
-        (lambda: kinematics(five_bar()).forward(near=1.0), "robot: 1.0 is no position of it"),
+        (lambda: kinematics(five_bar()).forward(near=1.0), "robot: 1.0 is not a position of it"),
         (lambda: kinematics(five_bar()).cycle("E"), "robot: 'E' is not actuated"),
         (lambda: kinematics(five_bar()).cycle(rows=1), "robot: rows is 1"),
         (lambda: kinematics(five_bar()).cycle(span=3), "robot: span is given 1 value; give 2 numbers"),
         (lambda: kinematics(five_bar()).cycle(transmission="Q"), "robot has no joint 'Q'"),
-        (lambda: kinematics(five_bar()).efforts(3), "robot: 3 is no position of it"),
+        (lambda: kinematics(five_bar()).efforts(3), "robot: 3 is not a position of it"),
         (lambda: kinematics(alfmu.Instance("five_bar")), "it must be a name, a path or a Mechanism"),
         (lambda: kinematics(five_bar()).along({"A": ((0, 1), (0, 1))}), "the motion of A has 2 times and 2 values"),
         (lambda: kinematics(five_bar()).along({}), "robot: no joint moves"),
@@ -867,7 +870,7 @@ def test_what_floats_is_refused_by_name():
     m.drive(joint, m.input("torque", "N.m"))
     m.gravity(0, 0, 0)
     with pytest.raises(
-        InputError, match=r"floating has 7 degrees of freedom, and J determines 1 of them; .*base_.*hold what"
+        InputError, match=r"floating has 7 degrees of freedom, and J determines 1 of them; .*base_.*fix a floating base"
     ):
         kinematics(m)
 

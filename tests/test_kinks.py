@@ -124,7 +124,7 @@ def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     """By explicit steps alone 20 million evaluations."""
     automatic = pressed(alfmu.Instance("end_stop"))
     assert automatic.equations.decision.method == "explicit"
-    assert automatic.equations.decision.reason.endswith("implicit steps where stability keeps these short")
+    assert automatic.equations.decision.reason.endswith("implicit steps where stability limits explicit ones")
     exact = prepared(with_defaults(alfmu.derive(alfmu.load("end_stop")), {"solver.method": "stiff"}))
     exact = pressed(alfmu.Instance(with_defaults(exact, {"solver.relative_tolerance": 1e-11})))
     for _ in range(30):

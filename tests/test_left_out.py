@@ -161,7 +161,7 @@ def test_a_library_without_what_a_scene_needs_refuses_it(fmu_of, tmp_path):
 
 def test_a_scene_tells_what_its_fmu_leaves_out(capsys):
     assert main(["info", "five_bar", "--all"]) in (0, None)
-    said = capsys.readouterr().out.partition("left out of the C of a native FMU\n")[2]
+    said = capsys.readouterr().out.partition("omitted from the C library of a native FMU\n")[2]
     left_out = native.left_out(prepared(derived("five_bar")))
     assert said.splitlines() == [f"  {native.FEATURES[name].what}" for name in left_out]
     assert "friction" in said

@@ -734,7 +734,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert "replaced rod_live.html" in capsys.readouterr().out
     (tmp_path / "rod_live.html").write_text("mine")
     assert main(["live", "rod.py"]) == 1
-    assert "rod_live.html is there and was not written by alfmu live" in capsys.readouterr().err
+    assert "rod_live.html exists and was not written by alfmu live" in capsys.readouterr().err
     assert main(["live", "rod.py", "-o", "rod.txt"]) == 1
     assert "must end in .html" in capsys.readouterr().err
     assert main(["live", "slider_crank", "--set", "l2=0.1"]) == 1

@@ -239,7 +239,9 @@ def test_a_law_beyond_a_dead_position_or_against_another_one_is_called_into_ques
         m.motion(
             guide, 0.1 * ca.cos(angle) + ca.sqrt(0.09 - (0.1 * ca.sin(angle)) ** 2) + ca.fmax(m.time - 0.2, 0) ** 3
         )
-    with pytest.raises(alfmu.StepError, match=r"laws agree, and lead to positions at which .* dead position") as error:
+    with pytest.raises(
+        alfmu.StepError, match=r"check that its laws of motion agree and do not lead beyond a dead position, where"
+    ) as error:
         alfmu.simulate(m, 1.0, 0.05, parameters={"solver.method": method})
     assert 0.15 < error.value.result.time[-1] <= (0.5 if method == "order8" else 0.25)
 
@@ -440,7 +442,7 @@ def _hinged(law: Callable[[ca.SX], ca.SX]) -> alfmu.Mechanism:
 )
 def test_a_law_that_jumps_is_refused_with_its_size(law, size, time):
     with pytest.raises(
-        alfmu.DeclarationError, match=f"motion of A jumps by {size} rad at t = {time} s, which no rigid"
+        alfmu.DeclarationError, match=f"motion of A jumps by {size} rad at t = {time} s, which a rigid mechanism"
     ):
         _hinged(law)
 
@@ -462,9 +464,7 @@ def test_a_place_that_jumps_is_refused_and_a_rate_that_jumps_is_told():
         m.spatial_revolute("turn", base, hand, axis=(0, 0, 1), coordinate=turn)
     with pytest.raises(alfmu.DeclarationError, match=r"the pose of jig jumps by 2 rad at t = 3 s"):
         m.body("jig", mass=1.0, pose=(0, 0, 2 * (m.time > 3)))
-    with pytest.warns(
-        alfmu.AlfmuWarning, match=r"motion of A changes its rate by 2 rad/s at t = 0.5 s, which is an imp"
-    ):
+    with pytest.warns(alfmu.AlfmuWarning, match=r"motion of A changes its rate by 2 rad/s at t = 0.5 s: an impact"):
         _hinged(lambda t: ca.fabs(t - 0.5))
 
 
@@ -499,7 +499,8 @@ def stepping(switch: bool = False) -> alfmu.Mechanism:
 
 
 JUMP_AT = (
-    r"stepping: the motion of A jumps by {} rad at t = {} s, which no rigid mechanism follows; give a law without jumps"
+    r"stepping: the motion of A jumps by {} rad at t = {} s, which a rigid mechanism cannot follow; give a law without "
+    r"jumps"
 )
 
 
@@ -633,7 +634,9 @@ def test_a_rate_that_jumps_with_other_parameters_is_told_once(caplog):
         assert not caplog.records
         found = alfmu.simulate(by_rk4(m), 0.7, 0.02, parameters={"late": 0.31, "solver.step_size": 0.001})
     (said, *others) = caplog.messages
-    assert said.startswith("corner: the motion of A changes its rate by 2 rad/s at t = 0.31 s, which is an impact")
+    assert said.startswith(
+        "corner: the motion of A changes its rate by 2 rad/s at t = 0.31 s: an impact, whose impulse"
+    )
     assert not any("changes its rate" in each for each in others)
     assert found["bar.angle"][-1] == pytest.approx(0.39 + 0.19, abs=1e-12)
 
@@ -699,8 +702,8 @@ def test_coordinates_go_on_in_a_law_that_knows_no_whole_turns():
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (lambda x: ca.sqrt(1 + x), "the motion of A changes too often"),
-        (lambda x: ca.fmax(x, -1), "forces or laws of time jump or bend more than"),
+        (lambda x: ca.sqrt(1 + x), "the motion of A changes too often to be searched for jumps"),
+        (lambda x: ca.fmax(x, -1), "forces or laws of time have more than 4096 jumps or kinks"),
     ],
 )
 def test_a_law_that_turns_too_often_to_be_looked_at_says_so(law, said):
@@ -711,7 +714,9 @@ def test_a_law_that_turns_too_often_to_be_looked_at_says_so(law, said):
     instance = made(by_rk4(m), "vm")
     instance.set("w", 1e9)
     instance.initialize()
-    with pytest.raises(alfmu.StepError, match=rf"buzz, t = .* s: {said} .* up to 0.02 s"):
+    with pytest.raises(
+        alfmu.StepError, match=rf"buzz, t = .* s: {said} up to 0.02 s; take shorter communication steps"
+    ):
         instance.step(0.02)
 
 
@@ -791,7 +796,8 @@ def test_a_jump_is_refused_with_its_size_and_nothing_has_changed():
     before = instance.save()
     instance.set("A.angle", 0.3)
     with pytest.raises(
-        alfmu.InputError, match=r"A.angle is 0.3 rad \(17.19 deg\), .* a jump of 0.3 rad, more than 0.1 rad"
+        alfmu.InputError,
+        match=r"A.angle is set to 0.3 rad \(17.19 deg\), .* a jump of 0.3 rad, above the limit of 0.1 rad",
     ):
         instance.step(0.01)
     instance.restore(before)
@@ -883,7 +889,7 @@ def test_a_lock_against_a_motion_is_refused_and_the_motion_goes_on(switch, caplo
     instance.step(0.1)
     instance.set("A.locked", True)
     with pytest.raises(
-        alfmu.InputError, match=r"t = 0.1 s: what is switched on asks for another motion .* A locked is missed"
+        alfmu.InputError, match=r"t = 0.1 s: the lock, joint or motion switched on contradicts .* A locked is violated"
     ):
         instance.step(0.1)
     instance.step(0.1)

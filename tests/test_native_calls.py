@@ -124,7 +124,7 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
                 fmu.read()
         with pytest.raises(alfmu.StepError, match="growth would be inf"):
             fmu.step(0.02, 0.0)
-        with pytest.raises(alfmu.StepError, match=r"cart: pull = 1e\+100 N: outputs are not finite with it"):
+        with pytest.raises(alfmu.StepError, match=r"cart: outputs are not finite with pull = 1e\+100 N"):
             fmu.set("pull", 1e100)
         assert fmu.read_inputs() == [1000.0]
         fmu.set("pull", 0.0)
@@ -194,7 +194,7 @@ def test_time_advances(made, start, step):
             fmu.slave.exitInitializationMode()
         else:
             fmu.initialize()
-        with pytest.raises(alfmu.StepError, match=r"last digit of the time|a step from t ="):
+        with pytest.raises(alfmu.StepError, match=r"below the resolution of the time|a step from t ="):
             fmu.step(step, start)
 
 
@@ -281,7 +281,7 @@ def test_intermediate_updates_come_at_every_internal_step_without_early_return_t
     # The state after the step is that of a host that does not look.
     alone.doStep(0.0, 0.1)
     assert [row[5] for row in seen] == angles[:-1] + alone.getFloat64([alone.references["link1.angle"]])
-    assert any("not while a step is made" in line for line in log)
+    assert any("not during a step" in line for line in log)
     for each in (unit, plain, alone):
         each.freeInstance()
 

@@ -97,6 +97,6 @@ sys.exit(main(["simulate", "particle_on_circle.fmu"]))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 1
     assert (tmp_path / "particle_on_circle.fmu").is_file()
-    assert done.stderr.startswith("alfmu: running or checking an FMU takes fmpy")
+    assert done.stderr.startswith("alfmu: running or checking an FMU needs fmpy")
     assert "pip install 'alfmu[fmu]'" in done.stderr
     assert done.stderr.count("\n") == 1

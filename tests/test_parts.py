@@ -398,7 +398,7 @@ WRONG = {
         {"joint": "weld"},
         "motor is on feet; give it a joint of this mechanism that is a revolute, a prismatic or a screw",
     ),
-    "a rotor without a joint": ({"speed": 1.0, "inertia": 1.0}, "has no joint, so that no rotor"),
+    "a rotor without a joint": ({"speed": 1.0, "inertia": 1.0}, "has no joint, so it can have no rotor"),
     "a gearbox that is none": ({"joint": "A", "gearbox": 5.0}, r"gearbox of motor is 5\.0; give parts\.Gearbox"),
     "an efficiency above 1": (
         {"joint": "A", "gearbox": parts.Gearbox(efficiency=1.2)},

@@ -554,7 +554,7 @@ def test_names_and_patterns_choose_lines_by_unit():
     ]
     assert drawn.axes[2].get_ylabel() == "value [dimensionless]"
     assert drawn._supxlabel is None  # nothing that was asked for is left out
-    with pytest.raises(InputError, match="the result of five_bar has nothing like 'link9"):
+    with pytest.raises(InputError, match="the result of five_bar has no column like 'link9"):
         figure(result, ["link1.x", "link9.*"])
 
 

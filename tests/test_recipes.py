@@ -206,7 +206,7 @@ def test_export_says_what_it_wrote_and_where_it_runs(tmp_path, capsys):
         assert "linux64 (glibc 2." in names or "linux64" not in on
         (limits,) = more or [""]
         if form[:1] == ["--kind"]:
-            assert "only where it is unpacked under plain letters" in limits
+            assert "only in folders with plain letters" in limits
         elif missing := [name for name in PLATFORMS if name not in on]:
             assert limits == f"  for {', '.join(missing)}, too: pip install ziglang, then --platform all"
         else:
@@ -304,11 +304,11 @@ MISTAKES = [
         "Recipe('five_bar', kind='python', fmi=3)",
         "there is no python FMU of FMI 3; use FMI 2, or a native one of FMI 3",
     ),
-    ("Recipe('five_bar', kernel='oracle')", "no FMU carries the oracle"),
+    ("Recipe('five_bar', kernel='oracle')", "an FMU cannot contain the oracle"),
     ("Recipe('five_bar', kernel='vm')", "a native FMU has a kernel of its own"),
     (
         "Recipe('five_bar', kind='python', platforms=['win64'])",
-        "an FMU that runs in Python is for no platform of its own",
+        "an FMU that runs in Python is not built for a platform",
     ),
     ("Recipe('six_bar')", "there is no mechanism 'six_bar'; did you mean five_bar? Use one of"),
     ("Recipe('missing.py')", "there is no file"),
@@ -362,4 +362,4 @@ def test_list_and_help_tell_of_recipes(distribution, capsys):
     assert re.search("^quick +FMU of five_bar: freeze all$", capsys.readouterr().out, re.M)
     with pytest.raises(SystemExit):
         main(["export", "--help"])
-    assert "takes precedence over it" in " ".join(capsys.readouterr().out.split())
+    assert "take precedence over it" in " ".join(capsys.readouterr().out.split())

@@ -367,7 +367,7 @@ def test_a_wheel_whose_turns_nobody_counts_is_refused():
     m.revolute("A", m.ground.at(0, 0), bar.start)
     m.revolute("B", m.ground.at(0.3, 0), disc.at(0, 0), coordinate=m.coordinate("turn"))
     m.gear("mesh", bar.start, disc.at(0, 0), teeth=(1, 2))
-    with pytest.raises(alfmu.DeclarationError, match="gear mesh counts the turns of bar"):
+    with pytest.raises(alfmu.DeclarationError, match="gear mesh needs the turns of bar"):
         alfmu.derive(m)
 
 

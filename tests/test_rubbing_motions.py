@@ -199,7 +199,7 @@ def test_a_motion_that_jams_is_reported_where_it_jams(press):
     pushes = (3.0 * a + PUSHED) / (1 - RUBS * np.abs(np.tan(lean)))  # along the guide
     np.testing.assert_allclose(np.abs(run["guide.friction_force"]), RUBS * pushes * np.tan(lean), rtol=1e-9)
     assert pushes[-1] > 20 * PUSHED
-    said = r"press, t = 0\.\d+ s: a jam: no sliding motion .* \(guide\), and a law of time asks for one"
+    said = r"press, t = 0\.\d+ s: joints jam: no sliding motion .* \(guide\), but a law of time prescribes one"
     with pytest.raises(AlfmuError, match=said) as found:
         alfmu.simulate(press, 1.0, step, parameters=parameters)
     assert f"t = {step * (jam // step):g}" in str(found.value)
@@ -211,7 +211,7 @@ def test_a_motion_begins_from_rest_or_jams_there(press, beyond):
     growth = 20.0
     parameters = {"solver.method": "rk4", "growth": growth, "begin": JAM + (0.01 if beyond else -0.2)}
     if beyond:
-        with pytest.raises(AlfmuError, match=r"a jam: .* \(guide\), and a law of time asks for one"):
+        with pytest.raises(AlfmuError, match=r"joints jam: .* \(guide\), but a law of time prescribes one"):
             alfmu.simulate(press, 0.1, 0.01, parameters=parameters)
     else:
         run = alfmu.simulate(press, 0.1, 0.01, parameters=parameters)

@@ -359,7 +359,7 @@ def test_constraints_that_hold_to_second_order_alone_are_named(caplog):
     m.gravity(0, -9.81)
     i = alfmu.Instance(m)
     i.initialize()
-    assert "rails: rod stop a motion to second order alone" in caplog.text
+    assert "rails: rod stop a motion to second order only" in caplog.text
 
 
 # Singular positions -----------------------------------------------------------------------------------------------

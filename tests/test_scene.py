@@ -581,7 +581,7 @@ def test_damage_of_any_byte_is_refused_or_harmless(small, packed, short, tmp_pat
     [
         (0, b"X", "not a scene file"),
         (8, b"\x7f", f"its version is 127 and this runtime reads {alfmu.kernel.VERSION}; export it again"),
-        (12, b"\x00", "bytes in place of"),
+        (12, b"\x00", "bytes instead of"),
         (16, b"\x00", "its check sum does not agree"),
         (70, b"\xff", "its check sum does not agree"),
     ],

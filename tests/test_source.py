@@ -247,13 +247,16 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
 
 
 REFUSED = {
-    "solver.method": ({"parameters": {"solver.method": "explicit"}}, "solver.method rk4 alone"),
-    "solver.formulation": ({"parameters": {"solver.formulation": "classic"}}, "solver.formulation residual alone"),
+    "solver.method": ({"parameters": {"solver.method": "explicit"}}, "sources support only solver.method rk4,"),
+    "solver.formulation": (
+        {"parameters": {"solver.formulation": "classic"}},
+        "sources support only solver.formulation residual,",
+    ),
     "derivatives": ({"derivatives": True}, "have no derivatives"),
     "kernel": ({"kernel": "vm"}, "has a kernel of its own"),
-    "platforms": ({"platforms": ["linux64"]}, "is for no platform of its own"),
-    "Model Exchange": ({"interface": "me"}, "is for co-simulation alone; leave --interface out, or use --kind native"),
-    "both interfaces": ({"interface": "both"}, "an FMU of sources is for co-simulation alone"),
+    "platforms": ({"platforms": ["linux64"]}, "is not built for a platform"),
+    "Model Exchange": ({"interface": "me"}, "supports co-simulation only; leave --interface out, or use --kind native"),
+    "both interfaces": ({"interface": "both"}, "an FMU of sources supports co-simulation only"),
     "Jacobian": ({"outputs": ["link1.angle", "link1.angle/A.torque"]}, "have no interface Jacobian"),
     "FMI 3": ({"fmi": 3, "path": "five_bar.c"}, "plain C is of no version of FMI"),
     "name": ({"path": "other.c"}, "C has the name of the model"),

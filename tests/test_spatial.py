@@ -333,7 +333,7 @@ def _inertia(m: alfmu.Mechanism) -> None:
         ),
         (
             lambda m: m.universal("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), second_axis=(1, 1, 0)),
-            "make an angle of 45 degrees; those of a universal joint are square",
+            "make an angle of 45 degrees; those of a universal joint are perpendicular",
         ),
         (
             lambda m: m.spatial_screw("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), lead=0),

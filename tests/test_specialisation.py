@@ -162,12 +162,12 @@ def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
         )
     }
     assert len(parts) == 5
-    rest = int(re.search(r"^  checks, less what is shared\s+(-?\d+)$", text, re.M)[1])
+    rest = int(re.search(r"^  checks, minus shared operations\s+(-?\d+)$", text, re.M)[1])
     assert sum(parts.values()) + rest == step
     assert re.search(r"structural nonzeros: M 8, C 24, H 40, L \d+", text)
     saved, full = (
         [int(x) for x in re.search(rf"^  {what}\s+(\d+)\s+(\d+)$", text, re.M).groups()]
-        for what in ("in all", "of the same scene with everything in")
+        for what in ("in all", "the same scene with all parts")
     )
     everything = cost(prepared(derived("five_bar")))
     assert full == [everything.step, everything.outputs]

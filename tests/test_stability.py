@@ -1,13 +1,16 @@
 """Maps of stability at their smallest effort; and classes of runs that are known to fail."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 from studies import prose, rows, tables, untraced
 
+import alfmu
 from alfmu.cli import main
 from alfmu.model.settings import FORMULATIONS, METHODS
 from alfmu.studies import reference as exact
@@ -160,6 +163,13 @@ def test_criteria_in_their_order():
     assert of(1e-4, run=replace(finite, values=np.array([[np.nan]]))) == "not finite"
     assert of(1e-4, run=replace(finite, failure="x: locked up at y")) == "refused: locked up"
     assert of(1e-4, run=replace(finite, failure="nobody knows")) == REFUSED + OTHER
+    steps = Path(alfmu.__file__).parent / "runtime" / "c" / "step"
+    written = "".join(path.read_text() for path in steps.glob("*.c"))
+    opened = re.findall(r'instance_say\(i, CONSTRAINT_OPEN,\s*((?:"[^"]*"\s*)+)', written)
+    assert len(opened) == 3
+    for each in opened:
+        failure = "".join(re.findall('"([^"]*)"', each))
+        assert of(1e-4, run=replace(finite, failure=failure)) == REFUSED + "constraints left open", failure
 
 
 def test_what_time_does_not_allow_is_listed_and_all_is_written(tmp_path, monkeypatch, capsys):

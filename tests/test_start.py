@@ -111,7 +111,7 @@ def test_guesses_in_degrees_are_told_where_they_lead_to_the_other_assembly(side:
 
 def test_a_guess_far_from_the_assembly_is_told_by_name() -> None:
     """More than 60 degrees off, though it leads to the nearest assembly; what is nearer is not told."""
-    with pytest.warns(alfmu.AlfmuWarning, match="closed far from what was given: t2 is .*guessed as .*deg") as caught:
+    with pytest.warns(alfmu.AlfmuWarning, match="closed far from the guesses: t2 is .*guessed as .*deg") as caught:
         started(linkage(-1.8, closed(-1)[1] + 1.1))
     assert "t3 is" not in str(caught[0].message)
 
@@ -133,7 +133,7 @@ def test_an_assembly_within_the_limits_of_stops_is_taken_where_there_is_one(insi
     low, high = (coupler - 0.3, coupler + 0.3) if inside else (guess[1] + 0.4, coupler - 0.4)
     m.end_stop("stop", hinge, lower=low, upper=high, stiffness=10.0)
     m.gravity(0.0, -9.81)
-    words = "is beyond stop by .*; the nearest found within limits is taken" if inside else "no assembly within limits"
+    words = "exceeds stop by .*; the nearest found within limits is taken" if inside else "no assembly within limits"
     with pytest.warns(alfmu.AlfmuWarning, match=words):
         r = readings(started(alfmu.derive(m)))
     if inside:

@@ -484,7 +484,7 @@ WRONG = {
     "a mass": (lambda m, x: m.body("b", mass=x), "the mass of b depends on the state x"),
     "a derived name": (
         lambda m, x: [m.derivative(x, 1.0), m.state("wheel.angle", "A", 0.0)],
-        "'wheel.angle' is derived",
+        "'wheel.angle' is the name of a derived variable",
     ),
 }
 

@@ -125,7 +125,7 @@ def test_cases_are_the_product_and_made_when_asked_for():
         ({"vary": {"solver.max_iterations": "1.5,2"}}, "a whole number"),
         ({"vary": {"l": "1,2"}, "parameters": {"l": 1.0}}, "varied and set"),
         ({"vary": {"l": "1,2"}, "freeze": ["l"]}, "varied and frozen"),
-        ({"vary": {"A.torque": "1,2"}, "inputs": {"A.torque": 1.0}}, "given otherwise"),
+        ({"vary": {"A.torque": "1,2"}, "inputs": {"A.torque": 1.0}}, "also given a value"),
         ({"vary": {"l": "1,2"}, "keep": ["max(nothing)"]}, "no output 'nothing'"),
         ({"vary": {"l": "1,2"}, "keep_series": ["A.torqe"]}, "no output 'A.torqe'"),
         ({"vary": {"l": "1,2"}, "cases": {"l": [1.0]}}, "leave one out"),
@@ -488,7 +488,7 @@ def test_a_damaged_part_is_told(tmp_path):
         alfmu.Sweep.load(folder)["m2"]
     plan = folder / "plan.json"
     plan.write_text("{}")
-    with pytest.raises(alfmu.InputError, match=r"plan\.json is none of a sweep"):
+    with pytest.raises(alfmu.InputError, match=r"plan\.json is not that of a sweep"):
         alfmu.Sweep.load(folder)
 
 

@@ -335,8 +335,8 @@ DTD = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
         ("<ssd:SystemS", DTD + "<ssd:SystemS", "declares a document type"),
         ("</ssd:System>", "", "is no XML"),
         ('version="1.0" name', 'version="7.0" name', "is of SSP '7.0'"),
-        ("resources/arm.fmu", "../../arm.fmu", "is no file in the archive"),
-        ("resources/arm.fmu", "http://example.org/arm.fmu", "is no file in the archive"),
+        ("resources/arm.fmu", "../../arm.fmu", "is not a file in the archive"),
+        ("resources/arm.fmu", "http://example.org/arm.fmu", "is not a file in the archive"),
         ("resources/arm.fmu", "SystemStructure.ssd", "is not an FMU"),
         ('name="motor" type', 'name="arm" type', "two components are called 'arm'"),
         ('name="motor" type', 'name="a b" type', "ends at 'motor'; it has arm, a b"),
@@ -599,7 +599,7 @@ def test_whole_numbers_and_booleans_of_fmus_are_connected(counter):
     assert run["a.count"].tolist() == [0, 1, 2, 3, 3, 3]
     assert run["a.even"].tolist() == [1, 0, 1, 0, 0, 0]
     assert run["b.count"].tolist() == [0, 0, 1, 1, 4, 7]
-    with pytest.raises(InputError, match="of a says that it does not save its state"):
+    with pytest.raises(InputError, match="of a cannot save its state"):
         system.simulate(master="iterated")
 
 

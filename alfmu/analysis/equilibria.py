@@ -232,8 +232,8 @@ class Equilibria(Sequence[Equilibrium]):
             slowest = f", frequencies {_listed(each.frequencies)} Hz" if len(each.frequencies) else ""
             grows = max((x.real for x in each.eigenvalues), default=0.0)
             grows_by = f", grows by {grows:.4g} 1/s" if each.stability == "unstable" else ""
-            where = "" if each.connected else ", no way from the start found"
-            beside = "" if each.isolated else ", one of many beside each other"
+            where = "" if each.connected else ", no path from the start found"
+            beside = "" if each.isolated else ", one of a continuum"
             lines += [f"{k + 1:3}  {each.stability}{slowest}{grows_by}{beside}{where}"]
             if each.stability == "not judged":
                 lines += [f"     {each.reason}"]
@@ -308,11 +308,11 @@ def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
     notes = search.notes(found)
     if unsettled and not found:
         notes[-1] = (
-            f"no position was found where loads balance and the rate of {', '.join(unsettled)} vanishes, which further "
-            "states alone do not bring to zero"
+            f"no position was found where loads balance and the rates of {', '.join(unsettled)} vanish; no values of "
+            "the states alone make these rates zero"
         )
     if moved:
-        notes.append(f"inputs that move something are held where they are: {', '.join(moved)}")
+        notes.append(f"inputs that prescribe motion are held at their values: {', '.join(moved)}")
     if frictions:
         notes.append(
             f"dry friction is left out ({frictions}): where it holds, positions beside these are positions of rest too"
@@ -358,13 +358,11 @@ class _Search:
             notes.append("no load acts on any motion: every position is one of rest")
         elif any(not each.isolated for each in found):
             notes.append(
-                "positions of rest lie beside each other, as loads do not act on all motions; the nearest to the start "
-                "is shown for all of them"
+                "positions of rest form a continuum, as loads do not act on all motions; only the nearest to the "
+                "start is shown"
             )
         if not found:
-            notes.append(
-                "loads act on its motions everywhere it was looked for; hold it by a spring, a lock or an input"
-            )
+            notes.append("loads are out of balance at every position tried; hold it by a spring, a lock or an input")
         return notes
 
     # Starts of the search ---------------------------------------------------------------------------------------------
@@ -527,7 +525,8 @@ class _Search:
             stability = "not judged"
             reason = (
                 f"it is a singular position, where {counted(mobility.freedom_here, 'velocity')} are possible with "
-                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one do not describe others"
+                f"{counted(loops.freedom, 'degree')} of freedom: linear equations of one branch do not describe the "
+                "others"
             )
         else:
             try:

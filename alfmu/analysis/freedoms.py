@@ -354,13 +354,13 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
     elif loops.freedom != 1:
         reason = f"branches are not separated: with {loops.freedom} degrees of freedom they are surfaces, not lines"
     elif motions > MOST:
-        reason = f"branches are not separated: of {motions} motions there may be {2 ** (motions - 1)}"
+        reason = f"branches are not separated: {motions} motions can cross in up to {2 ** (motions - 1)} branches"
     else:
         found = ways(loops, y, motions)
         if not found:
             reason = (
-                "no motion to second order begins here: either the mechanism is stuck, or its motions touch each "
-                "other, which this does not judge"
+                "no motion to second order begins here: either the mechanism is locked, or its branches are tangent "
+                "to each other, which this analysis does not tell apart"
             )
     speed = np.linalg.norm(v / loops.scale)
     if speed > 0 and found:

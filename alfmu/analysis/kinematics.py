@@ -300,7 +300,7 @@ class Kinematics:
         notes, rubs = [], ", ".join(x.name for x in self._where.equations.frictions)
         if self.redundant:
             more = counted(self.redundant, "actuator") + " more than degrees of freedom"
-            notes += [f"{more}: efforts are those of least norm, forces times {self.size:.4g} m beside moments"]
+            notes += [f"{more}: efforts are those of least norm, with forces weighted by {self.size:.4g} m"]
         return notes + [f"efforts leave out dry friction: {rubs}"] * bool(rubs)
 
     # Positions --------------------------------------------------------------------------------------------------
@@ -346,7 +346,9 @@ class Kinematics:
         self._whole("starts", starts, 0)
         rows, goal = self._targets(values, near)
         if left := self.freedom - self._spans(rows):
-            text = f"{self.name}: these values leave {counted(left, 'degree')} of freedom, so solutions are not apart"
+            text = (
+                f"{self.name}: these values leave {counted(left, 'degree')} of freedom, so solutions are not isolated"
+            )
             raise InputError(f"{text}; give more values, such as those of actuated joints")
         return self._all(rows, goal, starts, near)
 
@@ -379,7 +381,7 @@ class Kinematics:
             if step < most / 2**HALVED and done < 1.0:
                 least = float(np.linalg.svd(loops.matrix(y)[:, : loops.moving], compute_uv=False)[loops.rank - 1])
                 wanted, last = (self._said(rows, x) for x in (goal, self._between(rows, here, goal, done)))
-                text = f"{self.name}: {wanted} is out of reach; on the straight way there the loops stay closed up to"
+                text = f"{self.name}: {wanted} is out of reach; on the straight path to it the loops stay closed up to"
                 text += f" {last}, where the least singular value is {least:.2g} (0 at a singular position)"
                 raise InputError(f"{text}; give values within reach, or another position as near=")
         return y
@@ -401,7 +403,7 @@ class Kinematics:
         if near is None:
             return self._home.copy()
         if not isinstance(near, Position) or (near.mechanism, len(near.q)) != (self.name, len(self._home)):
-            text = f"{self.name}: {shown(near)} is no position of it"
+            text = f"{self.name}: {shown(near)} is not a position of it"
             raise InputError(f"{text}; give one that forward() or inverse() returned")
         return near.q / self._loops.scale
 
@@ -475,7 +477,9 @@ class Kinematics:
                 numbers[turns] *= np.sign(here[[parts[k] for k in turns]] @ numbers[turns]) or 1.0
             rows, goal = [*rows, *parts], [*goal, *numbers.tolist()]
         if not rows:
-            raise InputError(f"{self.name}: no values are given; name what has to be where")
+            raise InputError(
+                f"{self.name}: no values are given; give values of joints, coordinates, points or outputs by name"
+            )
         return rows, np.array(goal)
 
     def _given(self, values: Values, others: Vector) -> tuple[list[int], Vector]:
@@ -515,7 +519,7 @@ class Kinematics:
         """Raise InputError if the actuated joints do not determine the motion."""
         e, count = self._where.equations, counted(self.freedom, "degree")
         if e.slips:
-            text = f"{self.name}: {e.rows[e.slips[0]].name} constrains a velocity, so that positions depend on the way"
+            text = f"{self.name}: {e.rows[e.slips[0]].name} constrains a velocity, so that positions depend on the path"
             raise InputError(f"{text} and not on the actuated joints alone; simulate it with m.motion()")
         if not self.freedom:
             raise InputError(f"{self.name}: it has no degree of freedom that a joint could actuate")
@@ -530,7 +534,10 @@ class Kinematics:
         idle = [k for k, row in zip(self.actuated, found, strict=True) if np.abs(row).max() <= SINGULAR]
         why = f" ({', '.join(idle)} cannot move)" * bool(idle)
         text = f"{self.name} has {count} of freedom, and {', '.join(self.actuated)} determines {spans} of them{why}"
-        text += f"; most of what is left moves {', '.join(most)}: name more actuated joints, or hold what floats by"
+        text += (
+            f"; the undetermined motion is mostly in {', '.join(most)}: name more actuated joints, or fix a "
+            "floating base by"
+        )
         raise InputError(f"{text} a joint to the ground")
 
     # Jacobian and efforts ---------------------------------------------------------------------------------------

@@ -108,6 +108,6 @@ def prescribed(where: Situation) -> Sequence[str]:
         return ()
     names = [row.name for row, on in zip(e.rows, where.held, strict=True) if on and row.direction == "motion"]
     if not names:
-        return ("places that depend on time or inputs are where these have them",)
+        return ("places that depend on time or inputs are evaluated at this time and with these inputs",)
     each = "it counts as a constraint" if len(names) == 1 else "each counts as a constraint"
     return (f"{counted(len(names), 'motion')} by a law ({', '.join(names)}): {each}",)

@@ -187,7 +187,7 @@ class Linearization:
             + f" ({math.degrees(self.values[name]):.4g} deg)" * (self.units[name] == "rad" and self.values[name] != 0)
             for name in self.states
         )
-        how = "at rest" if self.at_rest else "in motion, as if the state stood still"
+        how = "at rest" if self.at_rest else "in motion, with coefficients frozen at this state"
         lines = [f"{self.mechanism}: linearised at t = {self.time:g} s, {how}", f"state: {state or 'none'}"]
         if self.inputs:
             lines += ["inputs: " + ", ".join(f"{x} = {self.values[x]:g} {self.units[x]}" for x in self.inputs)]
@@ -288,8 +288,8 @@ def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: S
     if mobility.freedom_here > mobility.freedom:
         raise InputError(
             f"{where.name}, t = {s.t:.6g} s: the position is singular, {mobility.freedom_here} motions begin there "
-            f"instead of {mobility.freedom}, so that no independent coordinates describe them and nothing can be said "
-            "of small motions; start beside it, or name a time at which the motion is past it"
+            f"instead of {mobility.freedom}, so that no independent coordinates describe them and small motions are "
+            "not linear; start beside it, or name a time at which the motion is past it"
         )
     small = small_motions(where, mobility.freedom, wanted)
     names = [v.name for v in e.outputs]
@@ -329,8 +329,8 @@ def _notes(where: Situation, redundant: int) -> list[str]:
     notes = []
     if redundant:
         notes.append(
-            f"{counted(redundant, 'redundant constraint')}: reactions that share a load are those by which joints "
-            "carry the least, and their rows of C and D as well"
+            f"{counted(redundant, 'redundant constraint')}: where they share a load, reactions and their rows of C "
+            "and D are those by which joints carry the least"
         )
     if where.equations.switches:
         notes.append("locks and released joints stay as they are")

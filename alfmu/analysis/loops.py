@@ -101,8 +101,8 @@ class Loops:
             rates = self._values[3]
             if unsettled := self._unsettled():
                 raise InputError(
-                    f"{self.situation.name}: its states ({', '.join(unsettled)}) have no values of their own at which "
-                    "they rest in some positions; start it where they have"
+                    f"{self.situation.name}: its states ({', '.join(unsettled)}) have no steady values in some "
+                    "positions; start it where they have"
                 )
             before = self._u.copy()
             self._u[len(before) - len(self._x) :] -= np.linalg.solve(self._by_x, rates)

@@ -77,7 +77,7 @@ class Source:
     def drawn(self) -> Mechanism:
         """Return the declaration, for a drawing; raise InputError if only the equations are known."""
         if self.declared is None:
-            raise InputError(f"{self.equations.name}: how it looks is not known of equations alone; give the mechanism")
+            raise InputError(f"{self.equations.name}: equations alone do not define a drawing; give the mechanism")
         return self.declared
 
 
@@ -321,7 +321,10 @@ def begun(
     elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
     if isinstance(mechanism, Instance):
         if elsewhere:
-            raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
+            raise InputError(
+                f"{where.name}: {elsewhere[0]} prescribes a motion or switches a joint; set() it in the "
+                "Instance, and make a step"
+            )
     elif elsewhere or (rubs and e.frictions):  # the start differs, or sliding joints now stick
         return subject(mechanism, {**parameters, **given}, time, rubs)
     return _with_inputs(where, given)

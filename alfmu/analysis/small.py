@@ -117,12 +117,12 @@ class Small:
         if values.real.max() < -margin:
             return "asymptotically stable", "all small motions decay"
         if self.X.size:
-            return "not judged", "small motions neither grow nor decay, and states beside the motion drive it"
+            return "not judged", "small motions neither grow nor decay, and states of first order drive the motion"
         symmetric = np.abs(K - K.T).max() <= SYMMETRIC * np.abs(K).max()
         least = np.linalg.eigvalsh(K + K.T).min()
         damped = np.linalg.eigvalsh(D + D.T).min() >= -ZERO * max(np.abs(D).max(), 1e-300)
         if symmetric and least > 0 and damped:
-            return "stable", "the potential energy is least there"
+            return "stable", "the potential energy has a minimum there"
         return "not judged", "small motions neither grow nor decay, and the loads have no potential"
 
 
@@ -305,9 +305,9 @@ def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) ->
             opened = np.abs(missed[:, each.signal * LEVELS]).max(initial=0.0)
             if opened > CONSISTENT:
                 raise InputError(
-                    f"{where.name}, t = {where.state.t:.6g} s: the input {each.name} cannot change by itself, as other "
-                    f"motions or constraints hold what it moves (they would open by {opened:.1e} for a unit of it); "
-                    "leave one of them out, or drive both by one input"
+                    f"{where.name}, t = {where.state.t:.6g} s: the input {each.name} cannot change by itself, as "
+                    f"other motions or constraints hold the same motion (they would open by {opened:.1e} per unit of "
+                    "the input); leave one of them out, or drive both by one input"
                 )
 
 

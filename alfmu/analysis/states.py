@@ -44,7 +44,9 @@ def states(
         e = mechanism.equations if isinstance(mechanism, Instance) else source(mechanism, parameters).equations
         _check_own(e, at)
         if parameters or inputs:
-            raise InputError(f"{e.name}: a position of rest has its parameters and inputs; give them to equilibrium()")
+            raise InputError(
+                f"{e.name}: parameters and inputs are part of a position of rest; give them to equilibrium()"
+            )
         return [at.situation]
     if at in PLACES if isinstance(at, str) else isinstance(mechanism, Instance) and at == 0:
         where = begun(mechanism, parameters, inputs, rubs=at != "equilibrium")
@@ -53,7 +55,7 @@ def states(
         return [where]
     times = _times(mechanism, at)
     if isinstance(mechanism, Instance):
-        raise InputError(f"{mechanism.name}: an Instance is looked at in its present state; step it to the time first")
+        raise InputError(f"{mechanism.name}: an Instance is analysed in its present state; step it to the time first")
     if set(times) == {0.0}:
         return [begun(mechanism, parameters, inputs, rubs=True)] * len(times)
     found = dict(motion(source(mechanism, parameters), sorted(set(times)), inputs))

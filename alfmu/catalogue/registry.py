@@ -232,8 +232,8 @@ def _explained(error: BaseException, file: str, line: int) -> str:
         )
     if "to_int" in said or re.search("'SX'.*as an integer|must be integers.*SX", said):
         return (
-            "a symbol is no whole number, and what is counted is fixed when a mechanism is declared; use an option, as "
-            f"in def {Path(file).stem}(n: int = 3)"
+            "a symbol is not a whole number, and counts are fixed when a mechanism is declared; use an option, as in "
+            f"def {Path(file).stem}(n: int = 3)"
         )
     of_symbols = casadi_function(file, line)
     if isinstance(error, FutureWarning) or (of_symbols and re.search("SX|casadi", said)):

@@ -12,38 +12,42 @@ from ..model.errors import InputError
 from .options import EITHER_HELP, Command, add_name, add_names, add_option, add_set, chosen_recipe, name_list, pair
 from .says import once_written, progress_bar, say
 
-_EQUILIBRIUM = """Inputs are those of --input at the time of --at, or those that --set gives, as start values are;
-`alfmu simulate --start equilibrium` begins in the nearest stable position that is found. Stability is that of small
-motions; where it cannot be judged, as at a singular position, the reason is shown. Positions that are not found from
-the places tried may exist. Inputs that move something are held, laws of time have to stand still at the time of --at,
-dry friction is left out."""
+_EQUILIBRIUM = """Inputs come from --input at the time of --at, or from --set, as start values do; `alfmu simulate
+--start equilibrium` begins in the nearest stable position found. Stability is that of small motions; where it cannot be
+judged, as at a singular position, the reason is shown. The search may miss positions. Inputs that prescribe motion are
+held, laws of time must be at rest at the time of --at, and dry friction is left out."""
 
-_LINEARIZE = """States are independent coordinates NAME and their rates der(NAME), inputs and outputs have their names
-in FMI. Along a motion the equations are those of the state as if it stood still, laws of time with it. An input that
-moves something acts by its value, its rate and its acceleration; joints with dry friction stick or slide as they do in
-the state. At a singular position nothing can be said, and the command fails."""
+_LINEARIZE = """States are independent coordinates NAME and their rates der(NAME); inputs and outputs have their names
+in FMI. Along a motion the coefficients are frozen at each state, and laws of time with them. An input that prescribes
+motion acts by its value, rate and acceleration; joints with dry friction stick or slide as they do in the state. At a
+singular position small motions are not linear, and the command fails."""
 
-_MOBILITY = """Constraints that are redundant at every position are named with those that they depend on. Where more
-motions begin than there are degrees of freedom the position is singular: its branches are given by the rates of
+_MOBILITY = """Constraints that are redundant at every position are listed with those that they depend on. A position
+in which more motions begin than there are degrees of freedom is singular: its branches are given by the rates of
 coordinates. Prescribed motions count as constraints, dry friction does not."""
 
 
-_KINEMATICS = """Values have the names of joints, coordinates, bodies, watched points and outputs: --at A=0.3,B=1.2 for
-actuated joints, --to tool.x=0.2,tool.y=0.4 for what has to be where. The Jacobian is that of --watch, efforts are those
-at rest, or for --rates and --accelerations; of redundant actuators they have the least norm. A position is singular if
-one of three numbers vanishes: `constraint` (loops let more motions begin), `parallel` (actuators cannot hold), `serial`
-(what is watched cannot follow). --cycle moves one joint, --along all of them by a table over time."""
+_KINEMATICS = """Values have the names of joints, coordinates, bodies, watched points and outputs: --at A=0.3,B=1.2
+for actuated joints, --to tool.x=0.2,tool.y=0.4 for a position to reach. The Jacobian is that of --watch; efforts are
+those at rest, or for --rates and --accelerations, and have the least norm if actuators are redundant. A position is
+singular if one of three numbers vanishes: `constraint` (loops permit more motions), `parallel` (actuators cannot hold
+it), `serial` (the watched points cannot move in some direction). --cycle moves one joint, --along all of them by a
+table over time."""
 
 
 def add(command: Command) -> None:
     sub = command("equilibrium", _equilibrium, "find the positions where a mechanism is at rest, stable or not")
     sub.epilog = _EQUILIBRIUM
-    _add_analysis(sub, "FILE.json", "write all that is known of them, outputs and reactions included")
+    _add_analysis(sub, "FILE.json", "write the positions with their outputs and reactions")
     sub.add_argument(
-        "--at", metavar="S", type=float, default=0.0, help="time in s for which loads and inputs are taken (default: 0)"
+        "--at",
+        metavar="S",
+        type=float,
+        default=0.0,
+        help="time in s at which loads and inputs are evaluated (default: 0)",
     )
-    sub.add_argument("--starts", metavar="N", type=int, help="number of places to begin from beside the start")
-    sub.add_argument("--draw", metavar="FILE", help="draw the position that a run would begin with (PNG or SVG)")
+    sub.add_argument("--starts", metavar="N", type=int, help="number of positions to search from, besides the start")
+    sub.add_argument("--draw", metavar="FILE", help="draw the position in which a run would begin (PNG or SVG)")
 
     sub = command("linearize", _linearize, "linearise a mechanism: A, B, C, D, eigenvalues, mode shapes")
     sub.epilog = _LINEARIZE
@@ -55,41 +59,41 @@ def add(command: Command) -> None:
         default="start",
         help="where: at the start (default), at rest, or at times in s of the motion from the start",
     )
-    add_names(
-        sub, "--outputs", "PATTERNS", 'the outputs that C and D have, such as "link*.angle,*.force.*" (default: all)'
-    )
+    add_names(sub, "--outputs", "PATTERNS", 'outputs of C and D, such as "link*.angle,*.force.*" (default: all)')
     sub.add_argument("--plot", metavar="FILE.png", help="draw the eigenvalues in the plane (PNG, SVG or PDF)")
     sub.add_argument("--film", metavar="FILE", help="write a mode as a film (GIF or HTML)")
     sub.add_argument("--mode", metavar="N", type=int, default=1, help="the mode of --film (default: 1, the slowest)")
-    sub.add_argument("--amplitude", metavar="A", type=float, help="its largest change of a coordinate in rad")
+    sub.add_argument(
+        "--amplitude", metavar="A", type=float, help="amplitude of --film: the largest change of a coordinate in rad"
+    )
 
     sub = command(
         "mobility", _mobility, "count degrees of freedom, name redundant constraints, find singular positions"
     )
     sub.epilog = _MOBILITY
-    _add_analysis(sub, "FILE.json", "write all that is known, each singular position with its branches")
+    _add_analysis(sub, "FILE.json", "write all results, each singular position with its branches")
     sub.add_argument(
         "--stop-time",
         type=float,
         metavar="S",
-        help="follow the motion so long, in s; 0 for the start alone (default: the mechanism's own)",
+        help="time in s to follow the motion; 0 for the start alone (default: the mechanism's own)",
     )
     sub.add_argument(
         "--at",
         metavar="S",
         type=float,
         default=0.0,
-        help="time in s for which laws of time give the start",
+        help="time in s at which laws of time are evaluated for the start",
     )
 
     sub = command("kinematics", _kinematics, "move a mechanism by its actuated joints: positions, Jacobian, efforts")
     sub.epilog = _KINEMATICS
     _add_analysis(sub, "FILE.csv", "write the table of --cycle or --along")
     add_names(sub, "--actuated", "JOINTS", "the actuated joints (default: drives and motions)")
-    add_names(sub, "--watch", "NAMES", "whose Jacobian is wanted (default: watched points)")
+    add_names(sub, "--watch", "NAMES", "points and outputs of the Jacobian (default: watched points)")
     values: dict[str, Any] = {"metavar": "NAME=VALUE,...", "type": _values, "action": "extend"}
     sub.add_argument("--at", help="forward: displacements of actuated joints in rad or m", **values)
-    sub.add_argument("--to", help="inverse: where something has to be, the nearest solution to the start", **values)
+    sub.add_argument("--to", help="inverse: positions to reach; the solution nearest to the start is taken", **values)
     sub.add_argument("--solutions", action="store_true", help="show all solutions of --to or --at that are found")
     sub.add_argument("--rates", help="of actuated joints, for the efforts", **values)
     sub.add_argument("--accelerations", help="of actuated joints, for the efforts", **values)
@@ -97,14 +101,16 @@ def add(command: Command) -> None:
     sub.add_argument("--cycle", metavar="JOINT", help="move one actuated joint by a turn, or between dead positions")
     sub.add_argument("--span", metavar="LOW,HIGH", type=_at, help="the range of --cycle in rad or m")
     sub.add_argument("--rows", metavar="N", type=int, default=181, help="rows of --cycle (default: 181)")
-    sub.add_argument("--transmission", metavar="HINGE", help="the hinge whose transmission angle --cycle has")
+    sub.add_argument(
+        "--transmission", metavar="HINGE", help="hinge whose transmission angle the table of --cycle contains"
+    )
     sub.add_argument("--plot", metavar="FILE.png", help="draw the table of --cycle or --along (PNG, SVG or PDF)")
 
 
 def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
     """Add the options common to all analyses."""
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
-    sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
+    sub.add_argument("--json", action="store_true", help="print the results as JSON, for programs")
     sub.add_argument("-o", "--output", metavar=files, help=what)
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     add_option(sub)

@@ -11,9 +11,9 @@ from .options import Command, add_each, add_name, add_names, add_option, add_set
 from .says import once_written
 
 _FIT = """The table has a column `time` in s, which begins where the run does. Columns with names of outputs are
-measurements (`nan` where there is none), those with names of inputs drive the run. Values that --set gives are first
-guesses of what is varied. Deviations come from what is left after the fit; a combination of numbers that the data do
-not tell is warned of."""
+measurements (`nan` if one is missing), those with names of inputs drive the run. Values of --set are the first guesses
+of numbers to vary. Standard deviations follow from the residuals; alfmu warns of combinations of numbers that the data
+do not determine."""
 
 
 def add(command: Command) -> None:
@@ -22,19 +22,17 @@ def add(command: Command) -> None:
     add_name(sub, "name", "NAME", "a mechanism, a recipe, or a Python file")
     sub.add_argument("data", metavar="DATA.csv", help="measurements over time, and inputs")
     add_names(sub, "--vary", "NAME,...", "parameters and start values, such as m2,l", required=True)
-    add_each(
-        sub, "--bounds", "NAME=LOW:HIGH", _bounds, "keep a number between these (default: the bounds of the mechanism)"
-    )
-    add_names(sub, "--columns", "NAME,...", "measurements that count (default: all but monitors)")
+    add_each(sub, "--bounds", "NAME=LOW:HIGH", _bounds, "bounds of a number (default: those of the mechanism)")
+    add_names(sub, "--columns", "NAME,...", "columns of measurements to fit (default: all but monitors)")
     add_each(
         sub,
         "--deviation",
         "NAME=SIZE",
         _size,
-        "standard deviation of a measured column, by which it counts (default: the range of the column)",
+        "standard deviation of a measured column, which sets its weight (default: the range of the column)",
     )
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the fitted run")
-    sub.add_argument("--plot", metavar="FILE.png", help="draw measurements, the fitted run and what is left")
+    sub.add_argument("--plot", metavar="FILE.png", help="draw measurements, the fitted run and the residuals")
     add_option(sub)
     add_set(sub)
 

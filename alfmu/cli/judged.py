@@ -11,25 +11,29 @@ from ..model.errors import InputError
 from .options import NAME_HELP, Command
 from .says import progress_bar
 
-_REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
-five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
-on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
-the full ones). What there was no time for, or what is not installed, is listed. report.html is one file that needs no
-network; --quick takes less than a minute for a mechanism. Needs pip install 'alfmu[report]'."""
+_REPORT = """The report compares alfmu's methods, formulations and kernels, SciPy on every mechanism, and Pinocchio,
+Exudyn and MuJoCo on five_bar and slider_crank (pip install 'alfmu[bench]'). It also has errors over tolerances, the
+study of Blajer (2002) on particle_on_circle, five_bar and four_bar, the parts that scenes omit, and small maps of
+stability (`alfmu stability` has the full ones). Runs for which no time was left, and codes that are not installed, are
+listed. report.html is one file that needs no network; --quick takes less than a minute for a mechanism. Needs pip
+install 'alfmu[report]'."""
 
 
 def add(command: Command) -> None:
-    sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
+    sub = command(
+        "report", _report, "measure error against run time, for all methods, formulations and kernels, and other codes"
+    )
     _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
     sub.add_argument(
         "--profile",
         choices=("usual", "tolerances", "paper", "peers"),
         default="usual",
-        help="tolerances: those of whole runs, beside SciPy; paper: the study of Blajer (2002) in full; peers: run "
-        "times at equal error on five_bar and slider_crank, beside codes that are tuned to them",
+        help="tolerances: errors of whole runs over the tolerance, beside SciPy; paper: the study of Blajer (2002) "
+        "in full; peers: run times at equal error on five_bar and slider_crank, beside codes that are tuned to "
+        "them",
     )
     sub.epilog = _REPORT
-    sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
+    sub = command("stability", _stability, "map the parameters for which a mechanism runs, becomes inexact or fails")
     _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")
 
 

@@ -26,38 +26,41 @@ from .options import (
 )
 from .says import once_written
 
-_DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
-guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+_DRAW = """Closing the loops keeps the values of --at exactly, and other start values if possible; otherwise these are
+guesses. Names of coordinates: `alfmu info NAME`."""
 
 _IMPORT = """MJCF (.xml), SDF and URDF files also run as they are: `alfmu simulate robot.xml --option key=home`.
 The Python file declares the same mechanism with the same numbers, to change and extend. Elements without effect on
-the motion are left out, and named by --all; elements that do not map are told all at once, each with its line. Options
-are those of the file's format: `alfmu info FILE`."""
+the motion are left out, and listed by --all; elements that are not supported are listed together, each with its line.
+Options are those of the file's format: `alfmu info FILE`."""
 
-_CONVERT = """What the format cannot hold is refused, all causes at once. The positions are those of the start, with the
-loops closed: in MJCF displacements keep their numbers, and the keyframe `start` has the rates; in URDF and SDF
-displacements count from the start. Loops of a URDF are <loop_joint> elements; inputs are <transmission> elements."""
+_CONVERT = """The command refuses a mechanism that the format cannot hold, and lists all causes. Positions are those of
+the start with closed loops: in MJCF displacements keep their numbers, and the keyframe `start` has the rates; in URDF
+and SDF displacements are relative to the start. Loops of a URDF are <loop_joint> elements, inputs <transmission>
+elements."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
-the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
-of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
-with."""
+the native FMU with the same communication steps, to round-off. Inputs act while it runs; a change of a parameter or
+start value restarts the run, and so does dragging a body, which sets start values. --set gives the initial values of
+the page."""
 
 
 def add(command: Command) -> None:
-    command("list", _list, "list the mechanisms that have a name: registered ones, and those of the gallery")
+    command("list", _list, "list the registered mechanisms and those of the gallery")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
     form = sub.add_mutually_exclusive_group()
-    form.add_argument("--all", action="store_true", help="all variables with units and descriptions, and what it costs")
+    form.add_argument(
+        "--all", action="store_true", help="all variables with units and descriptions, and the cost of a step"
+    )
     form.add_argument("--json", action="store_true", help="the same as JSON, for programs")
     form.add_argument(
-        "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
+        "--sizes", action="store_true", help="export it as well, to show the size of the parts of its FMUs in kB"
     )
     add_scene(sub)
 
-    sub = command("draw", _draw, "draw a mechanism where it starts, before anything is simulated (PNG or SVG)")
+    sub = command("draw", _draw, "draw a mechanism in its start position, without a simulation (PNG or SVG)")
     sub.epilog = _DRAW
     add_name(sub, "mechanism", "NAME|FILE", EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="FILE", help=".png or .svg (default: NAME.png here)")
@@ -66,7 +69,7 @@ def add(command: Command) -> None:
         "--at",
         "COORD=VALUE",
         pair,
-        "draw it where a start value or a coordinate is this [rad or m]; may be given many times",
+        "draw it with this start value or coordinate [rad or m]; may be given many times",
     )
     sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
     add_option(sub)
@@ -80,7 +83,7 @@ def add(command: Command) -> None:
     sub.add_argument("-o", "--output", metavar="FILE.py", help="where to write it (default: NAME.py here)")
     sub.add_argument("--loops", metavar="FILE", help="loops of a URDF (default: the file NAME.yaml beside it)")
     sub.add_argument("--limits", choices=("stop", "ignore"), help="take limits of joints as end stops (default)")
-    sub.add_argument("--all", action="store_true", help="name what was left out although it does nothing, too")
+    sub.add_argument("--all", action="store_true", help="also list elements without effect that were left out")
     add_option(sub)
 
     sub = command("convert", _convert, "write a mechanism as MJCF, URDF or SDF, for other programs")
@@ -198,7 +201,7 @@ def _live(chosen: argparse.Namespace) -> None:
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path} cannot hold a page; its name must end in .html")
     if path.exists() and not chosen.output and not written_by_alfmu(path):
-        raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
+        raise InputError(f"{path} exists and was not written by alfmu live; name another file with -o, or remove it")
     outputs = None if recipe.outputs is None else [*plain(recipe.outputs), *needed(mechanism)]
     equations = specialised(equations_of(recipe, mechanism), outputs, recipe.freeze)
     said = once_written(path)

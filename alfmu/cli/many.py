@@ -25,9 +25,9 @@ _SWEEP = """NAME=HOW of --vary is a grid first:last:count (first:last:count:log 
 distribution: uniform(low,high), loguniform(low,high), normal(mean,deviation), normal(mean,deviation,low,high),
 lognormal(median,deviation of the logarithm), triangular(low,mode,high). Each row of --cases is run at each point of
 the grids with each of the samples. --keep "max(A.force.*)" keeps one number of a run, of final, min, max, mean, peak
-(largest magnitude) and rms at communication points; --keep "A.force.*" keeps the first four. Finished cases are in
-parts that survive an interrupt, a kill and a full disk; the same command goes on from there. A case that fails is a
-row with its reason. With them come summary.json and, where plotly is installed, sweep.html (pip install
+(largest magnitude) and rms at communication points; --keep "A.force.*" keeps the first four. Finished cases are
+stored in parts that survive an interrupt, a kill and a full disk; the same command continues from them. A failed case
+is a row with its reason. The folder also holds summary.json and, where plotly is installed, sweep.html (pip install
 'alfmu[sweep]'). Exit codes: 0 all cases are finished, even if some of them failed; 1 or 130 it ended before that."""
 
 
@@ -43,20 +43,20 @@ def add(command: Command) -> None:
         "a parameter, start value, input or number of the solver, and its values; may be given many times",
     )
     sub.add_argument("--cases", metavar="FILE.csv", help="a table of cases: a row of names, a row of numbers for each")
-    sub.add_argument("--samples", metavar="N", type=int, help="how many samples are drawn of distributions")
+    sub.add_argument("--samples", metavar="N", type=int, help="number of samples of the distributions")
     sub.add_argument(
         "--sampler",
         choices=("latin", "sobol", "random"),
         default="latin",
-        help="how: Latin hypercube (default), scrambled Sobol points, or independently",
+        help="sampling: Latin hypercube (default), scrambled Sobol points, or independently",
     )
-    sub.add_argument("--seed", metavar="S", type=int, default=1, help="of the samples (default: %(default)s)")
+    sub.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the samples (default: %(default)s)")
     sub.add_argument(
         "--keep",
         metavar="PATTERN",
         nargs="+",
         action="extend",
-        help='what is kept of a run, such as "max(A.force.*)" "link1.angle" (default: last, least and largest value '
+        help='numbers to keep of a run, such as "max(A.force.*)" "link1.angle" (default: last, least and largest value '
         "and mean of every output but multipliers and monitors)",
     )
     sub.add_argument(
@@ -82,13 +82,13 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="make the runs on a Dask cluster, by the address of its scheduler, such as tcp://10.0.0.5:8786; its "
-        "workers need alfmu",
+        help="address of the scheduler of a Dask cluster to run on, such as tcp://10.0.0.5:8786; its workers need "
+        "alfmu",
     )
     sub.add_argument(
         "--kernel",
         choices=[name for name in KERNELS if name != "oracle"],
-        help="what runs the method (default: vm; the numbers are the same)",
+        help="kernel that runs the method (default: vm; the numbers are the same)",
     )
     sub.add_argument("--page", action=argparse.BooleanOptionalAction, default=True, help="write sweep.html (default)")
     add_scene(sub)

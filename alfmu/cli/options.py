@@ -55,8 +55,8 @@ def add_start(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--start",
         choices=("declared", "equilibrium"),
-        help="where it starts: at its start values (default), or at rest in the nearest position where loads and "
-        "springs balance, a stable one if there is any (see `alfmu equilibrium`)",
+        help="start: its start values (default), or at rest in the nearest position where loads and springs "
+        "balance, a stable one if there is one (see `alfmu equilibrium`)",
     )
 
 
@@ -65,7 +65,7 @@ def add_kernel(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--kernel",
         choices=list(KERNELS),
-        help=f"what runs the method (default: {DEFAULT}): {each}",
+        help=f"kernel that runs the method (default: {DEFAULT}): {each}",
     )
 
 
@@ -77,8 +77,8 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         sub,
         "--outputs",
         "PATTERNS",
-        'compute these outputs alone, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" has the '
-        "derivative of link1.angle at the end of each communication step by A.torque, held over it, beside all",
+        'compute only these outputs, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" '
+        "adds the derivative of link1.angle at the end of each communication step by A.torque, held over the step",
     )
     text = "make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster"
     add_names(sub, "--freeze", "all|NAMES", text)

@@ -30,9 +30,9 @@ from .options import (
 )
 from .says import between_steps, failed, fall_silent, once_written, progress_bar
 
-_SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows and its picture up to then; the reason
-is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
-which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
+_SIMULATE = """A run that ends early, by an error or by Ctrl-C, keeps its rows and its picture up to then; the reason
+is printed last, and the exit code is 1 or 130. Beside the table, FILE.json describes the run and holds its drawing,
+from which `alfmu animate` makes a film. A file that alfmu did not write is replaced only if -o or --plot names it."""
 
 
 def add(command: Command) -> None:
@@ -47,14 +47,14 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--check",
         action="store_true",
-        help="run it again with a hundredth of the tolerance (half the steps, where they have one length), and say how "
-        "far off it is",
+        help="run it again with a hundredth of the tolerance (with fixed steps, half the step size), and print the "
+        "difference",
     )
     add_table(sub)
     add_kernel(sub)
     add_scene(sub)
 
-    sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
+    sub = command("animate", _animate, "turn a result into a film (GIF or HTML)")
     sub.add_argument(
         "result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names"
     )
@@ -167,7 +167,7 @@ def add_table(sub: argparse.ArgumentParser) -> None:
         help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
         "without it, with the inputs that are set there",
     )
-    sub.add_argument("--verbose", action="store_true", help="also say how much work the solver did, and its errors")
+    sub.add_argument("--verbose", action="store_true", help="also print counts of the solver's work, and its errors")
 
 
 def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
@@ -221,11 +221,11 @@ def _table_path(chosen: argparse.Namespace, name: str) -> Path:
     if table.suffix.lower() != ".csv":
         raise InputError(f"{table} cannot hold a table; its name must end in .csv")
     if chosen.input and table.resolve() == Path(chosen.input).resolve():
-        raise InputError(f"{table} has the inputs of the run and would be replaced; name another file with -o")
+        raise InputError(f"{table} holds the inputs of the run and would be overwritten; name another file with -o")
     facts = facts_beside(table)
     theirs = facts if facts.exists() else table if table.exists() and not chosen.output else None
     if theirs and not facts_in(facts):
-        raise InputError(f"{theirs} is there and was not written by alfmu; name another file with -o, or remove it")
+        raise InputError(f"{theirs} exists and was not written by alfmu; name another file with -o, or remove it")
     return table
 
 
@@ -246,7 +246,8 @@ def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
             from ..model.settings import UNBALANCED
 
             if c.run_error > UNBALANCED:
-                said += [f"WARNING: off by {c.run_error:.2g} of the energy of the motion, as warned of above"]
+                off = f"off by {c.run_error:.2g} of the energy of the motion"
+                said += [f"WARNING: the energy balance is {off}; see the warning above"]
         said += [str(result.check)] if result.check else []
         said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
         if chosen.plot:
@@ -269,7 +270,7 @@ def _animate(chosen: argparse.Namespace) -> None:
     path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
     check_film(path)
     if Path(chosen.result).suffix.lower() in (".py", ".fmu"):
-        raise InputError(f"{chosen.result} is no result; `alfmu simulate` makes one of it, a table that ends in .csv")
+        raise InputError(f"{chosen.result} is not a result; `alfmu simulate` writes one, a table that ends in .csv")
     result = Result.from_csv(chosen.result)
     facts = result.facts
     if chosen.mechanism:
@@ -281,7 +282,9 @@ def _animate(chosen: argparse.Namespace) -> None:
             shown = from_data(facts.get("drawing"))
         except ValueError as error:
             beside = facts_beside(chosen.result)
-            why = f"{beside.name} has no drawing ({error})" if facts else f"alfmu wrote no {beside.name} beside it"
+            why = (
+                f"{beside.name} has no drawing ({error})" if facts else f"there is no {beside.name} of alfmu beside it"
+            )
             raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
     parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
     how = {"parameters": parameters, "fps": chosen.fps, "speed": chosen.speed, "progress": progress_bar("drawing")}

@@ -13,8 +13,8 @@ SHELLS = ("bash", "zsh", "fish", "powershell")
 """Shells with completion by argcomplete."""
 
 
-_CACHE = f"""Scenes and compiled kernels are kept for the next start, up to {LIMIT / 1e6:.0f} MB; files that nobody used
-for longest go first. {VARIABLE}=FOLDER in the environment moves the folder, {VARIABLE}=off keeps nothing."""
+_CACHE = f"""Scenes and compiled kernels are kept for the next start, up to {LIMIT / 1e6:.0f} MB; the least recently
+used files are removed first. {VARIABLE}=FOLDER in the environment moves the folder, {VARIABLE}=off keeps nothing."""
 
 
 def add(command: Command) -> None:
@@ -22,7 +22,7 @@ def add(command: Command) -> None:
     sub.epilog = _CACHE
     sub.add_argument("--clear", action="store_true", help="remove all files that alfmu keeps there")
 
-    sub = command("completion", _completion, "print what makes a shell complete the names of commands and mechanisms")
+    sub = command("completion", _completion, "print a shell script that completes the names of commands and mechanisms")
     sub.add_argument("shell", choices=SHELLS, help='for bash, put this into ~/.bashrc: eval "$(alfmu completion bash)"')
 
 

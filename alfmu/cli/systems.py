@@ -10,20 +10,20 @@ from .options import STEP, Command, add_names, add_set
 from .runs import add_table, given_inputs, run_and_keep
 from .says import once_written, progress_bar
 
-_SYSTEM = """The file says which mechanisms, parts and FMUs there are, what is connected to what, and how it is run; its
+_SYSTEM = """The file lists mechanisms, parts and FMUs, their connections, and the settings of the run; its
 form is in the documentation, howto/systems. Columns are called COMPONENT.VARIABLE. --set and --input give parameters
-and free inputs by these names. An .ssp is data: its FMUs run, nothing else of it does. `alfmu export --ssp FILE.toml`
+and free inputs by these names. Of an .ssp, only its FMUs run code. `alfmu export --ssp FILE.toml`
 writes one."""
 
 _COUPLE = """The file has a table [monolithic] that names one mechanism with all the parts, and the outputs that are
-compared. The communication step of the file is halved; each is run with held, extrapolated and iterated inputs. A run
-counts as stable as long as no output is further off than its largest value."""
+compared. The communication step of the file is halved repeatedly; each is run with held, extrapolated and iterated
+inputs. A run is stable if no output differs by more than its largest value."""
 
 
 def add(command: Command) -> None:
     sub = command("system", _system, "run connected mechanisms, parts and FMUs, from a TOML file or an SSP")
     sub.epilog = _SYSTEM
-    sub.add_argument("system", metavar="FILE.toml|FILE.ssp", help="what describes the system")
+    sub.add_argument("system", metavar="FILE.toml|FILE.ssp", help="description of the system")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the system's own)")
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the system's)"
@@ -34,7 +34,7 @@ def add(command: Command) -> None:
     add_table(sub)
     add_set(sub)
 
-    sub = command("couple", _couple, "measure what coupling costs: error and energy as the communication step halves")
+    sub = command("couple", _couple, "measure the cost of coupling: error and energy as the communication step halves")
     sub.epilog = _COUPLE
     sub.add_argument("system", metavar="FILE.toml", help="a system with a table [monolithic]")
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the table")
@@ -46,7 +46,7 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--tolerance", type=float, metavar="T", help="relative tolerance of the components (default: 1e-9)"
     )
-    sub.add_argument("--no-stability", action="store_true", help="leave out the search of the largest stable steps")
+    sub.add_argument("--no-stability", action="store_true", help="skip the search for the largest stable steps")
 
 
 def _system(chosen: argparse.Namespace) -> None:

@@ -168,7 +168,7 @@ def switches_of(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing
         if isinstance(lock, Friction):
             continue
         moving = isinstance(lock, Motion)
-        name, text = ("driven", "put {} in force: the motion") if moving else ("locked", "stop the motion")
+        name, text = ("driven", "switch on {}: the motion") if moving else ("locked", "stop the motion")
         row = closures.index((lock, lock.direction))
         text = f"{text.format('the law')} of {lock.name}"
         switches.append(Switch(f"{lock.name}.{name}", [row], True, i, description=text))

@@ -547,8 +547,8 @@ def _followed(m: Mechanism) -> list[Followed]:
     for each in m.inputs:
         if each.derivatives and not any(signal.input is each for signal in m.signals):
             raise DeclarationError(
-                f"{m.name}: the input {each.name} has derivatives and moves nothing{m.declared_at(each.name)}; leave "
-                "derivatives out, or use it in a motion, a place or a constraint"
+                f"{m.name}: the input {each.name} has derivatives and prescribes no motion{m.declared_at(each.name)}; "
+                "leave derivatives out, or use it in a motion, a place or a constraint"
             )
     return [Followed(places[x.name], x.derivatives, x.order, x.jump) for x in (signal.input for signal in m.signals)]
 
@@ -575,7 +575,7 @@ def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.S
         bodies = [f"{b.name}{m.declared_at(b.name)}" for b, pose in poses.items() if ca.depends_on(pose, q)]
         bodies += [f"{b.name}{m.declared_at(b.name)}" for b in m.spatial_bodies if ca.depends_on(b.position, q)]
         along = ", ".join(c.name for c in free)
-        moves = f"it moves {', '.join(bodies)}" if bodies else "it moves nothing"
+        moves = f"it moves {', '.join(bodies)}" if bodies else "it moves no body"
         raise AssemblyError(
             f"{m.name}: the motion along {along} has no mass and no constraint that holds it; {moves}: give a mass (an "
             "inertia where it turns alone), or constraints at both ends of a massless body: "
@@ -590,8 +590,8 @@ def _check_names(m: Mechanism, equations: Equations) -> None:
         if v.name in found:
             what = found[v.name].description or v.description
             raise DeclarationError(
-                f"{m.name}: {v.name!r} is derived already ({what}), so that nothing else can be called so"
-                f"{m.declared_at(v.name)}; take another name"
+                f"{m.name}: {v.name!r} is the name of a derived variable ({what}){m.declared_at(v.name)}; take "
+                "another name"
             )
         found[v.name] = v
 

@@ -44,7 +44,7 @@ SOLVER_VARIABLES = (
         Settings.tolerance,
         1e-16,
         1e-3,
-        "of multiplier iterations (relative) and of projected constraints (m, rad)",
+        "tolerance of multiplier iterations (relative) and of projected constraints (m, rad)",
     ),
     Variable(
         "solver.max_iterations",
@@ -61,7 +61,7 @@ SOLVER_VARIABLES = (
         Settings.relative_tolerance,
         1e-13,
         1e-1,
-        "of methods that control their error",
+        "relative tolerance of methods with error control",
     ),
     Variable(
         "solver.absolute_tolerance",
@@ -69,7 +69,7 @@ SOLVER_VARIABLES = (
         Settings.absolute_tolerance,
         0.0,
         1.0,
-        "the same for small values (m, rad; per s); 0 is the number of the relative one",
+        "absolute tolerance of methods with error control (m, rad; per s); 0 takes the number of the relative one",
     ),
     Variable(
         "solver.input_order",
@@ -128,8 +128,8 @@ MONITORS = (
     Variable(
         REACTION_ERROR,
         "1",
-        description="estimated error of the reactions that are read at this instant: of the largest, or where a limit "
-        "is read of the least exact (N, N.m)",
+        description="estimated error of the reactions read at this instant: of the largest or, where a limit is read, "
+        "of the least exact (N, N.m)",
         instant=True,
     ),
 )

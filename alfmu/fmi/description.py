@@ -30,7 +30,7 @@ Choices = Mapping[str, Mapping[str, str]]
 """Text variables of a native FMU: their possible values, with descriptions."""
 
 _LOG_CATEGORIES = {
-    "logStatusWarning": "Something was left as it was",
+    "logStatusWarning": "Warnings, after which the run continues",
     "logStatusDiscard": "A step or a value was not taken, and why",
     "logStatusError": "Errors of the slave",
     "logStatusFatal": "Errors that end the run",

@@ -31,7 +31,7 @@ try:
     from fmpy.model_description import ModelDescription, ModelVariable
 except ModuleNotFoundError as error:
     raise InputError(
-        f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
+        f"running or checking an FMU needs fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
 __all__ = [
@@ -108,7 +108,7 @@ class Fmu:
         self.description = description_of(path)
         self._version = self.description.fmiVersion[:1]
         if self._version not in _STATE or self.description.coSimulation is None:
-            raise ExportError(f"{path} is no co-simulation FMU of FMI 2.0 or 3.0; alfmu drives no other")
+            raise ExportError(f"{path} is not a co-simulation FMU of FMI 2.0 or 3.0; alfmu runs only these")
         self.name = self.description.modelName
         self._by_name = {v.name: v for v in self.description.modelVariables if not v.dimensions}
         self.outputs, self.input_variables = (
@@ -136,7 +136,7 @@ class Fmu:
                 # fmpy's logging library calls the logger of the newest FMU of the process, even after it was freed.
                 _LOGGERS.append(getattr(self.slave, "callbacks", None))
             except Exception:
-                why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
+                why = " ".join(self._why("it logs no reason").removeprefix("cannot be instantiated: ").split())
                 raise ExportError(f"{path} cannot be instantiated: {why}") from None
             self._stack = stack.pop_all()
         self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})

@@ -262,7 +262,7 @@ def _fixed(recipe: Recipe) -> Recipe:
     for name, only in (("solver.method", "rk4"), ("solver.formulation", RESIDUAL)):
         if (asked := recipe.parameters.get(name, only)) != only:
             raise ExportError(
-                f"{recipe}: sources have {name} {only} alone, whose work in a step has a bound, not {asked}; leave "
+                f"{recipe}: sources support only {name} {only}, whose work in a step is bounded, not {asked}; leave "
                 f"{name} out, or use --kind native"
             )
     return recipe.changed(parameters={"solver.method": "rk4"}, interface="cs", derivatives=False)

@@ -68,12 +68,12 @@ FEATURES = {
         "dry friction that follows from the load", ("friction.c", "friction_events.c"), lambda e: e.frictions
     ),
     "MOVING_INPUTS": Feature(
-        "inputs that move something", ("driving_inputs.c", "input_derivatives.c"), lambda e: e.followed
+        "inputs that prescribe motion", ("driving_inputs.c", "input_derivatives.c"), lambda e: e.followed
     ),
     "LIMITS": Feature("limits at singular positions", ("way.c",), lambda e: e.l),
     "SWITCHES": Feature("Boolean inputs and impacts", ("topology.c",), lambda e: e.switches),
     "BREAKS": Feature(
-        "forces, laws and rates that jump or bend", ("breaks.c",), lambda e: number_of(packed(e), "break_count")
+        "forces, laws and rates with jumps or kinks", ("breaks.c",), lambda e: number_of(packed(e), "break_count")
     ),
     "LAWS": Feature("laws of motion that may jump", ("jumps.c",), lambda e: e.leaps),
     "PEAKS": Feature("peaks of outputs within a step", ("peaks.c",), lambda e: e.peaks),

@@ -26,8 +26,8 @@ GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
 
 KINDS = {
-    "native": "a C library and nothing else: for every host, on the platforms that it carries",
-    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
+    "native": "a C library: for every host, on the platforms that it contains",
+    "python": "runs in Python, for hosts with Python: Linux and Windows on x86-64",
     "source": "C sources alone, without files, stdio and malloc: for rigs and microcontrollers, which compile it",
 }
 """Kinds of FMUs, the default first."""
@@ -173,12 +173,12 @@ class Recipe(Brief):
         native, python = self.kind == "native", self.kind == "python"
         what = "a native FMU" if native else "an FMU that runs in Python" if python else "an FMU of sources"
         for refused, why in (
-            (self.kernel == "oracle", "no FMU carries the oracle, which is for comparison; leave --kernel out"),
+            (self.kernel == "oracle", "an FMU cannot contain the oracle, which is for comparison; leave --kernel out"),
             (self.kernel and not python, f"{what} has a kernel of its own; leave --kernel out, or use --kind python"),
-            (self.platforms and not native, f"{what} is for no platform of its own; leave --platform out"),
+            (self.platforms and not native, f"{what} is not built for a platform; leave --platform out"),
             (
                 self.interface in ("me", "both") and not native,
-                f"{what} is for co-simulation alone; leave --interface out, or use --kind native",
+                f"{what} supports co-simulation only; leave --interface out, or use --kind native",
             ),
             (
                 self.fmi not in (2, 3) or (self.fmi == 3 and python),

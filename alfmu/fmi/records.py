@@ -110,11 +110,11 @@ def record_files(equations: Equations) -> dict[str, bytes]:
     related: list[dict[str, str]] = []
     tolerance = instance.get("solver.relative_tolerance")
     span: dict[str, Any] = {"start_time": 0.0, "stop_time": stop_time, "step_size": step, "tolerance": tolerance}
-    about = "from the defaults, with inputs that stand still"
+    about = "from the defaults, with constant inputs"
     runs = [("smoke_test", "smoke-test", Record("defaults", description=about, references=still, **span))]
     if moved := _moving(e, still, kept):
         parameters, inputs, result = moved
-        about = "with inputs that move; each row has the inputs of the step that ends there"
+        about = "with changing inputs; each row has the inputs of the step that ends there"
         moving = Record(
             "moving_inputs", description=about, parameters=parameters, stimuli=inputs, references=result, **span
         )
@@ -338,7 +338,7 @@ def records_in(folder: Path) -> Iterator[Record | InputError]:
             yield error if isinstance(error, InputError) else InputError(f"{source} cannot be read ({error.strerror})")
             continue
         if root.tag != "Experiments":
-            yield InputError(f"{source} is a {root.tag}, and no Experiments")
+            yield InputError(f"{source} is a {root.tag}, not Experiments")
         for each in root.iter("Experiment"):
             try:
                 yield _record(folder, path, each)
@@ -352,7 +352,7 @@ def _record(folder: Path, path: Path, element: ET.Element) -> Record:
     transient = element.find("TransientSimulation")
     other = [each.tag for each in element if each.tag not in _KNOWN]
     if transient is None and other:
-        raise InputError(f"the experiment {name} is a {other[0]}; TransientSimulation alone is run")
+        raise InputError(f"the experiment {name} is a {other[0]}; only a TransientSimulation is run")
     times = {**element.attrib, **(transient.attrib if transient is not None else {})}
 
     def number(key: str, least: float, default: float | None = None) -> float:
@@ -375,10 +375,10 @@ def _record(folder: Path, path: Path, element: ET.Element) -> Record:
     ):
         if (part := element.find(tag)) is not None:
             if part.get("type", kind) != kind:
-                raise InputError(f"the experiment {name} has {tag} of type {part.get('type')}; {kind} alone is read")
+                raise InputError(f"the experiment {name} has {tag} of type {part.get('type')}; only {kind} is read")
             file = _inside(folder, path.parent, part.get("source", ""))
             if not file.is_file():
-                raise InputError(f"the experiment {name} names {part.get('source')}, which is not there")
+                raise InputError(f"the experiment {name} names {part.get('source')}, which is missing")
             given[field_name] = read(file)
     tolerance = number("tolerance", math.ulp(0.0)) if "tolerance" in times else None
     return Record(name, start, stop, step, tolerance, element.get("description", ""), **given)
@@ -392,5 +392,5 @@ def _inside(folder: Path, base: Path, source: str) -> Path:
     address = urlsplit(source)
     path = (base / unquote(address.path)).resolve()
     if address.scheme or address.netloc or not path.is_relative_to(folder.resolve()):
-        raise InputError(f"{source!r} is no file inside the FMU, and is not read")
+        raise InputError(f"{source!r} is not a file inside the FMU, and is not read")
     return path

@@ -21,7 +21,7 @@ __all__ = ["sizes"]
 
 _CONTENTS = {
     "binaries/": "compiled libraries",
-    "sources/": "C that they are compiled from",
+    "sources/": "their C sources",
     "resources/": "resources: the scene, and in Python what runs it",
     "documentation/": "documentation, licences, picture",
     "extra/": "reference results",
@@ -31,7 +31,7 @@ _CONTENTS = {
 
 _PARTS = {
     "an internal step": ("quick", "careful"),
-    "the same on the branch of the motion, near singular positions": ("branch",),
+    "an internal step on the branch of the motion, near singular positions": ("branch",),
     "a step by solver.method": ("method", "beside", "regular", "stiff", "reach"),
     "outputs": ("instant", "instant_quick"),
     "limits of outputs at singular positions": ("limit",),
@@ -94,8 +94,8 @@ def _parts(equations: Traced) -> dict[str, int]:
     for what, programs in _PARTS.items():
         names = {name for program in programs if program in kernel for name in called(kernel[program])}
         found[what] = sum(left.pop(name, 0) for name in names)
-    found["what the start takes, other formulations"] = sum(left.values())
-    found["calls of these in programs, variables"] = whole - sum(found.values())
+    found["programs of the start and of other formulations"] = sum(left.values())
+    found["calls of functions in programs, variables"] = whole - sum(found.values())
     return found
 
 

@@ -193,7 +193,7 @@ def _work(e: Traced, every: Mapping[str, int], steps: int, breaks: bool) -> str:
     step, reading = (sum(every.get(each, 0) for each in programs) for programs in (tiers, ends))
     most = f"{steps * step + reading} at most"
     if e.frictions or e.switches or e.leaps or breaks:
-        most = f"at events more: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
+        most = f"more at events: at most {step} in each of MOST_STEPS internal steps and {reading} for outputs"
     return f"a step of {e.interval:g} s (internal steps: {steps}): {usual} operations as a rule, {most}"
 
 

@@ -53,7 +53,11 @@ def document(found: dict[str, dict[str, str]]) -> bytes:
     for name, members in found.items():
         what = " and ".join((", ".join(list(members)[:-1]), list(members)[-1])).replace("_", " ")
         terminal = ET.SubElement(
-            every, "Terminal", name=name, matchingRule="bus", description=f"{what}: the effort goes in, the motion out"
+            every,
+            "Terminal",
+            name=name,
+            matchingRule="bus",
+            description=f"{what}: the effort is an input, the motion an output",
         )
         for member, variable in members.items():
             ET.SubElement(

@@ -85,13 +85,14 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
         closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
         chosen, values, spare = closed.independent, closed.values, closed.spare
         if not chosen:
-            notes.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
+            notes.append("its closed loops permit no motion here; a redundant constraint or an axis may be misaligned")
             warned = notes[-1]
         if spare:
             left = ", ".join(f"{' and '.join(directions)} of {name}" for name, directions in spare.items())
             notes.append(
-                f"joints of its loops suppress some directions more than once, and agree on them only to "
-                f"{closed.missed:.1g} m or rad, as numbers are rounded; left out are the directions {left}"
+                "joints of its loops constrain some directions more than once, and agree there only to "
+                f"{closed.missed:.1g} m or rad, as numbers in the file are rounded; these directions are left out: "
+                f"{left}"
             )
         if closed.gap > _OPEN:
             notes.append(_moved(mechanism, guessed.values, closed))
@@ -109,10 +110,10 @@ def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> 
     changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
     most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
     parts = [f"{name} by {quantity(closed.values[name] - given[name], units[name])}" for name in most[:_NAMED]]
-    more = f" and {len(most) - _NAMED} more less far" * (len(most) > _NAMED)
+    more = f" and {len(most) - _NAMED} more by less" * (len(most) > _NAMED)
     said += f"; closing them moved {', '.join(parts)}{more}" if parts else "; they are closed at the start"
     if closed.beyond:
-        said += f"; {', '.join(closed.beyond)} had to leave their limits for it"
+        said += f"; {', '.join(closed.beyond)} then exceed their limits"
     return said
 
 
@@ -365,7 +366,7 @@ class _Declaring:
         given: dict[str, Any] = {}
         given |= {which: x for which, x in zip(("lower", "upper"), limits, strict=True) if abs(x) < ANYWHERE}
         if not limits[0] - onset <= value <= limits[1] + onset:
-            self.linkage.warn("limits beyond which the start is", node)
+            self.linkage.warn("limits that the start exceeds", node)
         elif given:
             self.script.do(
                 "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,
@@ -410,7 +411,7 @@ class _Declaring:
             if joint.kind == "universal" or differ:
                 given["second_axis"] = tuple(two)
         if any(joint.stiffness) and differ and joint.kind == "revolute":
-            what = "its spring is measured from where its two frames coincide, which they do not at zero"
+            what = "its spring has no force where its two frames coincide, which they do not at zero"
             joint.node.fail(f"{what}; give both frames the same directions there")
         if joint.kind == "screw":
             given["lead"] = joint.lead

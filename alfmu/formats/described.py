@@ -99,11 +99,11 @@ class _Describing:
         for part in (self._bodies, self._joints, self._forces, self._closures, self._tree, self._merge):
             part()
         if "world" in (link.name for link in self.linkage.links):
-            self.refuse("world", "files call the ground so; take another name")
+            self.refuse("world", "this is the name of the ground in files; take another name")
         motions = constraints.shape[1] - rank(constraints)
         if not self.linkage.causes and (found := self.linkage.freedoms) != motions:
-            what = f"they leave {found} motions, and the coordinates {motions}"
-            self.refuse("joints", f"{what}; declare a joint for each constraint that the poses of bodies imply")
+            what = f"they permit {found} motions, and the coordinates {motions}"
+            self.refuse("joints", f"{what}; declare a joint for each constraint that is implied by poses of bodies")
 
     # Numbers ----------------------------------------------------------------------------------------------------
 
@@ -254,7 +254,7 @@ class _Describing:
             low, high = self.constant(stop.name, "limit", *ends)
             old = joint.limits[0] if joint.limits else (low, high)
             joint.limits = ((max(low, old[0]), min(high, old[1])),)
-            self.linkage.warn("how hard end stops are", self.node)
+            self.linkage.warn("stiffness and damping of end stops", self.node)
         given = [(self._motion(drive.joint, "a drive"), drive.effort) for drive in m.drives]
         hinges = {x.ends[1]: x.joints for x in self.edges if x.ends[0] is m.ground and x.kind == "revolute"}
         loads: list[Any] = [*m.loads, *m.spatial_loads]
@@ -328,7 +328,7 @@ class _Describing:
         terms = self._linear(self._unlimited(effort))
         inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
         if terms is None or any(key not in own and key[0] != "u" for key in inside):
-            self.refuse(joint.name, "its effort is no sum of inputs, its displacement and its rate")
+            self.refuse(joint.name, "its effort is not a sum of inputs, its displacement and its rate")
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
         for (kind, given), gain in terms.items():
@@ -339,7 +339,9 @@ class _Describing:
                 (low, high), force = force, None
                 joint.effort = (low, high)
                 if any((*feedback, bias, k, d)) or len(terms) > 1 or not (self.form.full or low == -high):
-                    self.refuse(joint.name, "its effort is limited otherwise than a sum of inputs alone, from -x to x")
+                    self.refuse(
+                        joint.name, "its effort is limited, which files hold only for a sum of inputs, from -x to x"
+                    )
             for (_, control), factor in inner.items():
                 self._motor(joint, control, factor, feedback, force)
         self._spring(joint, -k, -d, bias)
@@ -373,7 +375,7 @@ class _Describing:
     ) -> None:
         name, limits = control.name, None if control.limits == (-math.inf, math.inf) else control.limits
         if gain != 1 and not self.form.full:
-            self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds plain efforts")
+            self.refuse(joint.name, f"its input {name} is scaled; {self.form.name} holds unscaled efforts")
         for motor in (x for x in self.linkage.motors if x.name == name):
             if not self.form.full or any((*bias, *motor.bias, force, motor.force)) or motor.control != limits:
                 self.refuse(name, "this input drives several joints; declare one for each")
@@ -418,7 +420,8 @@ class _Describing:
         whole = [(joint, sum(factor for each, factor in terms if each is joint)) for joint in joints]
         found = [(joint, factor) for joint, factor in whole if joint and factor]
         if None in joints or not found or (len(found) != 2 and not self.form.full):
-            self.refuse(name, "it couples motions that are none of joints, or other than two")
+            what = "motions of joints" if self.form.full else "two motions of joints"
+            self.refuse(name, f"{self.form.name} holds only couplings of {what}")
             return
         self.coupled |= {joint for joint, _ in found}
         coupling = Coupling(name, self.node, tuple(found), (), [0.0])

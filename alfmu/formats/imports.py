@@ -134,7 +134,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     linkage.drive([each.strip() for each in drives.split(",") if each.strip()])
     for node, why in root.unread({node for nodes in linkage.left_out.values() for node in nodes}):
         if "unknown" in leaves:
-            linkage.warn("unknown elements and attributes, which the user leaves out", node)
+            linkage.warn("unknown elements and attributes, left out by option", node)
         else:
             linkage.causes.append(why)
     if not linkage.joints and not linkage.causes:

@@ -284,7 +284,7 @@ class Linkage:
         if word not in self.leaves:
             node.fail(f"{why}; --option leave={word} leaves it out")
         node.take()
-        self.warn(f"{word}, which the user leaves out", node)
+        self.warn(f"{word}, left out by option", node)
 
     def skip(self, word: str, node: Node, why: str) -> Never:
         """Do the same as `without`, and stop reading the element."""

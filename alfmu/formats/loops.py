@@ -52,5 +52,7 @@ def _flow(path: Path, text: str) -> Any:
         elif word != ",":
             open_lists[-1].append(word.strip("'\""))
     if len(open_lists) > 1 or len(open_lists[0]) != 1:
-        raise InputError(f"{path} has {text.strip()[:40]!r} for a name or a list; give names in brackets, with commas")
+        raise InputError(
+            f"{path} has {text.strip()[:40]!r} instead of a name or a list; give names in brackets, with commas"
+        )
     return open_lists[0][0]

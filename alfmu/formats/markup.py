@@ -29,7 +29,7 @@ DEEPEST = 200
 MOST = 200_000
 """Largest number of elements of a file."""
 
-_UNKNOWN = "alfmu does not know what {} does to the motion; --option leave=unknown leaves it out"
+_UNKNOWN = "alfmu does not know the effect of {} on the motion; --option leave=unknown leaves it out"
 
 _NAMESPACES = ("xmlns", "xsi:", "xml:")
 """Prefixes of attributes that belong to XML itself, not to a format."""
@@ -137,7 +137,7 @@ class Node:
         """Return the only child with a tag, None if there is none; raise InputError if there are several."""
         found = self.all(tag)
         if len(found) > 1:
-            found[1].fail(f"<{tag}> stands here a second time; give one")
+            found[1].fail(f"<{tag}> is given twice; give one")
         return found[0] if found else None
 
     def need(self, tag: str) -> Node:

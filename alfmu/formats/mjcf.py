@@ -147,7 +147,7 @@ class File:
             if _moving(link) is not None or self.settings.total:
                 self.linkage.causes.append(str(doubt))
             else:
-                self.linkage.note("these shapes of bodies that stand still have no mass here, as it is not known", node)
+                self.linkage.note("these shapes of fixed bodies have no mass here, as it is not known", node)
         self._balanced()
         for joint, time, ratio in self.tuned:
             inertia = self.linkage.mass_along(((joint, 1.0),))
@@ -315,7 +315,7 @@ class File:
         link = Link(name, node, parent, pose @ self._pose(given), Inertial())
         childclass = given.text("childclass", childclass or "main")
         if given.flag("mocap", False):
-            self.linkage.note("bodies that MuJoCo's user moves (mocap) stand still", node)
+            self.linkage.note("bodies moved by the user of MuJoCo (mocap) are fixed", node)
         if lifted := given.number("gravcomp", 0.0):
             self.linkage.lifted[link] = lifted
         given.done(("user", "sleep"))
@@ -490,7 +490,7 @@ class File:
         shell = given.flag("shellinertia", False)
         try:
             if shell and kind != "mesh":
-                node.fail("the inertia of shells maps of meshes alone; give the body an <inertial>")
+                node.fail("the inertia of shells maps only for meshes; give the body an <inertial>")
             if kind == "mesh":
                 whole, pose = self._mesh(given, shell), frame @ self._pose(given)
                 factor = density if mass is None else mass / whole.mass
@@ -662,7 +662,7 @@ class File:
         for name, (_, origin) in given._given.items():
             implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
             if name not in _SHARED and origin.tag != kind and not implied:
-                origin.fail(f"{name} of <{origin.tag}> counts for the <{kind}> in line {node.line} too; give it there")
+                origin.fail(f"{name} of <{origin.tag}> also applies to the <{kind}> in line {node.line}; give it there")
         for each in ("site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
                 what = f"{each} does not map: alfmu takes motors on joints and on fixed tendons"
@@ -784,7 +784,7 @@ def _over(inherited: Inherited, node: Node) -> Inherited:
 
 
 _CONTACTS = (
-    'say <flag contact="disable"/> in <option>, exclude the pair, or leave contacts out with --option contacts=leave'
+    'set <flag contact="disable"/> in <option>, exclude the pair, or leave contacts out with --option contacts=leave'
 )
 
 

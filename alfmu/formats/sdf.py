@@ -97,7 +97,8 @@ class File:
                 self.linkage.without("includes", node, "")
             elif "://" in plain:
                 node.fail(
-                    f"{shown(uri[:60])} is on the net, where alfmu reads nothing; --option leave=includes leaves it out"
+                    f"{shown(uri[:60])} is a network address, which alfmu does not read; --option leave=includes "
+                    "leaves it out"
                 )
             else:
                 found.append(self._other_model(includes, node, plain))
@@ -332,7 +333,7 @@ class File:
     def _inertial(self, link: Node) -> Inertial:
         node = link.one("inertial")
         if node is None:
-            self.linkage.note("1 kg and 1 kg.m2 are taken, as SDF says, for links without <inertial>", link)
+            self.linkage.note("links without <inertial> get 1 kg and 1 kg.m2, the defaults of SDF", link)
             return _UNIT
         if Reading(node).flag("auto", False):
             return self._of_shapes(link, node)
@@ -380,7 +381,7 @@ class File:
             base = xyz.attributes.get("expressed_in", "") if xyz is not None else ""
             if Children(axis).flag("use_parent_model_frame", self.version < (1, 5)):
                 if self.version >= (1, 7):
-                    axis.fail("use_parent_model_frame is not of this version; use expressed_in")
+                    axis.fail("use_parent_model_frame is not in this version of SDF; use expressed_in")
                 base = "__model__"
             if not np.linalg.norm(x) > 0:
                 axis.fail("the axis has no direction")
@@ -404,7 +405,7 @@ class File:
         name = given.text("joint")
         other = known(node, name, self.made, "joint that places a link")
         if given.text("axis", "axis") != "axis" or len(other.zero) > 1 or len(joint.zero) > 1:
-            node.fail("mimic maps between joints with one axis")
+            node.fail("mimic maps only between joints with one axis")
         factor, offset, reference = (Children(node).number(each, x) for each, x in _MIMIC.items())
         follow(self.linkage, node, joint, other, factor, offset - factor * reference)
 
@@ -470,7 +471,7 @@ def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: flo
     """Make a joint follow another one; if that joint is later in the tree or follows a joint itself, add a coupling."""
     order = linkage.joints
     if other.kind == "free" or joint.kind == "free":
-        node.fail("mimic maps between joints with one axis")
+        node.fail("mimic maps only between joints with one axis")
     if other.follows is not None or order.index(other) >= order.index(joint):
         coefficients = [offset, factor]
         linkage.couplings.append(Coupling(f"{joint.name}_mimic", node, ((joint, 1.0),), ((other, 1.0),), coefficients))
@@ -492,7 +493,9 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
     tags = _AXES.get(kind, ())
     spare = [each for each in ("axis", "axis2") if each not in tags]
     left = {"sensor": "sensors", "physics": "settings of solvers"}
-    linkage.pass_over(node, left | dict.fromkeys(spare, "axes of joints that have none"), "parent", "child", "pose")
+    linkage.pass_over(
+        node, left | dict.fromkeys(spare, "axes of joints of a type without axes"), "parent", "child", "pose"
+    )
     joint = Joint(node.attributes["name"], kind, node)
     joint.start, joint.rates = joint.zero, (0.0,) * (3 if kind == "spherical" else len(joint.zero))
     joint.axes = tuple(axis_in(node.need(tag)) for tag in tags)
@@ -502,7 +505,7 @@ def jointed(linkage: Linkage, node: Node, axis_in: Callable[[Node], Array]) -> J
     if kind == "universal":
         one, two = joint.axes
         if abs(one @ two) > 1e-9 * np.linalg.norm(one) * np.linalg.norm(two):
-            node.fail("its two axes are not square to each other, as those of a universal joint are")
+            node.fail("its two axes are not perpendicular, as those of a universal joint must be")
     pitch, turns = Children(node).number("screw_thread_pitch", 1.0), Children(node).number("thread_pitch", 0.0)
     # The older element is in radians per metre, with the other sign, as libsdformat converts it.
     joint.lead = -2 * math.pi / turns if turns and node.one("screw_thread_pitch") is None else pitch

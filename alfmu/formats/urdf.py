@@ -122,7 +122,7 @@ class File:
         for joint in joints:
             parent, child = (self._end(joint, each, nodes) for each in ("parent", "child"))
             if child in ends:
-                said = f"{child} has two parents, by the joint in line {ends[child][1].line} too"
+                said = f"{child} has a second parent by the joint in line {ends[child][1].line}"
                 joint.fail(f"{said}; close the loop by a <loop_joint>")
             ends[child] = parent, joint
         roots = [name for name in nodes if name not in ends]
@@ -139,7 +139,7 @@ class File:
         while waiting:
             name = next((each for each in waiting if ends[each][0] in self.links), None)
             if name is None:
-                ends[waiting[0]][1].fail("the links that it joins do not hang on the root; joints lead in a circle")
+                ends[waiting[0]][1].fail("no chain of joints connects its links to the root; joints form a circle")
             waiting.remove(name)
             parent, joint = ends[name]
             link = self._link(nodes[name], self.links[parent], self._origin(joint))
@@ -207,12 +207,14 @@ class File:
         if kind in ("fixed", "floating", "ball"):
             for child in node.all("mimic", *(_RESISTING if kind != "fixed" else ())):
                 child.fail(f"<{child.tag}> of a {kind} joint does not map")
-            left |= dict.fromkeys(("axis", "limit", *_RESISTING), "what joints without an axis say of one")
+            left |= dict.fromkeys(
+                ("axis", "limit", *_RESISTING), "axes, limits and dynamics of joints of a type without an axis"
+            )
         self.linkage.pass_over(node, left)
         if kind == "fixed":
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
-            node.fail("a floating joint maps on the root of the tree alone")
+            node.fail("a floating joint maps only at the root of the tree")
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
         joint = Joint(name, _KINDS[kind], node)
@@ -273,7 +275,7 @@ class File:
             ends.append((known(each, given.text("link"), self.links, "link"), self._posed(given)))
         axes = (self._axis(node),) if kind in ("revolute", "continuous", "prismatic") else ()
         if not axes:
-            self.linkage.leave("what joints without an axis say of one", *node.all("axis"))
+            self.linkage.leave("axes of joints of a type without an axis", *node.all("axis"))
         return Closure(Joint(name, _LOOPS[kind], node, axes=axes), ends[0], ends[1])
 
     def _gazebo(self, node: Node) -> None:
@@ -321,7 +323,7 @@ class File:
         return closing(joint, places[0], places[1])
 
     def _transmission(self, node: Node) -> None:
-        self.linkage.leave("what transmissions say beside their joints", node)
+        self.linkage.leave("elements of transmissions other than joints", node)
         for each in node.below():
             if each.tag in ("drake:rotor_inertia", "drake:gear_ratio"):
                 each.fail("the inertia of a rotor does not map; declare it in the file that `alfmu import` writes")

@@ -300,7 +300,7 @@ def _sdf_joint(linkage: Linkage, model: Element, joints: list[Joint], parent: Li
         one, two = joints[:2]
         square = one.kind == two.kind == "revolute" and abs(one.axes[0] @ two.axes[0]) < _NEAR
         if len(joints) > 2 or not square or np.abs(one.point - two.point).max() > _NEAR:
-            what = "motions that no joint of SDF has together, where links without mass are none"
+            what = "motions that no single joint of SDF has, and SDF has no links without mass between joints"
             linkage.refuse(child.name, f"it has {what}; give a body with mass between them")
         kind, name = "universal", name.removesuffix(".angle1").removesuffix(".angle2")
     made = _add(model, "joint", name=name, type=kind)

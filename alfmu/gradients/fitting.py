@@ -90,10 +90,10 @@ class Fit:
         lines = []
         for name, value in self.values.items():
             error = self.errors[name]
-            known = f"+/- {error:.2g}" if math.isfinite(error) else "not told by the data"
+            known = f"+/- {error:.2g}" if math.isfinite(error) else "not determined by the data"
             if math.isnan(error):
                 there = np.isclose(value, self.bounds[name], _TOLERANCE, _TOLERANCE).any()
-                known = "at its bound" if there else "by as many measurements as numbers"
+                known = "at its bound" if there else "error unknown: no more measurements than numbers"
             lines.append(f"{name:{wide}}  {value:.8g} {self.units[name]}  {known}")
         lines += [f"{name}: differs by {size:.3g} {self.result.units[name]}" for name, size in self.noise.items()]
         return "\n".join(lines)
@@ -189,7 +189,7 @@ def _runs(
 ) -> Runs:
     """Return runs at the times of a table, with its inputs."""
     if not vary:
-        raise InputError("there is nothing to vary; name parameters or start values")
+        raise InputError("no numbers to vary are given; name parameters or start values")
     times = np.asarray(table.time)
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise InputError(f"{table.mechanism}: the times of measurements must grow from row to row")
@@ -243,7 +243,7 @@ def _sizes(
     largest: dict[str, float] = {}
     for name, column, there in zip(measured, seen.T, known.T, strict=True):
         if not there.any():
-            raise InputError(f"the column {name} has no number")
+            raise InputError(f"the column {name} has no finite number")
         largest[units[name]] = max(largest.get(units[name], 0.0), float(np.abs(column[there]).max()))
     sizes = []
     for name, column, there in zip(measured, seen.T, known.T, strict=True):

@@ -9,7 +9,7 @@ __all__ = ["DEFAULT", "KERNELS", "VERSION"]
 KERNELS = {
     "vm": "the method traced into functions for the scene, run by the interpreter of alfmu's runtime",
     "compiled": "the same functions as C, compiled by the system's compiler or by ziglang",
-    "auto": "compiled where there is a compiler, otherwise vm",
+    "auto": "compiled if there is a compiler, otherwise vm",
     "oracle": "the method on NumPy arrays with loops that stop on convergence: slow, for comparison",
 }
 """Ways to run a mechanism."""

@@ -1,7 +1,8 @@
 """The functions of a scene as C: straight-line code, long ones in blocks of bounded length with loops for repetition.
 
 Each function becomes `name(x, y, w)`: arrays of its arguments and of the nonzeros of its results, and a workspace for
-values passed between blocks. The code has no global state and allocates nothing.
+values passed between blocks. The code has no global state and allocates nothing. Compiled with LANES, the same code
+evaluates that many instances side by side: each number is a vector.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from .form import Call, Traced, every
-from .loops import blocks, c_function
-from .stream import BINARY, UNARY, Instructions, Operations, number
+from .loops import blocks, c_function, constant, expression, name_of
+from .stream import BINARY, PLAIN, UNARY, Instructions, Operations
 
 __all__ = ["HEAD", "compiled_code"]
 
@@ -43,12 +44,36 @@ HEAD = """\
 #if !defined(__GNUC__)
 #define __attribute__(x)
 #endif
-typedef const double *const *Arguments;
-typedef double *const *Results;
-typedef void Function(Arguments, Results, double *);
+#if defined(LANES) /* Numbers of that many instances side by side, each in a lane. */
+typedef double Real __attribute__((vector_size(8 * LANES)));
+#define REAL(x) ((x) - (Real){0.0})
+#define EACH for (int lane = 0; lane < LANES; lane++)
+#define OF(x) x[lane]
+#else
+typedef double Real;
+#define REAL(x) (x)
+#define EACH
+#define OF(x) x
+#endif
+#define ONE(name, value) \
+    static inline Real name(Real x) { Real z; EACH { const double a = OF(x); OF(z) = value; } return z; }
+#define TWO(name, value) \
+    static inline Real name(Real x, Real y) \
+    { Real z; EACH { const double a = OF(x), b = OF(y); OF(z) = value; } return z; }
+typedef const Real *const *Arguments;
+typedef Real *const *Results;
+typedef void Function(Arguments, Results, Real *);
 
 """
 
+
+_OTHERS = "".join(
+    f"{count}({name_of(code)}, {template.format('a', 'b')})\n"
+    for count, table in (("ONE", UNARY), ("TWO", BINARY))
+    for code, template in table.items()
+    if code not in PLAIN
+)
+"""Operations other than arithmetic, as functions of numbers."""
 
 _TABLE = """
 /* For `scene_compiled` of the runtime. */
@@ -63,9 +88,6 @@ const char alfmu_scene[] = {identity};
 
 _WITHIN = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG)
 """Operations that may be nested in others: their results are doubles."""
-
-_TWICE = (ca.OP_SQ, ca.OP_SIGN)
-"""Operations whose C contains the operand twice."""
 
 _SHORT = 80
 """Largest length of a nested expression in characters."""
@@ -88,7 +110,7 @@ def compiled_code(equations: Traced, kept: Mapping[str, dict[int, int]], identit
     files[-1] += declared + _TABLE.format(
         names=",\n    ".join(names), count=len(names), spare=spare, identity=json.dumps(identity)
     )
-    return [HEAD + text for text in files]
+    return [HEAD + _OTHERS + text for text in files]
 
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
@@ -111,8 +133,8 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
     which, entry = instructions.place
     first = (instructions.code == ca.OP_INPUT) & np.isin(which, list(kept))
     for i, j in dict.fromkeys(zip(which[first].tolist(), entry[first].tolist(), strict=True)):
-        yield f"const double x{i}_{j} = x[{i}][{j}];"
-    uses = np.concatenate([*instructions.operands, instructions.operands[0, np.isin(instructions.code, _TWICE)]])
+        yield f"const Real x{i}_{j} = x[{i}][{j}];"
+    uses = np.concatenate([*instructions.operands, instructions.operands[0, instructions.code == ca.OP_SQ]])
     single = np.bincount(uses[uses >= 0].astype(int), minlength=len(instructions)) == 1
     for k, operation in enumerate(instructions.code.tolist()):
         first, second = (names[i] if i >= 0 else "" for i in instructions.operands[:, k].tolist())
@@ -122,11 +144,11 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
             yield f"y[{which}][{entry}] = {first};"
             continue
         if operation == ca.OP_CONST:
-            text = number(float(instructions.constant[k]))
+            text = constant(float(instructions.constant[k]))
         elif operation == ca.OP_INPUT:
             text = f"x{which}_{entry}" if which in kept else f"x[{which}][{entry}]"
         else:
-            text = (BINARY.get(operation) or UNARY[operation]).format(first, second)
+            text = expression(operation, first, second)
             if single[k] and operation in _WITHIN and len(text) <= _SHORT:
                 names.append(f"({text})")
                 continue
@@ -134,7 +156,7 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
             names.append(text)
             continue
         names.append(f"v{made}")
-        yield f"const double v{made} = {text};"
+        yield f"const Real v{made} = {text};"
         made += 1
 
 

@@ -26,9 +26,9 @@ def obstacle(e: Traced) -> str:
     (`alfmu.kernel.complete.complete`)."""
     if e.followed:
         names = ", ".join(e.inputs[each.input].name for each in e.followed)
-        return f"{names} moves something, and its course between communication points comes from its past values"
+        return f"{names} prescribes a motion, whose course between communication points follows from past values"
     if e.breaks and e.functions["breaks"].jac_sparsity(0, 1).nnz():
-        return "a force, a law of motion or the rate of a state jumps or bends where an input passes a value"
+        return "a force, a law of motion or the rate of a state has a jump or kink where an input passes a value"
     if not SOLVED - set(e.monitors) and not any(output.instant for output in e.outputs):
         return "none of its outputs needs accelerations; add monitor.distance to them"
     return ""
@@ -42,7 +42,7 @@ def exchanged(e: Equations) -> list[tuple[Variable, Variable]]:
     found += [(f"state.{v.name}", v.unit, v.name, v.nominal) for v in e.states]
     return [
         (
-            Variable(name, unit, description=f"{text}, as the importer integrates it", nominal=nominal),
+            Variable(name, unit, description=f"{text}, integrated by the importer", nominal=nominal),
             Variable(f"der({name})", quotient(unit, "s"), description=f"time derivative of {name}"),
         )
         for name, unit, text, nominal in found
@@ -51,5 +51,8 @@ def exchanged(e: Equations) -> list[tuple[Variable, Variable]]:
 
 def indicators(e: Equations) -> list[Variable]:
     """Return the event indicators, in the order of the runtime."""
-    text = "above zero until {} sticks or slides: its rate, or the share of its limit that its load leaves"
+    text = (
+        "above zero until {} sticks or slides: its rate while it slides, the unused share of its friction limit "
+        "while it sticks"
+    )
     return [Variable(f"indicator.{each.name}", "1", description=text.format(each.name)) for each in e.frictions]

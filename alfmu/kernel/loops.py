@@ -10,14 +10,36 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from .places import Places, line
 from .repeat import Numbers, Repeat, pieces, repeats
-from .stream import BINARY, CONSTANT, INPUT, UNARY, VALUE, Operations, number
+from .stream import BINARY, CONSTANT, INPUT, PLAIN, UNARY, VALUE, Operations, number
 
-__all__ = ["blocks", "c_function"]
+__all__ = ["blocks", "c_function", "constant", "expression", "name_of"]
+
+
+def constant(value: float) -> str:
+    """Return a number in C, the same in all lanes."""
+    return f"REAL({number(value)})"
+
+
+def expression(operation: int, *operands: str) -> str:
+    """Return an operation of CasADi in C."""
+    template = BINARY.get(operation) or UNARY[operation]
+    if operation in PLAIN:
+        return template.format(*operands)
+    return f"{name_of(operation)}({', '.join(operands[: 1 + (operation in BINARY)])})"
+
+
+def name_of(operation: int) -> str:
+    """Return the name of the C function of an operation other than arithmetic, such as `fmin_of`."""
+    return f"{_NAMES[operation]}_of"
+
+
+_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
 
 
 def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -> Iterator[tuple[str, int]]:
@@ -44,7 +66,7 @@ def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -
 def c_function(name: str, lines: Iterable[str]) -> str:
     """Return a C function of arguments, results and workspace."""
     body = "".join(f"    {line}\n" for line in lines)
-    head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
+    head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, Real *w)"
     return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
 
 
@@ -76,7 +98,7 @@ class _Code:
 
     def copies(self) -> list[str]:
         """Return copies of arguments to the start of the workspace."""
-        return [f"memcpy(w + {self._copy[i]}, x[{i}], {n} * sizeof(double));" for i, n in self._kept.items()]
+        return [f"memcpy(w + {self._copy[i]}, x[{i}], {n} * sizeof(Real));" for i, n in self._kept.items()]
 
     def piece(self, i: int) -> list[str]:
         """Return the code of a straight piece, or a loop."""
@@ -96,8 +118,7 @@ class _Code:
             if result >= 0:
                 body.store(f"y{result}", results[column], operands[0])
                 continue
-            template = BINARY.get(code) or UNARY[code]
-            body.lines.append(f"const double v{column} = {template.format(*operands)};")
+            body.lines.append(f"const Real v{column} = {expression(code, *operands)};")
             if stored:
                 body.store("w", addresses[column], f"v{column}")
         return body.text()
@@ -124,8 +145,8 @@ class _Body:
     def constant(self, values: NDArray) -> str:
         """Return a constant, or an element of a table of constants."""
         if (values.view(np.int64) == values[:1].view(np.int64)).all():
-            return number(float(values[0]))
-        return self._local(self._table("double", map(number, values.tolist())))
+            return constant(float(values[0]))
+        return self._local(f"REAL({self._table('double', map(number, values.tolist()))})")
 
     def loaded(self, array: str, entries: Numbers) -> str:
         """Return a local variable with an array entry, loaded once per iteration, or once before the loop."""
@@ -133,7 +154,7 @@ class _Body:
         if self._count == 1 or "k" in text:
             return self._local(text)
         name = self._known.setdefault(text, f"u{len(self._known)}")
-        self._before[f"const double {name}"] = text
+        self._before[f"const Real {name}"] = text
         return name
 
     def store(self, array: str, entries: Numbers, value: str) -> None:
@@ -149,14 +170,14 @@ class _Body:
     def _local(self, text: str) -> str:
         if text not in self._known:
             self._known[text] = f"u{len(self._known)}"
-            self.lines.append(f"const double {self._known[text]} = {text};")
+            self.lines.append(f"const Real {self._known[text]} = {text};")
         return self._known[text]
 
     def _element(self, array: str, entries: Numbers) -> str:
         """Return an element of w, x or y; cached pointers avoid reloads after each store."""
         if array != "w":
-            constant = "const " * array.startswith("x")
-            self._before[f"{constant}double *const {array}"] = f"{array[0]}[{array[1:]}]"
+            read_only = "const " * array.startswith("x")
+            self._before[f"{read_only}Real *const {array}"] = f"{array[0]}[{array[1:]}]"
         found = line(entries)
         if found is None:
             return f"{array}[{self._table('int', map(str, np.asarray(entries).tolist()))}]"

@@ -36,7 +36,7 @@ CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 def operations_header() -> str:
     """Return operations.h: the results of operations on a, b and c, in C."""
     lines = [
-        "/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */",
+        "/* Operations of a scene and their formulas; generated from alfmu/kernel/scene.py. */",
         "",
         "#ifndef ALFMU_OPERATIONS_H",
         "#define ALFMU_OPERATIONS_H",

@@ -18,7 +18,19 @@ from ..model.hooks import handed_in
 from ..model.kept import latest
 
 __all__ = [
-    *("BINARY", "CONSTANT", "INPUT", "NOTHING", "OPERATIONS", "ROLE", "ROLES", "UNARY", "VALUE", "Instructions"),
+    *(
+        "BINARY",
+        "CONSTANT",
+        "INPUT",
+        "NOTHING",
+        "OPERATIONS",
+        "PLAIN",
+        "ROLE",
+        "ROLES",
+        "UNARY",
+        "VALUE",
+        "Instructions",
+    ),
     *("Operations", "address", "library", "number"),
 ]
 
@@ -63,6 +75,11 @@ UNARY = {
     ca.OP_SIGN: "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
 }
+
+PLAIN = frozenset(
+    (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_ASSIGN, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV)
+)
+"""Arithmetic, which C also does on vectors."""
 
 ROLES = ("unary", "binary", "input", "output", "constant", "doubled", "inverse", "cosine", "copysign")
 """Roles of CasADi's operations, for the C library (`runtime/c/binding/straight.c`)."""

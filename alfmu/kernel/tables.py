@@ -262,7 +262,10 @@ def layout_header() -> str:
     for name, entries in tables.items():
         rows = "".join(f" \\\n    X({each})" for each in entries)
         lines += ["", f"#define SCENE_{name}(X){rows}"]
-    head = "/* What alfmu's Python code and its runtime share; generated from alfmu/kernel/tables.py. */"
+    head = (
+        "/* Numbers and messages common to alfmu's Python code and its runtime; generated from "
+        "alfmu/kernel/tables.py. */"
+    )
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 

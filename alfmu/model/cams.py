@@ -133,7 +133,7 @@ class Cam(Relation):
         pair = f"on {self.second.body.name} from {self.first.body.name}"
         where = f"place where {self.second.body.name} touches {self.first.body.name}, along {{}}"
         return [
-            ("force", force, "N", f"force {pair} square to the contact, negative where it would lift off"),
+            ("force", force, "N", f"force {pair} normal to the contact, negative where it would lift off"),
             ("contact.x", x, "m", where.format("x")),
             ("contact.y", y, "m", where.format("y")),
         ]

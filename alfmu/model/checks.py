@@ -44,18 +44,18 @@ JUMP = 1e-7
 """Smallest jump of a law relative to 1 + its largest value; round-off of a law integrated from its rate is below
 1e-10."""
 
-JUMPS = "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
+JUMPS = "%s: %s jumps by %.6g %s at t = %.6g s, which a rigid mechanism cannot follow; give a law without jumps"
 """Message for a law that jumps, at declaration and during a run: mechanism, quantity, size, unit, time."""
 
 IMPACT = (
-    "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law "
-    "off there, if no impact was meant"
+    "%s: %s changes its rate by %.6g %s at t = %.6g s: an impact, whose impulse no output contains; round the law "
+    "off there, if no impact is meant"
 )
 """Message for a law whose rate jumps."""
 
 BROKEN = (
-    "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or "
-    "other parameters"
+    "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law with finite value, rate and "
+    "acceleration, or other parameters"
 )
 """Message for a law that ends or has a pole: mechanism, time, quantity."""
 

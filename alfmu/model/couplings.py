@@ -188,8 +188,8 @@ class Couplings(Joints):
             if abs(abs(left) - r) > _FIT * r:
                 raise DeclarationError(
                     f"{self.name}: {guide.name} passes the centre of {pinion.body.name} at {abs(left):g} m, and the "
-                    f"radius of {what} is {r:g} m, so that its side is not known; say by side= whether the pinion lies "
-                    "to the 'left' or the 'right' of the pitch line, seen along the guide"
+                    f"radius of {what} is {r:g} m, so that its side is not known; give side= 'left' or 'right', the "
+                    "side of the pitch line on which the pinion lies, seen along the guide"
                 )
             side = "left" if left > 0 else "right"
         angle = _toothed(self, what, INVOLUTE if pressure_angle is None else pressure_angle)
@@ -297,7 +297,7 @@ class Couplings(Joints):
         self._own((at,), f"blade {name}", Marker)
         if at.body is self.ground:
             raise DeclarationError(
-                f"{self.name}: blade {name} is on the ground, which does not move; give a body's point"
+                f"{self.name}: blade {name} is on the ground, which cannot move; give a point of a body"
             )
         return self._relate(Blade(name, at, direction(self._constant(f"the axis of blade {name}", axis, "rad"))))
 

@@ -605,8 +605,8 @@ class Declaration:
                 return signal
         if given.unit not in ("m", "rad", "1"):
             raise DeclarationError(
-                f"{self.name}: the input {given.name} is in {given.unit}, and what it moves is in m, rad or 1; give it "
-                "in one of these"
+                f"{self.name}: the input {given.name} is in {given.unit}, and an input that prescribes motion is in "
+                "m, rad or 1; give it in one of these"
             )
         Declaration.signals.of(self).append(signal := Signal.of(given))
         for each in signal.numbers:
@@ -644,14 +644,14 @@ class Declaration:
 
     def _displacement(self, name: str, unit: str) -> None:
         if unit in UNITS and unit not in ("m", "rad", "1"):
-            raise DeclarationError(f"{self.name}: {name} is in {unit}; what moves is in m, rad or 1")
+            raise DeclarationError(f"{self.name}: {name} is in {unit}; give a displacement in m, rad or 1")
 
     def _of_coordinates(self, what: str, expression: Any, unit: str) -> ca.SX:
         """Return the expression of a constraint or a lock, which must depend on coordinates."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
         if not self._moves(value):
-            raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
+            raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that it constrains no motion")
         return value
 
     def _moves(self, value: Scalar) -> bool:

@@ -298,9 +298,9 @@ class Forces(Couplings):
         if isinstance(whole, SpatialJoint) and len(whole.freedoms) != 1 and whole.kind not in ("weld", "distance"):
             moves = in_words(list(whole.freedoms)) if whole.freedoms else "turns"
             raise DeclarationError(
-                f"{self.name}: dry friction of {whole.name}: a {whole.kind} joint slides in any direction of several "
-                f"({moves.replace(' or ', ' and ')}), and friction against their sum is not known here; make it of "
-                "joints with one free motion each, which rub apart, or give viscous friction alone"
+                f"{self.name}: dry friction of {whole.name}: a {whole.kind} joint can slide in several directions "
+                f"({moves.replace(' or ', ' and ')}), and dry friction along a combination of them is not supported; "
+                "make it of joints with one free motion each, or give only viscous friction"
             )
 
     def _dry_friction(
@@ -335,8 +335,8 @@ class Forces(Couplings):
         static = coulomb if static is None else self._coefficient(joint, "coefficient static", static, "1")
         if not isinstance(coulomb, ca.SX) and not isinstance(static, ca.SX) and static < coulomb:
             raise DeclarationError(
-                f"{self.name}: the friction of {name} has static = {static:g} below coulomb = {coulomb:g}; a joint "
-                "that sticks holds at least what it rubs with"
+                f"{self.name}: the friction of {name} has static = {static:g} below coulomb = {coulomb:g}; static "
+                "friction is at least as large as Coulomb friction"
             )
         radius, length, collar = (
             None if x is None else self._length(what(letter, name), x, CONSTANT) for letter, x in given.items()

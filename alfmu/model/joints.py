@@ -144,8 +144,8 @@ class Joints(Quantities):
             raise DeclarationError(f"{self.name}: the attitude of {name} is zero; give (1, 0, 0, 0) for no turn")
         if relative and (position, attitude) != ((0.0,) * 3, (1.0, 0.0, 0.0, 0.0)):
             raise DeclarationError(
-                f"{self.name}: {name} is relative and has a position or an attitude; give the coordinate of the joint "
-                "that places it a start"
+                f"{self.name}: {name} is relative and has a position or an attitude; give start= to the coordinate of "
+                "the joint that places it"
             )
         self._claim(name, "1", "a body")
         own = None
@@ -345,8 +345,8 @@ class Joints(Quantities):
         if abs(across) > 1e-9:
             raise DeclarationError(
                 f"{self.name}: the axes {shown(axis)} and {shown(second_axis)} of {name} make an angle of "
-                f"{math.degrees(math.acos(across)):.6g} degrees; those of a universal joint are square to each other "
-                "where the frames are parallel"
+                f"{math.degrees(math.acos(across)):.6g} degrees; those of a universal joint are perpendicular where "
+                "the frames are parallel"
             )
         placing = self._placing(name, "universal", coordinates)
         return self._join_in_space(SpatialJoint(name, "universal", first, second, axes, placing))
@@ -387,10 +387,12 @@ class Joints(Quantities):
         """
         joint = self._joint(of)
         if not isinstance(joint, SpatialJoint) or joint.coordinates is not None:
-            raise DeclarationError(f"{self.name}: {joint.name} closes no loop in space; spare directions are of those")
+            raise DeclarationError(
+                f"{self.name}: {joint.name} closes no loop in space, so that it has no spare directions"
+            )
         if unknown := [each for each in directions if each not in joint.directions]:
             raise DeclarationError(
-                f"{self.name}: {joint.name} keeps no direction {shown(unknown[0])}; it keeps "
+                f"{self.name}: {joint.name} does not constrain {shown(unknown[0])}; it constrains "
                 f"{', '.join(joint.directions)}"
             )
         self._change(joint, "spare", (*joint.spare, *directions))

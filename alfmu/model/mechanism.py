@@ -238,7 +238,7 @@ class Mechanism(Forces):
             placed = self._displacing(along)
             if placed is not None and not self._moves(placed):
                 raise DeclarationError(
-                    f"{self.name}: the coordinate of {name} says already how it moves; leave out one of both"
+                    f"{self.name}: the coordinate of {name} already prescribes its motion; leave out one of both"
                 )
         if any(isinstance(c, Motion) and c.name == name for c in self.closures):
             raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")

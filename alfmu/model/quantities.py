@@ -233,7 +233,7 @@ class Quantities(Declaration):
         start, nominal = self._plain(f"start.{name}", start), self._plain(f"the nominal value of {name}", nominal)
         if not nominal > 0:
             raise DeclarationError(
-                f"{self.name}: the nominal value of {name} is {nominal:g} {unit}; give what a large value of it is, "
+                f"{self.name}: the nominal value of {name} is {nominal:g} {unit}; give the size of a large value, "
                 "above zero"
             )
         text(f"{self.name}: the description of {name}", description)

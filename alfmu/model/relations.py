@@ -180,7 +180,7 @@ class Gear(Pair):
         if not _nothing(self.pressure_angle):
             apart = self.separating(multipliers)
             readings.append(
-                ("separating_force", apart, "N", f"force {pair} across the pitch circles, which parts them")
+                ("separating_force", apart, "N", f"force {pair} across the pitch circles, which pushes them apart")
             )
         return readings
 
@@ -275,7 +275,7 @@ class Rack(Relation):
         pair = f"on {self.guide.second.body.name} from {self.pinion.body.name}"
         readings: list[Reading] = [("force", -multipliers["teeth"], "N", f"force {pair} along {self.guide.name}")]
         if not _nothing(self.pressure_angle):
-            said = f"force {pair} across {self.guide.name}, which parts them"
+            said = f"force {pair} across {self.guide.name}, which pushes them apart"
             readings.append(("separating_force", self.separating(multipliers), "N", said))
         return readings
 
@@ -348,13 +348,13 @@ class Rolling(Relation):
                 "normal_force",
                 -multipliers["normal"],
                 "N",
-                f"force {pair} across the line, negative where it would lift",
+                f"force {pair} normal to the line, negative where it would lift off",
             ),
             (
                 "friction_force",
                 -multipliers["rolling"],
                 "N",
-                f"force {pair} along the line, which keeps it from slipping",
+                f"force {pair} along the line, which prevents slip",
             ),
         ]
 
@@ -464,9 +464,9 @@ def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.S
     for each, frame in zip((body, carrier), frames, strict=True):
         if frame.wrapped:
             raise DeclarationError(
-                f"{places.mechanism.name}: {relation.kind} {relation.name} counts the turns of {each.name}, whose "
-                "angle is known within a turn only, as two points place it; place it by a pose, or by a joint with a "
-                "coordinate"
+                f"{places.mechanism.name}: {relation.kind} {relation.name} needs the turns of {each.name}, whose "
+                "angle is known only within one turn, as two points place it; place it by a pose, or by a joint with "
+                "a coordinate"
             )
     return frames[0].angle - frames[1].angle
 

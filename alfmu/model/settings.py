@@ -28,8 +28,8 @@ METHODS: dict[str, str] = {
     "explicit": "Verner 8(7) or Dormand-Prince 5(4), steps by solver.relative_tolerance",
     "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
     "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
-    "generalized_alpha": "the same with damping of high frequencies",
-    "auto": "explicit or stiff as the scene asks, Cash-Karp 5(4) where communication steps are short",
+    "generalized_alpha": "as trapezoidal, with damping of high frequencies",
+    "auto": "explicit or stiff, by the eigenvalues at the start; Cash-Karp 5(4) if communication steps are short",
 }
 """Names of the methods of integration."""
 

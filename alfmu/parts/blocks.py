@@ -52,13 +52,13 @@ def motor(
     if not inertia:
         if damping:
             raise DeclarationError(
-                f"the damping of a motor without inertia is {shown(damping)}; its shaft is that of what it drives: "
-                "give it an inertia, or damp what it drives"
+                f"the damping of a motor without inertia is {shown(damping)}; it has the shaft of the driven part: "
+                "give it an inertia, or damp the driven part"
             )
         speed = m.input("speed", "rad/s", description="of its shaft")
         dc_motor(m, "", voltage=voltage, speed=speed, **numbers)
         return m
-    against = m.input("load", "N.m", description="torque that it gives to what it drives")
+    against = m.input("load", "N.m", description="torque on the driven shaft")
     angle = m.coordinate("turned", "rad", start=0.0, independent=True)
     J = named(m, "", "inertia", inertia, "kg.m2", "inertia of the rotor", minimum=1e-12)
     rotor = m.body("rotor", mass=0.0, inertia=J)

@@ -137,8 +137,8 @@ def _check(
     if joint is None:
         if isinstance(inertia, ca.SX) or inertia != 0 or gearbox != Gearbox():
             raise DeclarationError(
-                f"{m.name}: the motor {name} has no joint, so that no rotor and no gearbox belong to it; give them to "
-                "the mechanism that it drives"
+                f"{m.name}: the motor {name} has no joint, so it can have no rotor and no gearbox; declare them in "
+                "the driven mechanism"
             )
     elif not isinstance(joint, Joint | SpatialJoint) or joint.kind not in _DRIVEN or joint not in _joints(m):
         raise DeclarationError(

@@ -24,7 +24,7 @@ from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from .library import BRAKES, DONE, Scene
-from .pipeline import derive, loaded, ready, with_brakes, with_defaults
+from .pipeline import derive, loaded_in_lanes, ready, with_brakes, with_defaults
 
 __all__ = ["Batch", "Members"]
 
@@ -48,7 +48,7 @@ class _Part:
         self.address: int | None = scene.library.alfmu_batch_new(scene.address, own.stop - own.start)
         if not self.address:
             raise MemoryError(
-                f"{scene.name}: there is no memory for {own.stop - own.start} members; use a smaller batch"
+                f"{scene.name}: there is not enough memory for {own.stop - own.start} members; use a smaller batch"
             )
 
     def __del__(self) -> None:
@@ -69,7 +69,7 @@ class Batch:
 
     `mechanism` is a `Mechanism`, a name, a file, or equations; `parameters` are common to all members, choices such as
     `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster. `threads` share
-    the members, one for each processor by default.
+    the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without the oracle.
     """
 
     def __init__(
@@ -79,6 +79,7 @@ class Batch:
         parameters: Mapping[str, float | str] | None = None,
         outputs: Sequence[str] | None = None,
         threads: int | None = None,
+        kernel: str = DEFAULT,
     ):
         e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
@@ -86,6 +87,8 @@ class Batch:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
         if parameters is not None and not isinstance(parameters, Mapping):
             raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
+        if kernel == "oracle":
+            raise InputError(f"{e.name}: the oracle has no batches; use the kernel vm or compiled")
         own = dict(parameters or {})
         for name, value in own.items():
             if not isinstance(value, str | int | float | np.number):
@@ -93,7 +96,7 @@ class Batch:
                     f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
                 )
         order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # an option of the scene
-        traced, self._common = ready(with_defaults(e, order), own, outputs, None, DEFAULT)
+        traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
         self.name: str = e.name
         self.count: int = count
         wanted = threads or max(1, min(_processors(), count // LEAST))
@@ -113,7 +116,7 @@ class Batch:
         found = variables_of(equations, default_settings(equations))
         self.equations: Traced = equations
         self._variables = {v.name: v for _, v in found.causalities}
-        self._scene: Scene = loaded(equations)
+        self._scene: Scene = loaded_in_lanes(equations)
         self._parts = [_Part(self._scene, own) for own in self._slices]
         member = self._scene.library.alfmu_batch_member
         self._members = [member(part.address, k) for part in self._parts for k in range(part.own.stop - part.own.start)]
@@ -330,8 +333,8 @@ class Batch:
         """Create the members again for a scene in which redundant constraints brake the motion."""
         if (self._ready & ~mask).any():
             raise AssemblyError(
-                f"{self.name}: redundant constraints brake the motion of a member, for which the scene of the others "
-                "is not traced; initialise all members at once"
+                f"{self.name}: redundant constraints would brake the motion of a member, and the scene of the others "
+                "is not traced for this; initialise all members at once"
             )
         names = [name for name, r in self._scene.references.items() if self._kept(r)]
         self._ready[:] = False

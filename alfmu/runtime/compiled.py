@@ -6,7 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,6 +24,9 @@ __all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
 
+_LANES = ("-fno-trapping-math", "-Wno-psabi")
+"""Further flags of functions in lanes, whose choices become vectors without branches."""
+
 _BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
 """Header included first, so that compiled scenes run wherever the runtime does."""
 
@@ -31,8 +34,9 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Suffix of shared libraries on this system."""
 
 
-def compiled_scene(equations: Traced, scene: bytes) -> Path:
-    """Return the compiled functions of a scene file of these equations, from the cache or built now.
+def compiled_scene(equations: Traced, scene: bytes, lanes: Sequence[str] = ()) -> Path:
+    """Return the compiled functions of a scene file of these equations, from the cache or built now; functions in lanes
+    with the flags for these (`lane_flags`).
 
     Raises ExportError without a compiler, or if it fails.
     """
@@ -42,19 +46,19 @@ def compiled_scene(equations: Traced, scene: bytes) -> Path:
             "or use --kernel vm"
         )
     # A scene determines its C, which is written, and its functions traced, only if it has to be compiled.
-    digest = hashlib.sha256("\0".join([software(), *command, version(command)]).encode())
+    digest = hashlib.sha256("\0".join([software(), *command, version(command), *lanes]).encode())
     digest.update(scene[HEAD:])
     name = f"kernel_{digest.hexdigest()[:32]}"
-    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(complete(equations), scene), name)
+    return kept(name, SUFFIX) or _built(equations.name, command, machine_code(complete(equations), scene), name, lanes)
 
 
-def _built(scene: str, command: list[str], files: list[str], name: str) -> Path:
+def _built(scene: str, command: list[str], files: list[str], name: str, lanes: Sequence[str] = ()) -> Path:
     """Return the library of a scene's C from the cache, or build it."""
     # An optimisation level in CC applies. On long straight-line code the higher one takes twice the time and gains
-    # nothing.
-    usual = "-O2" if len(files) == 1 else "-O1"
+    # nothing, but for vectors: without it, calls of the C library take ten times as long after them.
+    usual = "-O2" if len(files) == 1 or lanes else "-O1"
     level = [x for x in command if x.startswith("-O")] or [usual]
-    flags = [*level, *FLAGS, "-include", _BASELINE.name]
+    flags = [*level, *FLAGS, *lanes, *_LANES * bool(lanes), "-include", _BASELINE.name]
     named = {_BASELINE.name: _BASELINE.read_text(encoding="ascii")}
     named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
     return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")

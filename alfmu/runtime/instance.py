@@ -58,8 +58,8 @@ def tell_of_jumps(equations: Equations) -> bool:
     """Warn once of forces that may jump; derivatives omit the effect of jumps."""
     if found := jumps(equations.functions["dynamics"]):
         _LOGGER.warning(
-            "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
-            "omit the effect of jumps",
+            "%s: its forces have %s, as contacts do; derivatives are exact if forces change continuously, and omit "
+            "the effect of jumps",
             *(equations.name, " and ".join(found)),
         )
     return True

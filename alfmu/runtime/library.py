@@ -52,7 +52,8 @@ _SIGNATURES = {
     "balance": (c_double, c_void_p),
     "scene_version": (c_int,),
     "scene_load": (c_void_p, c_char_p, c_size_t, c_char_p, c_size_t),
-    "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p),
+    "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p, c_int),
+    "lane_flags": (c_char_p,),
     "scene_free": (None, c_void_p),
     "new": (c_void_p, c_void_p),
     "length": (c_size_t, c_void_p, c_int),
@@ -146,6 +147,7 @@ class Scene:
 
     def __init__(self, data: bytes, by: ctypes.CDLL):
         self.library: ctypes.CDLL = by
+        self.code: list[ctypes.CDLL] = []
         why = ctypes.create_string_buffer(_WHY)
         self.address: int | None = self.library.alfmu_scene_load(data, len(data), why, _WHY)
         if not self.address:
@@ -163,15 +165,18 @@ class Scene:
         self.references: dict[str, int] = {name: reference for reference, name in enumerate(self.names)}
         self.first_output: int = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
 
-    def compiled_by(self, path: Path) -> None:
-        """Run compiled functions instead of interpreted ones; raise ValueError if they belong to another scene."""
+    def compiled_by(self, path: Path, in_lanes: bool = False) -> None:
+        """Run compiled functions, or ones in lanes, instead of interpreted ones; raise ValueError if they belong to
+        another scene."""
         code = ctypes.CDLL(str(path))
         count, spare = (c_int.in_dll(code, f"alfmu_{name}").value for name in ("function_count", "spare"))
         table = (c_void_p * count).in_dll(code, "alfmu_functions")
         identity = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(code, "alfmu_scene")))
-        if not self.library.alfmu_scene_compiled(self.address, ctypes.addressof(table), count, spare, identity):
+        if not self.library.alfmu_scene_compiled(
+            self.address, ctypes.addressof(table), count, spare, identity, in_lanes
+        ):
             raise ValueError(f"{self.name}: {path.name} has the functions of another scene; export it again")
-        self.code = code  # keeps the library alive as long as the scene
+        self.code.append(code)  # keeps the library alive as long as the scene
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -203,7 +208,7 @@ class Unit:
         self.scene: Scene = scene
         self.address: int | None = c.alfmu_new(scene.address)
         if not self.address:
-            raise MemoryError("there is no memory for an instance")
+            raise MemoryError("there is not enough memory for an instance")
         address = self.address
         self.step: Callable[[float, float], int] = _step_of(c, address)
         """Makes a communication step from a start with a length [s]; returns the outcome."""

@@ -11,6 +11,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,12 +40,12 @@ from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
 from .probe import SINGULAR, Probe, survey
-from .shipped import installed
+from .shipped import installed, lane_flags
 from .stored import Start, constants, stored_decision, stored_scene, stored_start
 
 __all__ = [
-    *("chosen", "decision_of", "derive", "loaded", "packed", "prepared", "ready", "retraced"),
-    *("with_brakes", "with_defaults"),
+    *("chosen", "decision_of", "derive", "library_in_lanes", "loaded", "loaded_in_lanes", "packed", "prepared"),
+    *("ready", "retraced", "with_brakes", "with_defaults"),
 ]
 
 
@@ -170,7 +171,7 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
         if equations.slips:
-            limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
+            limit = f"solver.formulation {formulation} does not support constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
     chosen, decision = integrator(equations), _known(equations)
     undecided = chosen == "auto"
@@ -182,10 +183,10 @@ def _decide(equations: Equations) -> tuple[Decision, bool]:
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     if chosen in UNRUBBED and equations.frictions:
-        limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
+        limit = f"solver.method {chosen} does not support dry friction, which {equations.frictions[0].name} has"
         raise InputError(f"{equations.name}: {limit}; use {in_words([x for x in METHODS if x not in UNRUBBED])}")
     if stiffens := _may_stiffen(equations, chosen):
-        note = "; implicit steps where stability keeps these short" * undecided
+        note = "; implicit steps where stability limits explicit ones" * undecided
         decision = replace(decision, reason=decision.reason + note)
     return decision, stiffens
 
@@ -211,7 +212,7 @@ def _automatic(equations: Equations) -> Decision:
         return Decision("explicit", f"explicit: more than {DENSE} coordinates")
     probe = Probe.of(equations)
     if probe is None:
-        return Decision("explicit", "explicit: the defaults have no start")
+        return Decision("explicit", "explicit: there is no start with the default values")
     try:
         values = probe.spectrum()
     except SINGULAR:
@@ -221,7 +222,7 @@ def _automatic(equations: Equations) -> Decision:
     fastest = values[np.argmax(np.abs(values))]
     lasting = values[-values.real * equations.stop_time < LASTS]
     slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))
-    seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest that lasts {slow:.3g}"
+    seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest lasting one {slow:.3g} 1/s"
     if abs(fastest) > STIFF * slow and fastest not in lasting:
         return Decision("stiff", f"stiff: {seen}, and it decays")
     return Decision("explicit", f"explicit: {seen}")
@@ -401,3 +402,18 @@ def loaded(equations: Traced) -> Scene:
     if equations.library:
         scene.compiled_by(equations.library)
     return scene
+
+
+@once
+def loaded_in_lanes(equations: Traced) -> Scene:
+    """Return the loaded scene of traced equations for a batch: compiled functions are compiled in lanes, too."""
+    scene = loaded(equations)
+    if library := library_in_lanes(equations):
+        scene.compiled_by(library, in_lanes=True)
+    return scene
+
+
+def library_in_lanes(equations: Traced) -> Path | None:
+    """Return the functions of a compiled scene in lanes; None if it is not compiled, or the processor has no lanes."""
+    flags = lane_flags() if equations.library else []
+    return compiled_scene(equations, packed(equations), flags) if flags else None

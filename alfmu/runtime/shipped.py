@@ -15,7 +15,7 @@ from . import build
 from . import library as binding
 from .build import COMPONENT, HERE, WEB, file_name
 
-__all__ = ["installed", "library", "there"]
+__all__ = ["installed", "lane_flags", "library", "there"]
 
 
 @cache
@@ -39,6 +39,11 @@ def installed() -> CDLL:
             f"({why}); build it again: python {built}"
         )
     return found
+
+
+def lane_flags() -> list[str]:
+    """Return the compiler's flags for functions in lanes on this processor; none if it has no lanes."""
+    return installed().alfmu_lane_flags().decode().split()
 
 
 def there(name: str) -> Path:

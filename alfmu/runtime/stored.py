@@ -138,7 +138,7 @@ def _stored(
         try:
             return read(found)
         except (ValueError, TypeError, KeyError) as error:
-            _LOGGER.debug("%s in the cache cannot be read (%s); it is made again", name, error)
+            _LOGGER.debug("%s in the cache cannot be read (%s); it is rebuilt", name, error)
     begin = time.perf_counter()
     made = make()
     if time.perf_counter() - begin > _WORTH:

@@ -114,7 +114,7 @@ class Sweeps:
         return self.unit.counters
 
     def _no_memory(self) -> AlfmuError:
-        return StepError(f"{self.unit.name}: there is no memory for the derivatives; ask for fewer at once")
+        return StepError(f"{self.unit.name}: there is not enough memory for the derivatives; ask for fewer at once")
 
     def _judge(self, outcome: int) -> None:
         """Raise the error that ended the run early; issue its warnings."""

@@ -70,7 +70,7 @@ def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
     """Return the solver setting and its value for a checking run; raise InputError if there is none."""
     setting = list(FINER)[known.get("solver.method") in FIXED]
     if setting not in known:
-        raise InputError(f"{name} has no {setting}, which a run that checks another one changes; FMUs of alfmu have it")
+        raise InputError(f"{name} has no {setting}, which a check changes for its second run; FMUs of alfmu have it")
     return setting, FINER[setting] * float(known[setting])
 
 
@@ -79,7 +79,7 @@ def checked(result: Result, other: Result, setting: str, value: float) -> Result
     check = Check.of(result, other, setting, value)
     if check.since is not None:
         _LOGGER.warning(
-            "%s: %s, and by more than a part of %g from t = %.3g s on; take a smaller %s",
+            "%s: %s; its relative error exceeds %g from t = %.3g s on; take a smaller %s",
             *(result.mechanism, check, OFF, check.since, setting),
         )
     return replace(result, check=check)
@@ -144,8 +144,8 @@ def _tell_of_small_states(unit: Instance, result: Result) -> None:
         largest = float(np.abs(result[v.name]).max()) if v.name in result.names else 0.0
         if NOTHING * nominal < largest < HIDDEN * nominal:
             _LOGGER.warning(
-                "%s: the state %s reached %.2g %s at most, and errors are judged by its nominal value %g %s; give "
-                "nominal= in state()",
+                "%s: the state %s reached %.2g %s at most, too small for error control by its nominal value %g %s; "
+                "give nominal= in state()",
                 *(unit.name, v.name, largest, v.unit, nominal, v.unit),
             )
 

@@ -243,7 +243,9 @@ class Instance(Stepped):
         near, v = self.on_branch(q, v)
         gap, row = self._worst(self.constraints(near, v)[2])
         if not gap <= GROSS:
-            raise self._error(OpenError, t, f"the branch of the motion leaves {row} open by {gap:.1e} ahead")
+            raise self._error(
+                OpenError, t, f"{row} does not close ahead on the branch of the motion, and stays open by {gap:.1e}"
+            )
         return near, v
 
     def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, shortest: float) -> Found:

@@ -98,7 +98,7 @@ class Check:
 
     def __str__(self) -> str:
         error = f"{self.worst} is off by {self.errors[self.worst]:.2g} {self.unit} at most"
-        return f"{error}, by a run with {self.setting} {self.value:g}"
+        return f"{error}, compared with a run with {self.setting} {self.value:g}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -175,7 +175,7 @@ class Result:
         for pattern in patterns:
             fit = [i for i, name in enumerate(self.names) if name == pattern or fnmatchcase(name, pattern)]
             if not fit:
-                what = "nothing like" if set(pattern) & set("*?") else "no"
+                what = "no column like" if set(pattern) & set("*?") else "no column"
                 raise InputError(
                     f"the result of {self.mechanism} has {what} {pattern!r}; {some_like(pattern, self.names)}"
                 )
@@ -257,7 +257,7 @@ class Result:
         """
         beside = facts_beside(path)
         if beside.exists() and not facts_in(beside):
-            raise InputError(f"{beside} is there and was not written by alfmu; take another name, or remove it")
+            raise InputError(f"{beside} exists and was not written by alfmu; take another name, or remove it")
         with atomic(path) as file:
             writer = csv.writer(codecs.getwriter("utf-8")(file))
             writer.writerow(["time", *self.names])
@@ -318,7 +318,7 @@ def read_inputs(path: str | Path) -> dict[str, Signal]:
     """Return inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
     names, table = _table(path)
     for row, column in np.argwhere(~np.isfinite(table))[:1]:
-        raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; inputs are finite")
+        raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; it must be finite")
     return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
 
 

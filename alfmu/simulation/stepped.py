@@ -242,9 +242,10 @@ class Stepped(runtime.Instance, ABC):
                     names = (c.name for c in self.equations.coordinates[:SAID])
                     where = ", ".join(f"{name} = {x:.6g}" for name, x in zip(names, self.q, strict=False))
                     ended = (
-                        f"no motion goes on from this singular position (distance {self.margin(self.q)[1] ** 0.5:.1e})"
+                        "no motion continues from this singular position (distance "
+                        f"{self.margin(self.q)[1] ** 0.5:.1e})"
                     )
-                    remedy = f"{ended}; turn round before it, or change lengths or start"
+                    remedy = f"{ended}; reverse before it, or change lengths or start"
                     raise self._error(StepError, start + t, f"locked up at {where}", remedy) from error
 
     def _arrive(
@@ -283,8 +284,10 @@ class Stepped(runtime.Instance, ABC):
         remedy += ", or raise solver.max_iterations"
         if left > UNFINISHED and given and self.continues:
             penalty = penalty or float(self.penalty.max())
-            measured = f"with solver.penalty {penalty:g} the multiplier iteration still changes accelerations by "
-            measured += f"{left:.1e} of themselves after {most} passes, more than {UNFINISHED:.0e}"
+            measured = (
+                f"with solver.penalty {penalty:g} the multiplier iteration still changes accelerations by a relative "
+            )
+            measured += f"{left:.1e} after {most} passes, above the limit of {UNFINISHED:.0e}"
             raise self._error(StepError, t, measured, remedy)
         if not self._told:
             measured = f"an evaluation ended without convergence after {most} passes of the multiplier iteration"

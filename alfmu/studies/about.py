@@ -148,7 +148,7 @@ def notes(unit: Any) -> list[str]:
         most = f", {name} most" * (len(moved) > 1)
         what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
         turned = [f"{each} by {quantity(way, 'rad')}" for each, way in unit.turned.items() if abs(way) > _TURNED][:1]
-        found.append("; ".join([f"assembly moved {what} from where the guesses have them{most}", *turned]))
+        found.append("; ".join([f"assembly moved {what} from their guesses{most}", *turned]))
     with contextlib.suppress(AlfmuError):  # freedoms may be undefined where a run has ended
         if forgotten := unit.forgotten():
             found.append(forgotten)

@@ -63,7 +63,7 @@ def cost(equations: Traced) -> Cost:
         "integration": together(lambda name: name == "sum" or name.startswith("stage")),
         "projection": together(lambda name: name.endswith(("_place", "_settle", "_correct"))),
     }
-    by_part["checks, less what is shared"] = step - sum(by_part.values())
+    by_part["checks, minus shared operations"] = step - sum(by_part.values())
     return Cost(
         step=step,
         parts=by_part,
@@ -105,21 +105,21 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
         f"{now.corrections} correction{'s' * (now.corrections != 1)} each of q and v)",
         *(f"  {name:24} {count:>8}" for name, count in now.parts.items()),
-        f"operations of a careful step: {now.careful}, taken where the first is found not to be enough",
+        f"operations of a careful step: {now.careful}, made if a quick step is not exact enough",
         f"operations of reading the outputs: {now.outputs}",
         "structural nonzeros: " + ", ".join(f"{name} {count}" for name, count in now.nonzeros.items()),
         "",
-        "for hard scenes, apart from the step above, with operations (0: not in this scene)",
+        "operations for hard cases, not part of the step above (0: not in this scene)",
         *(f"  {what:64} {count:>8}" for what, count in _hard(prepared_scene).items()),
         "",
-        f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
+        f"{'omitted parts, and the operations saved':66} {'step':>8} {'outputs':>8}",
     ]
     lines = left_out(everything, scene, mobility)
     text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
     text.append(f"  {'in all':64} {_saved(full, now)}")
-    text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
+    text.append(f"  {'the same scene with all parts':64} {full.step:>8} {full.outputs:>8}")
     absent = [native.FEATURES[name].what for name in native.left_out(prepared_scene)]
-    return [*text, "", "left out of the C of a native FMU", *(f"  {what}" for what in absent or ["nothing"])]
+    return [*text, "", "omitted from the C library of a native FMU", *(f"  {what}" for what in absent or ["nothing"])]
 
 
 def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> list[tuple[str, Cost | None]]:
@@ -147,7 +147,7 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     if not scene.l:
         lines.append(("multiplier iteration and projection: there are no constraints", None))
     if not scene.works:
-        lines.append(("integral of work: nothing does work, or nobody reads the energy", None))
+        lines.append(("integral of work: nothing does work, or no output needs the energy", None))
     return lines
 
 
@@ -165,7 +165,7 @@ def _hard(e: Traced) -> dict[str, int]:
         else 0,
         "limits of reactions, read at a singular position": _whole(e, "limit") if "limit" in e.kernel else 0,
         "shares of redundant constraints by their compliances": _of(e, "distribute"),
-        "what locks keep, when one is switched on": _of(e, "displacements"),
+        "quantities that locks hold, when one is switched on": _of(e, "displacements"),
         "tangents of implicit methods": _of(e, "tangents"),
         "a step by solver.method, its loops passed once": _whole(e, "method") if "method" in e.kernel else 0,
     }

@@ -67,6 +67,7 @@ KINDS = {
     "opened": "step too long",
     "corrections": "constraints left open",
     "leaves": "constraints left open",
+    "does not close": "constraints left open",
     "locked up": "locked up",
     "is singular": "singular mass",
     "outside [": "value out of bounds",

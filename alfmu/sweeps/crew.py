@@ -193,7 +193,7 @@ def cluster(address: str) -> Cluster:
 
     Raises InputError if it is unreachable. Needs `alfmu[sweep]`, here and on the workers.
     """
-    with needs("a cluster takes distributed", "sweep"):
+    with needs("a cluster needs distributed", "sweep"):
         import distributed
     try:
         client = distributed.Client(address, timeout=WAIT, set_as_default=False)  # type: ignore[no-untyped-call]
@@ -377,6 +377,6 @@ class _Work:
                 self.suspects.extend([first, second])
             else:
                 values = self.cases.values(each.first, each.stop)
-                why = f"{self.job.name}: the process that ran this case ended without a word, each time"
+                why = f"{self.job.name}: the process that ran this case ended without a message, each time"
                 self.store.add(lost(self.job, each.first, values, why))
                 self.done(1)

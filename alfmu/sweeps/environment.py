@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..catalogue.registry import load
 from ..equations import Equations
+from ..kernel import DEFAULT
 from ..model.errors import InputError, needs
 from ..model.mechanism import Mechanism
 from ..runtime.batch import Batch
@@ -64,6 +65,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         start: Callable[[np.random.Generator, int], Values] | None = None,
         parameters: Mapping[str, float | str] | None = None,
         threads: int | None = None,
+        kernel: str = DEFAULT,
         render_mode: str | None = None,
     ):
         if render_mode not in (None, "rgb_array"):
@@ -83,7 +85,7 @@ class VectorEnvironment(VectorEnv[Any, Any, Any]):
         given = {x.name for x in (*e.inputs, *e.parameters, *e.starts, *e.start_rates)}
         drawn = self._shapes.columns if self._shapes else []
         outputs = [name for name in dict.fromkeys([*observations, *drawn]) if name not in given]
-        self.batch: Batch = Batch(e, count, parameters, outputs, threads)
+        self.batch: Batch = Batch(e, count, parameters, outputs, threads, kernel)
         self.metadata: dict[str, Any] = {
             "autoreset_mode": AutoresetMode.NEXT_STEP,
             "render_modes": ["rgb_array"],

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..model.errors import AlfmuError, collected
 from ..runtime.library import BRAKES, DONE, REFUSED, Run, Scene, Unit
-from ..runtime.shipped import installed
+from ..runtime.shipped import installed, lane_flags
 from .measures import Measure, measured
 
 __all__ = ["Code", "FmuJob", "Job", "NeedsBrakes", "Part", "Ran", "SceneJob", "run_part", "runner_of"]
@@ -70,10 +70,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Code:
-    """Compiled functions of a scene, and their platform."""
+    """Compiled functions of a scene, also those in lanes, with their platform and the flags of their lanes."""
 
     machine: str
     content: bytes
+    flags: list[str]
+    lanes: bytes | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,10 +243,9 @@ class _Seats:
 
     def __init__(self, job: SceneJob, scene: bytes, code: Code | None):
         self.scene = Scene(scene, installed())
-        compiled = code is not None and code.machine == machine()
-        if code and compiled:
+        if code and code.machine == machine():
             _compiled(self.scene, code)
-        self.count = 1 if compiled else max(1, min(SEATS, NUMBERS // (len(job.times) * len(job.outputs) + 1)))
+        self.count = max(1, min(SEATS, NUMBERS // (len(job.times) * len(job.outputs) + 1)))
         place = self.scene.references
         self.job = job
         self.inputs = [place[name] for name in job.inputs]
@@ -252,7 +253,7 @@ class _Seats:
         c = self.scene.library
         self.address: int | None = c.alfmu_batch_new(self.scene.address, self.count)
         if not self.address:
-            raise MemoryError(f"{job.name}: there is no memory for {self.count} instances")
+            raise MemoryError(f"{job.name}: there is not enough memory for {self.count} instances")
         self.members = [c.alfmu_batch_member(self.address, k) for k in range(self.count)]
         self.rows = np.empty((self.count, len(job.times), len(job.outputs)))
         # Runs do not set values that equal those of the scene; a choice is set by its number.
@@ -309,10 +310,13 @@ def _compiled(scene: Scene, code: Code) -> None:
     """Load compiled functions for a scene; if that fails, it is interpreted, with the same results."""
     from ..model.files import scratch
 
+    lanes = code.lanes if code.flags == lane_flags() else None
     with scratch() as folder, suppress(OSError):
-        path = folder / "kernel"
-        path.write_bytes(code.content)
-        scene.compiled_by(path)
+        for in_lanes, content in enumerate((code.content, lanes)):
+            if content:
+                path = folder / f"kernel{in_lanes}"
+                path.write_bytes(content)
+                scene.compiled_by(path, bool(in_lanes))
 
 
 # FMUs ----------------------------------------------------------------------------------------------------------------

@@ -88,9 +88,9 @@ def _against(made: Page, store: Store, s: Summary, shown: Sequence[Spread], movi
     mapped = mapped if len(mapped) <= MAPPED else chosen(s.spreads, MAPPED)
     made.plot(
         pictures.sensitivities(mapped, moving),
-        "Rank correlations (Spearman): +1 where a kept number always rises with a varied one, -1 where it always "
-        "falls, 0 where neither, as where it first rises and then falls. Without any relation, "
-        f"{_noise(s.finished - s.failed)} are seen by chance. What does not vary, or by round-off alone, has none.",
+        "Rank correlations (Spearman): +1 if a kept number always rises with a varied one, -1 if it always falls, 0 "
+        "if neither, as when it first rises and then falls. Between unrelated numbers, correlations of "
+        f"{_noise(s.finished - s.failed)} occur by chance. Numbers that do not vary, or only by round-off, have none.",
     )
     columns = store.columns(["case", "failure", *names, *(each.name for each in shown)])
     failed = columns["failure"] != ""
@@ -119,9 +119,7 @@ def _bands(made: Page, store: Store) -> None:
         worst[name] = int(peaks.argmax())
     units = [store.plan.unit(name) for name in names]
     left = f" of {CURVES} cases, evenly chosen" if store.finished > CURVES else ""
-    caption = (
-        f"Bands that 90 % and 50 % of the cases keep within at each instant{left}; the median; and, dotted, the case "
-    )
+    caption = f"Bands that contain 90 % and 50 % of the cases at each instant{left}; the median; and, dotted, the case "
     made.plot(pictures.bands(store.plan.times, columns, units, worst), f"{caption}whose magnitude is the largest.")
     if more := len(store.plan.series) - BANDS:
         made.text(f"{more} more outputs are in the files series-*." if more > 0 else "")

@@ -365,7 +365,7 @@ def read_plan(path: Path) -> dict[str, Any]:
             raise ValueError(f"it is of version {found['sweep']!r}, not {FORM}")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         why = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: its {PLAN} is none of a sweep that can be read ({why})") from None
+        raise InputError(f"{path}: its {PLAN} is not that of a sweep that can be read ({why})") from None
     return found
 
 

@@ -23,7 +23,8 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.pipeline import derive, packed, ready, with_brakes, with_defaults
+from ..runtime.pipeline import derive, library_in_lanes, packed, ready, with_brakes, with_defaults
+from ..runtime.shipped import lane_flags
 from ..simulation import by_name, communication_points, instance, names_in, signals_of
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
@@ -132,7 +133,7 @@ def sweep(
             store = stack.enter_context(Folder.opened(plan, Path(folder), form))
         stop = stack.enter_context(stopping())
         stop.on_request = partial(
-            _LOGGER.warning, "%s: ending once the runs under way are kept; once more ends at once", job.name
+            _LOGGER.warning, "%s: stopping when the present runs are stored; interrupt again to stop at once", job.name
         )
         done = show(progress, plan.cases)
         done(store.finished)
@@ -186,7 +187,7 @@ def _check_form(form: str) -> None:
     if form not in FORMS:
         raise InputError(f"there is no format {form!r} of parts; use {' or '.join(FORMS)}")
     if form == "parquet" and usual_form() != "parquet":
-        raise InputError("Parquet takes pyarrow; install it with: pip install 'alfmu[sweep]', or use the format csv")
+        raise InputError("Parquet needs pyarrow; install it with: pip install 'alfmu[sweep]', or use the format csv")
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ class _How:
             if each in OWN:
                 raise InputError(f"{name}: {each!r} is the name of a column of every sweep; rename the parameter")
             if each in self.inputs or each in fixed:
-                raise InputError(f"{name}: {each} is varied and given otherwise as well; leave one out")
+                raise InputError(f"{name}: {each} is varied and also given a value; leave one out")
         place = 0
         for table in self.cases.tables:
             for column in table.T:
@@ -221,7 +222,9 @@ class _How:
                 wrong = {"Integer": column != np.round(column), "Boolean": (column != 0) & (column != 1)}
                 if (found := wrong.get(v.type)) is not None and found.any():
                     what = "a whole number" if v.type == "Integer" else "0 or 1"
-                    raise InputError(f"{name}: {v.name} = {column[found][0]:g} is among its variations; it is {what}")
+                    raise InputError(
+                        f"{name}: {v.name} = {column[found][0]:g} is among its variations; it must be {what}"
+                    )
                 if v.unit in _DOUBTS:
                     _DOUBTS[v.unit](f"{name}: {v.name}", float(column[np.abs(column).argmax()]))
                 place += 1
@@ -330,8 +333,12 @@ def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, f
 
 def _packed(unit: Instance) -> tuple[bytes, Code | None]:
     """Return the scene of an instance as a file, and its compiled functions if there are any."""
-    library = unit.equations.library
-    return packed(unit.equations), Code(machine(), Path(library).read_bytes()) if library else None
+    e = unit.equations
+    if e.library is None:
+        return packed(e), None
+    lanes = library_in_lanes(e)
+    code = Code(machine(), e.library.read_bytes(), lane_flags(), lanes.read_bytes() if lanes else None)
+    return packed(e), code
 
 
 def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], Callable[[], Job]]:

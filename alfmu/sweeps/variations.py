@@ -136,7 +136,7 @@ def _values(name: str, given: Sequence[float]) -> Column:
     try:
         found = np.atleast_1d(np.array(given, float))
     except (TypeError, ValueError):
-        raise InputError(f"{name}: {given!r} are no numbers to vary it by") from None
+        raise InputError(f"{name}: {given!r} are not numbers to vary it by") from None
     if found.ndim > 1 or not found.size or not np.isfinite(found).all():
         raise InputError(f"{name}: {given!r} must be one or more finite numbers in a row")
     return found
@@ -248,7 +248,7 @@ def planned(
     grids = {name: each for name, each in found.items() if not isinstance(each, Distribution)}
     drawn = {name: each for name, each in found.items() if isinstance(each, Distribution)}
     if not (found or table):
-        raise InputError("nothing is varied; say what with --vary NAME=..., or give a table of cases")
+        raise InputError("nothing is varied; give --vary NAME=... or a table of cases")
     if drawn and (samples is None or samples < 1):
         raise InputError(
             f"{next(iter(drawn))} has a distribution; say how many samples are drawn, 1 or more (--samples)"

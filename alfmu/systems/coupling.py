@@ -112,9 +112,9 @@ class Coupling:
         """Return all results as a table."""
         said = [f"{self.system}: {', '.join(f'{a} against {b}' for a, b in self.compared.items())}"]
         bonds = "; ".join(self.bonds)
-        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so that no energy is reported"]
+        said += [f"power passes by {bonds}" if bonds else "no power bond is known, so no energy is reported"]
         exact = f"{self.reference_error:.1e}"
-        said += [f"the one mechanism agrees with itself to {exact} at a tighter tolerance and half the step", ""]
+        said += [f"the monolithic mechanism changes by {exact} with a tighter tolerance and half the step", ""]
         said += ["master        step [s]    error    energy made [J]   of that passed   tries   time [s]"]
         for case in self.cases:
             if case.why:
@@ -188,7 +188,7 @@ def couple(
     mono = system.monolithic
     if mono is None or not mono.compare:
         raise InputError(
-            f"{system.name} has nothing to compare with; give [monolithic] a mechanism, and compare = {{ "
+            f"{system.name} has no mechanism to compare with; give [monolithic] a mechanism, and compare = {{ "
             '"COMPONENT.OUTPUT" = "OUTPUT" }'
         )
     if not isinstance(halvings, int) or not 0 <= halvings <= 12:
@@ -199,7 +199,7 @@ def couple(
     if count < 1 or abs(count * system.communication_step - (system.stop_time - system.start_time)) > 1e-9:
         raise InputError(f"{system.name}: the time from start to stop is no whole number of communication steps")
     if system.start_time:
-        raise InputError(f"{system.name}: a study of coupling starts at 0 s, as the one mechanism does")
+        raise InputError(f"{system.name}: a study of coupling starts at 0 s, as the monolithic mechanism does")
     finest = system.communication_step / 2**halvings
     reference, inexact, units = _reference(system, mono, finest, tolerance)
     limits: dict[str, float] | None = None
@@ -357,7 +357,7 @@ def _bonds(system: System, links: Sequence[Link]) -> list[Bond]:
             ]
             if len(pairs) != 1:
                 raise InputError(
-                    f"{system.name}: {effort} and {flow} are no bond; give an effort and the flow on its way back, "
+                    f"{system.name}: {effort} and {flow} are not a bond; give an effort and the flow on its way back, "
                     "between two components"
                 )
             found.append(bond(*pairs[0]))

@@ -30,7 +30,7 @@ def figure(
     with needs("a plot needs matplotlib", "plot"):
         from matplotlib.figure import Figure
     drawn = Figure(figsize=(9.6, 4.2), layout="constrained")
-    title = f"{name.replace('_', ' ')}: what coupling costs"
+    title = f"{name.replace('_', ' ')}: cost of coupling"
     drawn.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
     error, energy = drawn.subplots(1, 2)
     masters = list(orders)
@@ -68,7 +68,7 @@ def figure(
     else:
         energy.text(0.5, 0.5, "no power bond is known", ha="center", transform=energy.transAxes, fontsize=9)
     energy.set_xlabel("time [s]", fontsize=9)
-    energy.set_ylabel("energy that coupling has made [J]", fontsize=9)
+    energy.set_ylabel("energy created by coupling [J]", fontsize=9)
     for axes in (error, energy):
         axes.grid(color="#e3e8ee", linewidth=0.8)
         axes.set_axisbelow(True)

@@ -128,7 +128,7 @@ def _place(what: str, source: str | None, names: set[str]) -> str:
     """Return the file of a URI relative to the archive, whose names were checked to stay inside."""
     place = PurePosixPath(unquote(source or "").removeprefix("./")).as_posix()
     if place not in names:
-        raise InputError(f"{what} is {source!r}, which is no file in the archive; alfmu takes no other")
+        raise InputError(f"{what} is {source!r}, which is not a file in the archive; alfmu reads no other")
     return place
 
 

@@ -141,8 +141,8 @@ class Assembly:
                 self.slaves.append(slave)
             if system.master == "iterated" and (stuck := [slave.name for slave in self.slaves if not slave.rewinds]):
                 raise InputError(
-                    f"{self.name}: the FMU of {stuck[0]} says that it does not save its state, which the master "
-                    '"iterated" needs to take steps back; use "held" or "extrapolated"'
+                    f"{self.name}: the FMU of {stuck[0]} cannot save its state, which the master "
+                    '"iterated" needs to repeat steps; use "held" or "extrapolated"'
                 )
             self._index = {slave.name: i for i, slave in enumerate(self.slaves)}
             self.links = [self._link(each) for each in system.connections]
@@ -226,7 +226,7 @@ class Assembly:
             if unit is None:
                 self._warn(f"{given}: {blind} has no unit, so that units are not checked")
                 return 1.0, 0.0
-            raise InputError(f"{self.name}, {given}: what {unit}, the unit of {blind}, stands for is not known")
+            raise InputError(f"{self.name}, {given}: {unit}, the unit of {blind}, is not known")
         try:
             factor, offset = conversion(source.measure, target.measure)
         except InputError as error:

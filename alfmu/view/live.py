@@ -116,7 +116,7 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
         "description": escape(mechanism.description),
         "version": escape(importlib.metadata.version("alfmu")),
         "interval": f"{about['interval']:g}",
-        "hint": hints.get(kind, "Nothing of this mechanism can be drawn: plots show its motion."),
+        "hint": hints.get(kind, "This mechanism has no drawing: plots show its motion."),
         "over": over,
         "library": library,
         "libraries": "Plots by uPlot" + ", pictures by three.js" * (kind == "space"),

@@ -256,7 +256,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
         names = [name for name in result.names if name == pattern or fnmatchcase(name, pattern)]
         if not names:
             raise InputError(
-                f"the result of {result.mechanism} has nothing like {pattern!r}; {some_like(pattern, result.names)}"
+                f"the result of {result.mechanism} has no column like {pattern!r}; {some_like(pattern, result.names)}"
             )
         found |= dict.fromkeys(names)
     return list(found)

@@ -63,7 +63,7 @@ def value_of(kind: str) -> object:
 
 @check(
     "api.version",
-    "The library says which version of FMI it has",
+    "The library reports its version of FMI",
     "GetVersion returns the version of the headers; in FMI 2 the platform's types are the default ones",
     "2.1.4 Inquire Platform and Version Number of Header Files",
     "Inquire Version Number of Header Files",
@@ -72,7 +72,7 @@ def value_of(kind: str) -> object:
 def version(s: Session, task: Task) -> str:
     s.journal.say(s.name("GetVersion"))
     said = (getattr(s.library, s.name("GetVersion"))() or b"").decode("utf-8", "replace")
-    faults = [] if said.startswith(f"{s.version}.") else [f"it says {said!r}, the description {s.version}"]
+    faults = [] if said.startswith(f"{s.version}.") else [f"it reports {said!r}, the description {s.version}"]
     if s.version == "2":
         s.journal.say("fmi2GetTypesPlatform")
         platform = (s.library.fmi2GetTypesPlatform() or b"").decode("utf-8", "replace")
@@ -90,7 +90,7 @@ def _got(s: Session, kind: str, reference: int) -> tuple[int, list[object]]:
 
 @check(
     "reference.get",
-    "Values of unknown references are not given",
+    "Reading an unknown value reference is refused",
     _ILLEGAL,
     "2.1.7 Getting and Setting Variable Values",
     "Status Returned by Functions",
@@ -110,7 +110,7 @@ def get_unknown(s: Session, task: Task) -> str:
 
 @check(
     "reference.set",
-    "Values of unknown references are not taken",
+    "Setting an unknown value reference is refused",
     _ILLEGAL,
     "2.1.7 Getting and Setting Variable Values",
     "Status Returned by Functions",
@@ -139,7 +139,7 @@ def set_unknown(s: Session, task: Task) -> str:
 
 @check(
     "reference.type",
-    "A variable is read by the function of its type alone",
+    "A variable is read only by the function of its type",
     "The type of a variable determines the function that gets and sets it; anything else is an illegal argument",
     "2.1.7 Getting and Setting Variable Values",
     "Getting and Setting Variable Values",
@@ -287,9 +287,9 @@ def categories(s: Session, task: Task) -> str:
     status = s.apart(partial(chosen, "no_category_of_this_name"))
     if status == 0 and s.version == "2":
         judge(faults)
-        raise Unjudged("the declared ones are taken, and so is an unknown one, for which FMI 2 names no status")
+        raise Unjudged("the declared ones are accepted, and so is an unknown one, for which FMI 2 names no status")
     if status == 0:
-        faults.append("a category that is not declared is taken without a word")
+        faults.append("a category that is not declared is accepted without a warning")
     return judge(faults, ", ".join(known))
 
 

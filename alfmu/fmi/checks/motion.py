@@ -108,7 +108,7 @@ def again(s: Session, task: Task) -> str:
 @check(
     "state.restored",
     "A state that is restored gives the same run",
-    "The state has all that it takes to go on; it may be restored more than once",
+    "The state is complete, and may be restored more than once",
     "2.1.8 Getting and Setting the Complete FMU State",
     "Getting and Setting the Complete FMU State",
 )
@@ -175,7 +175,7 @@ def _states(s: Session) -> None:
 
 @check(
     "run.reset",
-    "After a reset an instance is as good as new",
+    "After a reset an instance equals a new one",
     "Reset brings back the state after instantiation, and all variables their start values",
     "2.1.6 Initialization, Termination, and Resetting an FMU",
     "Reset",
@@ -260,7 +260,7 @@ def negative(s: Session, task: Task) -> str:
 
 @check(
     "step.time",
-    "A step from another time than where the FMU is",
+    "A step from another time than that of the FMU",
     "currentCommunicationPoint is where the last step ended; the FMU may refuse it, or make up for the difference",
     "4.2.2 Computation",
     "fmi3DoStep: currentCommunicationPoint",
@@ -279,7 +279,7 @@ def elsewhere(s: Session, task: Task) -> str:
 
 @check(
     "step.sizes",
-    "Steps of different lengths lead to the same place",
+    "Steps of different lengths lead to the same state",
     "With canHandleVariableCommunicationStepSize every length above zero is taken",
     "4.3.1 Co-Simulation FMU (canHandleVariableCommunicationStepSize)",
     "canHandleVariableCommunicationStepSize",
@@ -399,7 +399,7 @@ def directional(s: Session, task: Task) -> str:
         more, apart = _compared(found, J @ seed, error @ np.abs(seed), said, _DIFFERENCE)
         faults, worst = faults + more, max(worst, apart)
     if zeros and np.any(claimed):
-        raise Unjudged("outputs follow inputs after the next step alone, so that there are no differences to compare")
+        raise Unjudged("inputs change outputs only after the next step, so that there are no differences to compare")
     return judge(faults, f"{len(outputs)} outputs by {len(inputs)} inputs, to {worst:.0e} of the largest")
 
 
@@ -467,7 +467,7 @@ def by_time(s: Session, task: Task) -> str:
     known = (error <= 0.05 * (1 + np.abs(narrow))) & (np.abs(jump) <= 0.05 * (1e-3 + np.abs(narrow)))
     if not known.any():
         judge(faults)
-        raise Unjudged("the outputs are not smooth enough here for differences")
+        raise Unjudged("the outputs are not smooth enough here to compare with differences")
     more, worst = _compared(
         found[known],
         narrow[known],
@@ -481,7 +481,7 @@ def by_time(s: Session, task: Task) -> str:
 
 @check(
     "flags.capabilities",
-    "What the description says it can do, it can",
+    "Declared capabilities work",
     "A function whose capability is declared succeeds; one whose capability is not declared does not pretend to",
     "4.3.1 Co-Simulation FMU; 2.1.8; 2.1.9",
     "Attributes of CoSimulation",

@@ -180,7 +180,7 @@ _STATIC = {
         ),
         Check(
             "file.records",
-            "The related files are what the manifest says",
+            "The related files agree with the manifest",
             "Each file has the check sum of the manifest, and experiments can be read with what is in the FMU",
             dict.fromkeys("23", "FMI-LS-REF, Layered Standard Manifest File"),
             None,
@@ -249,7 +249,9 @@ def _values(description: ModelDescription) -> list[str]:
 def _library(check: Check, folder: Path, description: ModelDescription) -> Finding:
     version, simulation = description.fmiVersion[:1], description.coSimulation
     if simulation is None or version not in "23":
-        return check.finding(version, UNJUDGED, "it is no FMU for co-simulation of FMI 2 or 3, and no other is run")
+        return check.finding(
+            version, UNJUDGED, "it is not an FMU for co-simulation of FMI 2 or 3, and only these are run"
+        )
     if missing := missing_library(folder, description):
         return check.finding(version, UNJUDGED, f"{missing}, so that its code cannot run")
     return check.finding(version, PASSED, f"it has those of {', '.join(platforms_of(folder))}")
@@ -265,7 +267,7 @@ def _related(folder: Path) -> tuple[list[str], str | None]:
     for each in related:
         file = (folder / FOLDER / each.source).resolve()
         if not file.is_relative_to(folder.resolve()) or not file.is_file():
-            faults.append(f"{each.source} is named and not there")
+            faults.append(f"{each.source} is named but missing")
         elif each.checksum:
             name = each.algorithm.lower().replace("sha-", "sha").replace("-", "_")
             try:

@@ -27,7 +27,7 @@ _SEEN = 1e-9
 
 @check(
     "values.start",
-    "Start values are those of the description",
+    "Start values equal those of the description",
     "A variable with a start value has it before initialisation and, where initial is exact, after it",
     "2.2.7 Definition of Model Variables (start, initial)",
     "Definition of Model Variables (start, initial)",
@@ -134,7 +134,7 @@ def _handled(s: Session, v: Variable, value: Any, running: bool) -> str:
 
 @check(
     "values.nonfinite",
-    "What becomes of inputs that are no numbers",
+    "Inputs that are NaN or infinite",
     "NaN and infinities as inputs are refused, handled or handed through (a question of this checker alone)",
     "2.1.3 Status Returned by Functions",
     "Status Returned by Functions",
@@ -222,7 +222,7 @@ def _changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 @check(
     "dependencies.outputs",
-    "Outputs depend on the inputs that are declared, and on no others",
+    "Outputs depend only on declared inputs",
     "dependencies lists all inputs that an output depends on at the same time",
     "2.2.8 Definition of the Model Structure",
     "Definition of the Model Structure",
@@ -245,7 +245,9 @@ def dependencies(s: Session, task: Task) -> str:
         for i in np.flatnonzero(_changed(before, after)):
             seen += 1
             if v.name not in declared[outputs[i].name]:
-                faults.append(f"{outputs[i].name} follows {v.name} at once, which its dependencies do not list")
+                faults.append(
+                    f"{outputs[i].name} depends on {v.name} at the same time, which its dependencies do not list"
+                )
         unit.must(unit.set(v, at), f"Set{v.type} of {v.name}")
     total = sum(len(on & {v.name for v in inputs}) for on in declared.values())
     return judge(faults, f"{seen} of {total} declared dependencies were seen here")
@@ -267,7 +269,7 @@ def _other(v: Variable, at: Any) -> Any:
 
 @check(
     "dependencies.start",
-    "Values at the start depend on what is declared, and on nothing else",
+    "Values at the start depend only on declared dependencies",
     "dependencies of initial unknowns list all that they depend on when initialisation ends",
     "2.2.8 Definition of the Model Structure (InitialUnknowns)",
     "Definition of the Model Structure (InitialUnknown)",
@@ -299,7 +301,7 @@ def initial(s: Session, task: Task) -> str:
         tried += 1
         names = [outputs[i].name for i in np.flatnonzero(_changed(before, after))]
         wrong = [name for name in names if v.name not in declared[name]]
-        faults += [f"{name} follows {v.name} at the start, which its dependencies do not list" for name in wrong]
+        faults += [f"{name} depends on {v.name} at the start, which its dependencies do not list" for name in wrong]
     if not tried:
         raise Unjudged("no variable can be changed before the start")
     left = f", {len(knowns) - _PARAMETERS} left out" if len(knowns) > _PARAMETERS else ""

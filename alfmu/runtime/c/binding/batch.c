@@ -167,10 +167,11 @@ API void alfmu_batch_free(Batch *b)
 static int has_memory(Batch *b, size_t kept, size_t lent)
 {
     const Scene *s = b->scene;
+    const size_t numbers = LANES * ((size_t)s->registers + 1) + COMPILED_LANES * (size_t)s->lane_rows;
     b->members = calloc(b->count, sizeof *b->members);
     b->numbers = calloc(b->count, kept * sizeof *b->numbers);
     b->lent = calloc((size_t)(b->end - b->places), lent * sizeof *b->lent);
-    b->registers = malloc(LANES * ((size_t)s->registers + 1) * sizeof *b->registers);
+    b->registers = malloc(numbers * sizeof *b->registers);
     b->waiting = calloc((size_t)(s->program_count + s->function_count), sizeof *b->waiting);
     return b->members && b->numbers && b->lent && b->registers && b->waiting;
 }

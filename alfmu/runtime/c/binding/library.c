@@ -14,6 +14,7 @@
 #include "fmi.h"
 #include "instance.h"
 #include "layout.h"
+#include "lanes.h"
 #include "lifetime.h"
 #include "message.h"
 #include "outputs.h"
@@ -41,10 +42,27 @@ API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, 
     INSIDE(Scene *, scene_load(bytes, size, why, why_size));
 }
 
-/* Replace interpreted functions by compiled ones; return zero if these belong to another scene. */
-API int alfmu_scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+/* Replace interpreted functions by compiled ones, or by ones in lanes; return zero if these belong to another scene. */
+API int alfmu_scene_compiled(
+    Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes)
 {
-    return scene_compiled(s, functions, count, spare, identity);
+    return scene_compiled(s, functions, count, spare, identity, in_lanes);
+}
+
+/* Return the flags with which functions are compiled in lanes for this processor; empty if it cannot be. */
+API const char *alfmu_lane_flags(void)
+{
+#define TEXT(x) #x
+#define LANE_FLAG(count) "-DLANES=" TEXT(count)
+#if !defined(__GNUC__)
+    return "";
+#else
+#if PART == 4
+    if (__builtin_cpu_supports("avx2"))
+        return LANE_FLAG(COMPILED_LANES) " -mavx2";
+#endif
+    return LANE_FLAG(COMPILED_LANES);
+#endif
 }
 
 API void alfmu_scene_free(Scene *s)

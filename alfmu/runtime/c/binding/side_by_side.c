@@ -7,65 +7,95 @@
 #include "operations.h"
 #include "scene.h"
 
-/* Fewer calls than these are faster one after the other. */
+#if defined(__GNUC__)
+
+/* Fewer interpreted calls than these are faster one after the other. */
 #define FEW 3
 
 /* Return whether these calls of a function can and should run in lanes. */
 static int serves(const Group *g, const Function *f)
 {
-#if defined(__GNUC__)
-    return g->count >= FEW && f->narrow && !f->compiled;
-#else
-    return 0;
-#endif
+    if (f->in_lanes || f->compiled)
+        return f->in_lanes && g->count > 1;
+    return f->narrow && g->count >= FEW;
 }
 
-typedef struct {
-    const double *x;
-    double *y;
-} Argument;
+/* Finds an argument or a result of a call, by lane and number. */
+typedef double *Place(const Group *g, const Function *f, const Word *places, int lane, int each);
 
-/* Evaluate a function in all lanes; `place` finds arguments and results by lane and index. */
-static inline void evaluate(const Group *g, const Function *f, const void *places,
-    Argument place(const Group *g, const Function *f, const void *places, int lane, int each))
+/* Copy argument j of COMPILED_LANES calls from `first` on to rows; lanes in excess repeat a call. */
+static inline void gather(
+    const Group *g, const Function *f, const Word *places, Place place, int first, int j, double *rows, int step)
+{
+    double *numbers[COMPILED_LANES];
+    for (int lane = 0; lane < COMPILED_LANES; lane++)
+        numbers[lane] = place(g, f, places, first + lane < g->count ? first + lane : 0, j);
+    lanes_gather(rows, step, (const double *const *)numbers, f->lengths[j]);
+}
+
+static inline void interpret(const Group *g, const Function *f, const Word *places, Place place)
 {
     Lanes *d = g->registers + g->instances[0]->scene->constant_count;
     const uint16_t *from = f->narrow + f->words;
+    double *numbers[LANES];
     for (int j = 0; j < f->inputs; d += f->lengths[j++])
-        for (int lane = 0; lane < g->count; lane++) {
-            const double *x = place(g, f, places, lane, j).x;
-            for (int e = 0; e < f->lengths[j]; e++)
-                d[e].lane[lane] = x[e];
-        }
-#if defined(__GNUC__)
+        for (int first = 0; first < LANES; first += COMPILED_LANES)
+            gather(g, f, places, place, first, j, d->lane + first, LANES);
     lanes_evaluate(f, g->registers);
-#endif
-    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
-        for (int lane = 0; lane < g->count; lane++) {
-            double *y = place(g, f, places, lane, j).y;
-            for (int e = 0; e < f->lengths[j]; e++)
-                y[e] = g->registers[from[e]].lane[lane];
+    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++]) {
+        for (int lane = 0; lane < g->count; lane++)
+            numbers[lane] = place(g, f, places, lane, j);
+        lanes_scatter(g->registers, from, numbers, f->lengths[j], g->count);
+    }
+}
+
+static inline void run_compiled(const Group *g, const Function *f, const Word *places, Place place)
+{
+    const double *x[MOST_ARGUMENTS];
+    double *y[MOST_ARGUMENTS];
+    for (int first = 0; first < g->count; first += COMPILED_LANES) {
+        double *rows = g->registers->lane;
+        for (int j = 0; j < f->inputs; rows += f->lengths[j++] * COMPILED_LANES) {
+            gather(g, f, places, place, first, j, rows, COMPILED_LANES);
+            x[j] = rows;
         }
+        for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * COMPILED_LANES)
+            y[j] = rows;
+        f->in_lanes(x, y, rows);
+        for (int j = 0; j < f->outputs; j++)
+            for (int lane = first; lane < g->count && lane < first + COMPILED_LANES; lane++) {
+                double *to = place(g, f, places, lane, f->inputs + j);
+                for (int e = 0; e < f->lengths[f->inputs + j]; e++)
+                    to[e] = y[j][e * COMPILED_LANES + lane - first];
+            }
+    }
 }
 
-static inline Argument in_memory(const Group *g, const Function *f, const void *places, int lane, int each)
+static inline void evaluate(const Group *g, const Function *f, const Word *places, Place place)
 {
-    double *m = g->instances[lane]->m + ((const Word *)places)[each];
-    const Argument place = {m, m};
-    (void)f;
-    return place;
-}
-
-static inline Argument in_arrays(const Group *g, const Function *f, const void *places, int lane, int each)
-{
-    Argument place = {NULL, NULL};
-    (void)places;
-    if (each < f->inputs)
-        place.x = g->x[lane][each];
+    if (f->in_lanes)
+        run_compiled(g, f, places, place);
     else
-        place.y = g->y[lane][each - f->inputs];
-    return place;
+        interpret(g, f, places, place);
 }
+
+static inline double *in_memory(const Group *g, const Function *f, const Word *places, int lane, int each)
+{
+    (void)f;
+    return g->instances[lane]->m + places[each];
+}
+
+/* Arguments are only read. */
+static inline double *in_arrays(const Group *g, const Function *f, const Word *places, int lane, int each)
+{
+    (void)places;
+    return each < f->inputs ? (double *)g->x[lane][each] : g->y[lane][each - f->inputs];
+}
+
+#else
+#define serves(g, f) 0
+#define evaluate(g, f, places, place) (void)0
+#endif
 
 static void call(const Group *g, const Function *f, const Word *at)
 {
@@ -96,6 +126,39 @@ static Group those(const Group *g, Word number, int zero)
         if ((g->instances[lane]->m[number] == 0.0) == zero)
             some.instances[some.count++] = g->instances[lane];
     return some;
+}
+
+#if defined(__GNUC__)
+
+/* Argument or result of one of several calls of an instance. */
+static inline double *of_call(const Group *g, const Function *f, const Word *places, int lane, int each)
+{
+    return (*g->instances)->m + places[lane * (f->inputs + f->outputs) + each];
+}
+
+/* Run an instance's calls in lanes by a function compiled in lanes; return the next word. */
+static const Word *run_lanes(const Group *g, int lane, const Word *at)
+{
+    const int count = at[1];
+    const Function *f = g->instances[0]->scene->functions + at[2];
+    Group calls = {{g->instances[lane]}, {NULL}, {NULL}, 0, g->registers};
+    at += 3;
+    for (int left = count; left > 0; left -= LANES, at += calls.count * (f->inputs + f->outputs)) {
+        calls.count = left < LANES ? left : LANES;
+        run_compiled(&calls, f, at, of_call);
+    }
+    return at;
+}
+
+#endif
+
+static const Word *run_routine(const Group *g, int lane, const Word *at)
+{
+#if defined(__GNUC__)
+    if (*at == LANES_CODE && g->instances[0]->scene->functions[at[2]].in_lanes)
+        return run_lanes(g, lane, at);
+#endif
+    return routine_run(g->instances[lane], at);
 }
 
 static void run(const Group *g, const Word *at, const Word *end);
@@ -144,7 +207,7 @@ static void run(const Group *g, const Word *at, const Word *end)
         default: {
             const Word *next = at;
             for (int lane = 0; lane < g->count; lane++)
-                next = routine_run(g->instances[lane], at);
+                next = run_routine(g, lane, at);
             at = next;
         }
         }

@@ -166,10 +166,9 @@ Outcome inputs_aim(Instance *i, double start, double h)
         input_polynomial_at(polynomial_of(i, k), start, now);
         if (!(fabs(value - now[0]) <= limit))
             return instance_say(i, REFUSED,
-                "%s, t = %.6g s: %s is %s, and what it moves has come to %s: a jump of %.3g %s, more than %s, "
-                "which no rigid mechanism follows; change it less from one communication step to the next, give its "
-                "rate "
-                "too (derivatives=1 of the input), or declare a larger jump",
+                "%s, t = %.6g s: %s is set to %s, but the motion it prescribes is at %s: a jump of %.3g %s, above the "
+                "limit of %s; change it less from one communication step to the next, give its rate too "
+                "(derivatives=1 of the input), or declare the input with a larger jump",
                 s->name, start, v->name, quantity_in_unit(v->unit, value, own),
                 quantity_in_unit(v->unit, now[0], there), fabs(value - now[0]), v->unit,
                 quantity_in_unit(v->unit, limit, most));

@@ -331,21 +331,21 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
     const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
     Lanes *r = (Lanes *)i->lanes, *d = r + constants;
     const uint16_t *from = f->narrow + f->words;
+    double *places[LANES];
     for (int lane = 0; i->tape && lane < count; lane++)
         tape_call_at(i, f, at + lane * each);
-    for (int j = 0; j < f->inputs; d += f->lengths[j++], at++)
-        for (int lane = 0; lane < count; lane++) {
-            const double *x = i->m + at[lane * each];
-            for (int e = 0; e < f->lengths[j]; e++)
-                d[e].lane[lane] = x[e];
-        }
+    for (int j = 0; j < f->inputs; d += f->lengths[j++], at++) {
+        for (int lane = 0; lane < LANES; lane++)
+            places[lane] = i->m + at[lane < count ? lane * each : 0];
+        for (int first = 0; first < LANES; first += COMPILED_LANES)
+            lanes_gather(d->lane + first, LANES, (const double *const *)places + first, f->lengths[j]);
+    }
     lanes_evaluate(f, r);
-    for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
-        for (int lane = 0; lane < count; lane++) {
-            double *y = i->m + at[lane * each];
-            for (int e = 0; e < f->lengths[j]; e++)
-                y[e] = r[from[e]].lane[lane];
-        }
+    for (int j = f->inputs; j < each; from += f->lengths[j++], at++) {
+        for (int lane = 0; lane < count; lane++)
+            places[lane] = i->m + at[lane * each];
+        lanes_scatter(r, from, places, f->lengths[j], count);
+    }
 }
 
 #endif

@@ -74,9 +74,23 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lane
     }
 }
 
+BY_PROCESSOR void lanes_gather(double *rows, int step, const double *const *x, int length)
+{
+    const double *const a = x[0], *const b = x[1], *const c = x[2], *const d = x[3];
+    for (int each = 0; each < length; each++, rows += step)
+        *(LaneRow *)(void *)rows = (LaneRow){a[each], b[each], c[each], d[each]};
+}
+
 void lanes_evaluate(const Function *f, Lanes *r)
 {
     lanes_run(f->narrow, f->narrow + f->words, r);
+}
+
+void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count)
+{
+    for (int lane = 0; lane < count; lane++)
+        for (int each = 0; each < length; each++)
+            y[lane][each] = r[from[each]].lane[lane];
 }
 
 #endif

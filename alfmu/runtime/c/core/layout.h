@@ -1,4 +1,4 @@
-/* What alfmu's Python code and its runtime share; generated from alfmu/kernel/tables.py. */
+/* Numbers and messages common to alfmu's Python code and its runtime; generated from alfmu/kernel/tables.py. */
 
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
@@ -41,9 +41,9 @@
 #define JAM_PIVOT 0.001
 #define JAM_SETTLED 1e-06
 #define JUMP 1e-07
-#define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
-#define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or other parameters"
-#define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law off there, if no impact was meant"
+#define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which a rigid mechanism cannot follow; give a law without jumps"
+#define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law with finite value, rate and acceleration, or other parameters"
+#define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s: an impact, whose impulse no output contains; round the law off there, if no impact is meant"
 #define SETTINGS 16
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1

@@ -32,12 +32,13 @@ static void swap_columns(double *x, double *y, int count)
         x[i] = -x[i];
 }
 
-/* Make two columns orthogonal (Hestenes 1958); return whether they were not orthogonal yet. */
-static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns)
+/* Make two columns orthogonal (Hestenes 1958); return whether they were not orthogonal yet. A column whose square is at
+   most `noise` is round-off, which never becomes orthogonal. */
+static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns, double noise)
 {
     const double xx = dot_product(x, x, rows), yy = dot_product(y, y, rows), xy = dot_product(x, y, rows);
     double ratio, t, c;
-    if (fabs(xy) <= DBL_EPSILON * sqrt(xx) * sqrt(yy))
+    if (fmin(xx, yy) <= noise || fabs(xy) <= DBL_EPSILON * sqrt(xx) * sqrt(yy))
         return 0;
     ratio = (yy - xx) / (2.0 * xy);
     t = (ratio < 0.0 ? -1.0 : 1.0) / (fabs(ratio) + sqrt(1.0 + ratio * ratio));
@@ -49,6 +50,7 @@ static int orthogonalise_columns(double *x, double *y, int rows, double *vx, dou
 
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s)
 {
+    const double noise = DBL_EPSILON * DBL_EPSILON * dot_product(a, a, rows * columns);
     int moved = 1;
     memset(v, 0, (size_t)columns * (size_t)columns * sizeof *v);
     for (int i = 0; i < columns; i++)
@@ -58,7 +60,7 @@ void linear_singular_values(int rows, int columns, double *a, double *v, double 
         for (int i = 0; i < columns; i++)
             for (int j = i + 1; j < columns; j++)
                 moved |= orthogonalise_columns(
-                    a + i * rows, a + j * rows, rows, v + i * columns, v + j * columns, columns);
+                    a + i * rows, a + j * rows, rows, v + i * columns, v + j * columns, columns, noise);
     }
     for (int i = 0; i < columns; i++)
         s[i] = linear_norm(a + i * rows, rows);

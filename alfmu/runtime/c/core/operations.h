@@ -1,4 +1,4 @@
-/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */
+/* Operations of a scene and their formulas; generated from alfmu/kernel/scene.py. */
 
 #ifndef ALFMU_OPERATIONS_H
 #define ALFMU_OPERATIONS_H

@@ -113,7 +113,7 @@ static void check_features(Reader *r)
         {r->scene->frictions, "dry friction"},
 #endif
 #ifdef WITHOUT_MOVING_INPUTS
-        {r->scene->followed_count, "inputs that move something"},
+        {r->scene->followed_count, "inputs that prescribe motion"},
 #endif
 #ifdef WITHOUT_SWITCHES
         {r->scene->switches, "Boolean inputs"},
@@ -189,7 +189,7 @@ static void read_body(Reader *r)
     if (!r->bad && r->at != r->end)
         tables_read_jacobian(r);
     if (!r->bad && r->at != r->end)
-        reader_spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+        reader_spoil(r, "%zu bytes follow its end", (size_t)(r->end - r->at));
     check_features(r);
 }
 
@@ -199,7 +199,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     Scene *s = calloc(1, sizeof *s);
     Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
     if (!s) {
-        snprintf(why, why_size, "there is no memory for it");
+        snprintf(why, why_size, "there is not enough memory for it");
         return NULL;
     }
     if (size < HEAD || memcmp(bytes, magic, sizeof magic - 1))
@@ -208,7 +208,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
         reader_spoil(&r, "its version is %u and this runtime reads %u; export it again",
             (unsigned)bytes_little(bytes + 8, 4), (unsigned)SCENE_VERSION);
     else if (bytes_little(bytes + 12, 4) != size)
-        reader_spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)bytes_little(bytes + 12, 4));
+        reader_spoil(&r, "it has %zu bytes instead of %u", size, (unsigned)bytes_little(bytes + 12, 4));
     else if (bytes_little(bytes + 16, 8) != (uint32_t)~scene_check_sum(CHECK_BEGIN, bytes + 24, size - 24))
         reader_spoil(&r, "its check sum does not agree; it is damaged");
     else {
@@ -224,13 +224,29 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     return s;
 }
 
-int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+static void take_lanes(Scene *s, Function *own, Compiled *const *functions, int spare)
+{
+    for (int k = 0; k < s->function_count; k++) {
+        int rows = spare;
+        for (int j = 0; j < own[k].inputs + own[k].outputs; j++)
+            rows += own[k].lengths[j];
+        if (rows > s->lane_rows)
+            s->lane_rows = rows;
+        own[k].in_lanes = functions[k];
+    }
+}
+
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes)
 {
     Function *own = (Function *)s->functions; /* allocated by the scene itself */
     char body[9];
     snprintf(body, sizeof body, "%08x", s->body);
     if (count != s->function_count || !reader_check_between(spare, 0, MOST_NUMBERS) || strcmp(identity, body))
         return 0;
+    if (in_lanes) {
+        take_lanes(s, own, functions, spare);
+        return 1;
+    }
     for (int k = 0; k < count; k++)
         own[k].compiled = functions[k];
     s->spare = spare;

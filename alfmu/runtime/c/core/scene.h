@@ -100,6 +100,7 @@ typedef struct {
     size_t words;
     int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
+    Compiled *in_lanes; /* the same for a row of COMPILED_LANES instances in place of each number, or NULL */
 } Function;
 
 /* A program: calls of functions on the memory of an instance, choices and loops, as places and lengths. */
@@ -161,6 +162,7 @@ typedef struct {
     int registers; /* most registers of a function, constants included */
     int lane_registers; /* registers of functions called in lanes */
     int spare;     /* workspace of compiled functions */
+    int lane_rows; /* largest number of rows that a function compiled in lanes needs */
     int dense;     /* unknowns of the largest dense system */
     struct Block *blocks;
 } Scene;
@@ -179,9 +181,9 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count);
 /* Load a scene from the bytes of its file; return NULL and write the reason to `why` if it is damaged. */
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
 
-/* Replace the interpreted functions by compiled ones, before there is an instance; `spare` is the largest workspace.
-   Return 0 if they were made for another scene. */
-int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
+/* Replace the interpreted functions by compiled ones, or by ones in lanes, before there is an instance; `spare` is the
+   largest workspace. Return 0 if they were made for another scene. */
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes);
 
 void scene_free(Scene *s);
 

@@ -43,7 +43,7 @@ static void check_passes(Checked *c, int64_t kind, int64_t known, int64_t passes
 {
     for (int k = 0; k < operand_count(kind); k++, c->at += 2)
         if (!are_within_passes(word_at(c, c->at), word_at(c, c->at + 1), known, passes, more))
-            reader_spoil(c->reader, "a loop uses what is not known yet");
+            reader_spoil(c->reader, "a loop reads a value before it is computed");
 }
 
 /* Check the body of a loop, which ends at `end`. */
@@ -84,7 +84,7 @@ static int check_loop(Checked *c, int64_t kind, int64_t count)
         }
         for (int64_t k = 0; k < count; k++, c->at++)
             if (word_at(c, c->at) < 0 || word_at(c, c->at) >= c->known)
-                reader_spoil(c->reader, "a function copies what is not known yet");
+                reader_spoil(c->reader, "a function copies a value before it is computed");
         c->known += count;
     } else if (kind == EACH_KIND) {
         const int64_t each = word_at(c, c->at);
@@ -139,11 +139,11 @@ static void check_function(Reader *r, Function *f)
         for (; count > 0; count--, c.known += VALUES_OF(operation))
             for (int k = 0; k < operands; k++, c.at++)
                 if (word_at(&c, c.at) < 0 || word_at(&c, c.at) >= c.known)
-                    reader_spoil(r, "an operation uses what is not known yet");
+                    reader_spoil(r, "an operation reads a value before it is computed");
     }
     for (size_t k = 0; k < (size_t)f->results && !r->bad; k++)
         if (word_at(&c, f->words + k) < 0 || word_at(&c, f->words + k) >= c.known)
-            reader_spoil(r, "a function gives what it does not know");
+            reader_spoil(r, "a function returns a value that it does not compute");
     if (c.known > MOST_NUMBERS) {
         reader_spoil(r, "a function is too long");
         return;
@@ -218,7 +218,7 @@ static void read_function(Reader *r, Function *f)
         *(k < inputs ? &known : &all) += lengths[k];
     }
     if ((r->results += all) > MOST_RESULTS)
-        reader_spoil(r, "its functions give too many numbers");
+        reader_spoil(r, "its functions return too many numbers");
     f->inputs = (int)inputs;
     f->outputs = (int)outputs;
     f->lengths = lengths;
@@ -250,7 +250,7 @@ static void read_function(Reader *r, Function *f)
         read_narrow(r, f, known);
     }
     if (!r->bad && f->results != all)
-        reader_spoil(r, "a function gives %d numbers in place of %d", f->results, (int)all);
+        reader_spoil(r, "a function returns %d numbers instead of %d", f->results, (int)all);
     check_function(r, f);
 }
 
@@ -276,7 +276,7 @@ void function_is_shaped(Reader *r, const char *name, int which, int needed, int 
     for (int k = 0; k < inputs + outputs; k++) {
         const int needed_length = va_arg(lengths, int);
         if (f->lengths[k] != needed_length)
-            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], needed_length);
+            reader_spoil(r, "the function %s has %d numbers instead of %d", name, f->lengths[k], needed_length);
     }
     va_end(lengths);
 }

@@ -28,12 +28,12 @@ static void check_program(Reader *r, const Word *code, size_t words, int depth)
             const Function *f = left ? s->functions + c[0] : NULL;
             if (!left || !reader_check_between(c[0], 0, s->function_count)
                 || left - 1 < (size_t)(f->inputs + f->outputs)) {
-                reader_spoil(r, "a program calls what is not there");
+                reader_spoil(r, "a program calls an unknown function");
                 return;
             }
             for (int k = 0; k < f->inputs + f->outputs; k++)
                 if (!is_within(r, c[1 + k], f->lengths[k]))
-                    reader_spoil(r, "a program leaves the memory");
+                    reader_spoil(r, "a program reads or writes outside the memory");
             at += 2 + (size_t)(f->inputs + f->outputs);
             break;
         }
@@ -72,7 +72,7 @@ static void check_program(Reader *r, const Word *code, size_t words, int depth)
             }
             for (int64_t k = 0; k < parts; k++)
                 if (!is_within(r, c[4 + k], (int64_t)c[0] * c[0]))
-                    reader_spoil(r, "a program leaves the memory");
+                    reader_spoil(r, "a program reads or writes outside the memory");
             at += 7 + (size_t)parts;
             break;
         }
@@ -85,10 +85,10 @@ static void check_program(Reader *r, const Word *code, size_t words, int depth)
             }
             side = (int64_t)c[0] * c[1];
             if (!is_within(r, c[2], side * side) || !is_within(r, c[3], side) || !is_within(r, c[4 + c[1]], side))
-                reader_spoil(r, "a program leaves the memory");
+                reader_spoil(r, "a program reads or writes outside the memory");
             for (int k = 0; k < c[1]; k++)
                 if (!is_within(r, c[4 + k], c[0]))
-                    reader_spoil(r, "a program leaves the memory");
+                    reader_spoil(r, "a program reads or writes outside the memory");
             at += 6 + (size_t)c[1];
             break;
         }
@@ -98,7 +98,7 @@ static void check_program(Reader *r, const Word *code, size_t words, int depth)
                 return;
             }
             if (!is_within(r, c[1], (int64_t)c[0] * c[0]) || !is_within(r, c[2], c[0]) || !is_within(r, c[3], c[0]))
-                reader_spoil(r, "a program leaves the memory");
+                reader_spoil(r, "a program reads or writes outside the memory");
             else if (c[0] > r->scene->dense)
                 r->scene->dense = c[0];
             at += 5;
@@ -107,21 +107,21 @@ static void check_program(Reader *r, const Word *code, size_t words, int depth)
             const Function *f = left > 1 ? s->functions + c[1] : NULL;
             if (left < 2 || c[0] < 1 || !reader_check_between(c[1], 0, s->function_count)
                 || (left - 2) / (unsigned)c[0] < (size_t)(f->inputs + f->outputs)) {
-                reader_spoil(r, "a program calls what is not there");
+                reader_spoil(r, "a program calls an unknown function");
                 return;
             }
             c += 2;
             for (int32_t lane = 0; lane < code[at + 1]; lane++)
                 for (int k = 0; k < f->inputs + f->outputs; k++)
                     if (!is_within(r, *c++, f->lengths[k]))
-                        reader_spoil(r, "a program leaves the memory");
+                        reader_spoil(r, "a program reads or writes outside the memory");
             at = (size_t)(c - code);
             if (f->narrow && f->registers > s->lane_registers)
                 r->scene->lane_registers = f->registers;
             break;
         }
         default:
-            reader_spoil(r, "a program has no step %d", (int)code[at]);
+            reader_spoil(r, "a program has the unknown step %d", (int)code[at]);
         }
     }
 }

@@ -23,7 +23,7 @@ void *reader_alloc(Reader *r, size_t count, size_t size)
 {
     struct Block *block;
     if (r->bad || count > SIZE_MAX / 2 / size || !(block = calloc(1, sizeof(double) + count * size))) {
-        reader_spoil(r, "there is no memory for it");
+        reader_spoil(r, "there is not enough memory for it");
         return NULL;
     }
     block->next = r->scene->blocks;
@@ -100,7 +100,7 @@ int32_t *reader_integers(Reader *r, int count, size_t *found)
     const unsigned char *at = reader_little(r, size, 4);
     int32_t *made = at ? reader_alloc(r, size + 1, sizeof *made) : NULL;
     if (count >= 0 && size != (size_t)count)
-        reader_spoil(r, "a list has %zu entries in place of %d", size, count);
+        reader_spoil(r, "a list has %zu entries instead of %d", size, count);
     if (!made || r->bad)
         return NULL;
     for (size_t k = 0; k < size; k++)

@@ -45,9 +45,9 @@ void tables_read_numbers(Reader *r)
         || !reader_check_between(s->formulation, 0, s->choices) || s->choices != CHOICES)
         reader_spoil(r, "its choices contradict each other");
     if (s->brakes && s->l > 10000)
-        reader_spoil(r, "it has %d constraints that would brake", s->l);
+        reader_spoil(r, "it has %d constraints, some of them redundant; at most 10000 may be", s->l);
     if (!(s->fading >= 0.0 && isfinite(s->fading)))
-        reader_spoil(r, "its states return to the constraints by %g/s", s->fading);
+        reader_spoil(r, "its rate of return to the constraints is %g 1/s", s->fading);
     if (!reader_check_between(s->method, 0, 3) || s->freedom > s->n)
         reader_spoil(r, "its method contradicts itself");
 }
@@ -174,7 +174,7 @@ void tables_read_followed(Reader *r)
     s->followed_count = s->timed ? reader_integer(r) : 0;
     if (r->bad || s->followed_count < 0 || s->followed_count > s->inputs
         || s->held < s->counted + s->timed * (1 + s->followed_count * POLYNOMIAL)) {
-        reader_spoil(r, "%d inputs move something", s->followed_count);
+        reader_spoil(r, "%d inputs prescribe motion", s->followed_count);
         s->followed_count = 0;
         return;
     }
@@ -187,7 +187,7 @@ void tables_read_followed(Reader *r)
         if (!r->bad
             && (!reader_check_between(made[k].derivatives, 0, 3) || !reader_check_between(made[k].order, 0, 3)
                 || !(made[k].jump > 0.0) || !reader_check_between(made[k].input, 0, s->inputs - made[k].derivatives)))
-            reader_spoil(r, "input %d moves something by its derivative %d", made[k].input, made[k].derivatives);
+            reader_spoil(r, "input %d prescribes a motion by its derivative %d", made[k].input, made[k].derivatives);
     }
     s->followed = made;
 }
@@ -216,7 +216,7 @@ void tables_read_jacobian(Reader *r)
         made[k].input = reader_integer(r);
         if (r->bad || variables[first + k].type != REAL || !reader_check_between(made[k].output, 0, s->readings)
             || !reader_check_between(made[k].input, 0, s->inputs)) {
-            reader_spoil(r, "entry %d of its interface Jacobian is of no output or input", k);
+            reader_spoil(r, "entry %d of its interface Jacobian has no output or input", k);
             return;
         }
         if (!directions[made[k].input])
@@ -234,7 +234,7 @@ static void tables_check_dense(Reader *r, Pattern *made)
     const int rows = made->rows, columns = made->columns;
     int *offsets, *indices;
     if ((int64_t)rows * columns > MOST_NUMBERS / MOST_ARGUMENTS)
-        reader_spoil(r, "a matrix of %d by %d is dense", rows, columns);
+        reader_spoil(r, "a dense matrix of %d by %d is too large", rows, columns);
     made->entries = r->bad ? 0 : rows * columns;
     made->offsets = offsets = reader_alloc(r, (size_t)columns + 1, sizeof *offsets);
     made->indices = indices = reader_alloc(r, (size_t)made->entries + 1, sizeof *indices);
@@ -394,7 +394,7 @@ void tables_read_leaps(Reader *r)
         made[k].rate_unit = reader_text(r);
         made[k].row = reader_integer(r);
         if (!r->bad && !reader_check_between(made[k].row, -1, s->l))
-            reader_spoil(r, "a law counts with constraint %d", made[k].row);
+            reader_spoil(r, "a law belongs to constraint %d, which it does not have", made[k].row);
     }
     s->leaps = made;
     s->leap_count = (int)count;

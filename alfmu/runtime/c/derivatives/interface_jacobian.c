@@ -32,7 +32,7 @@ Outcome jacobian_begin(Instance *i)
     if (!g)
         g = i->of_step = gradient_new(i, s->directions);
     if (!g)
-        return instance_say(i, FAILED, "%s: there is no memory for derivatives", s->name);
+        return instance_say(i, FAILED, "%s: there is not enough memory for derivatives", s->name);
     if (!i->within) {
         /* The evaluation of the outputs was not recorded, so the step must not reuse it. */
         i->onward = 0;
@@ -77,13 +77,12 @@ Outcome jacobian_end(Instance *i)
         return DONE;
     jacobian_along(i);
     if (g->lost || g->tape->lost)
-        return instance_say(i, FAILED, "%s: there is no memory for derivatives", s->name);
+        return instance_say(i, FAILED, "%s: there is not enough memory for derivatives", s->name);
     for (int k = 0; k < s->entries; k++)
         if (!isfinite(derivative(i, k)))
             return instance_say(i, FAILED,
-                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not "
-                "sure; take "
-                "another communication step or input, or leave this output out",
+                "%s, t = %.6g s: %s cannot be computed over this step, for example at a square root of zero or where "
+                "a rank is uncertain; take another communication step or input, or leave this output out",
                 s->name, *instance_time(i), s->variables[scene_first_output(s) + s->outputs + k].name);
     for (int k = 0; k < s->entries; k++)
         i->jacobian[k] = derivative(i, k);

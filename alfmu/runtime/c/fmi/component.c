@@ -38,8 +38,8 @@ Component *component_new(
 {
     Component *c;
     snprintf(why, why_size, "%s",
-        !name || !*name ? "it needs a name"
-            : !guid     ? "it needs the GUID, or instantiation token, of its description"
+        !name || !*name ? "its instance name is empty; give one"
+            : !guid     ? "the GUID, or instantiation token, is missing; give that of its description"
                         : "there is not enough memory");
     if (!name || !*name || !guid)
         return NULL;
@@ -50,7 +50,8 @@ Component *component_new(
     if (!c->scene || strcmp(guid, c->scene->guid) != 0) {
         if (c->scene)
             snprintf(why, why_size,
-                "its description has another GUID, or instantiation token; scene and description must be of one FMU");
+                "the GUID, or instantiation token, of its description differs from that of its scene; both must be of "
+                "one FMU");
         scene_free(c->scene);
         free(c);
         return NULL;
@@ -73,7 +74,7 @@ void component_free(Component *c)
     if (!component_good(c))
         return;
     if (c->instance && component_phase(c) == LOOKING) {
-        component_refuse(c, ERROR_, "FreeInstance", "not while a step is made");
+        component_refuse(c, ERROR_, "FreeInstance", "not during a step");
         return;
     }
     c->magic = 0;
@@ -160,7 +161,7 @@ int component_in(Component *c, int phases, const char *call)
         component_phase(c) == INSTANTIATED       ? "not before initialisation has begun"
             : component_phase(c) == INITIALIZING ? "not during initialisation"
             : component_phase(c) == STEPPING     ? "not after initialisation"
-            : component_phase(c) == LOOKING      ? "not while a step is made"
+            : component_phase(c) == LOOKING      ? "not during a step"
                                        : "not after the run has ended");
     return 0;
 }
@@ -179,7 +180,7 @@ Status component_logging(Component *c, int on, size_t count, const char *const c
                 known = 1;
             }
         if (!known)
-            return component_refuse(c, ERROR_, call, "there is no such category");
+            return component_refuse(c, ERROR_, call, "a log category is unknown; use one of the description");
     }
     c->logged = !on ? ALWAYS : count ? logged : ~0u;
     return STATUS_OK;

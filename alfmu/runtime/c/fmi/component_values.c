@@ -50,8 +50,8 @@ static int check_references(Component *c, const unsigned *references, size_t cou
     size_t value_count, Value_type form, const char *call)
 {
     const Scene *s = c->instance->scene;
-    const char *why = count != value_count ? "every variable is a scalar: as many values as references"
-        : count && (!references || !values) ? "there is no array"
+    const char *why = count != value_count ? "every variable is a scalar; give as many values as references"
+        : count && (!references || !values) ? "an array is missing"
                                             : NULL;
     for (size_t k = 0; !why && k < count; k++)
         if (!(form == AS_DOUBLE && (is_time(c, references[k]) || is_exchanged(c, references[k])))
@@ -71,7 +71,8 @@ static int check_references_of(Component *c, const unsigned *references, size_t 
         return 0;
     for (size_t k = 0; k < count; k++)
         if (is_time(c, references[k]) || kind_of(c, references[k]) != kind) {
-            component_refuse(c, ERROR_, call, kind == INPUT ? "inputs alone have such" : "outputs alone have such");
+            component_refuse(c, ERROR_, call,
+                kind == INPUT ? "only derivatives of inputs can be set" : "only outputs have derivatives");
             return 0;
         }
     return 1;
@@ -174,7 +175,7 @@ Status component_slopes(Component *c, const unsigned *references, size_t count, 
         return STATUS_ERROR;
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] != 1)
-            return component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
+            return component_refuse(c, ERROR_, call, "inputs have derivatives of order 1 only");
     if (c->exchanges)
         return component_refuse(c, ERROR_, call, "the instance is for Model Exchange");
     for (size_t k = 0; k < count; k++)
@@ -194,9 +195,10 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     s = c->instance->scene;
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] < 1 || orders[k] > 2)
-            return component_refuse(c, ERROR_, call, "outputs have derivatives of orders 1 and 2");
+            return component_refuse(c, ERROR_, call, "outputs have derivatives of orders 1 and 2 only");
         else if ((int)references[k] >= scene_first_output(s) + s->outputs)
-            return component_refuse(c, ERROR_, call, "derivatives over a step are discrete, and have no rate");
+            return component_refuse(c, ERROR_, call, "derivatives over a step are discrete, and have no time "
+                                                     "derivative");
     if (count && instance_output_derivatives(c->instance, references, orders, count, values) != DONE)
         return component_refused(c, STATUS_DISCARD);
     return STATUS_OK;
@@ -212,9 +214,9 @@ static int addressed_knowns(
         return 0;
     for (size_t k = 0; k < count && !why; k++)
         if (is_exchanged(c, references[k]) && references[k] < (unsigned)(scene_variable_count(s) + scene_exchanged(s)))
-            why = c->instance->flags.mode ? NULL : "there are derivatives by states in Model Exchange alone";
+            why = c->instance->flags.mode ? NULL : "derivatives by states exist in Model Exchange only";
         else if (kind_of(c, references[k]) == OUTPUT || !variable_has_derivatives(s, (int)references[k]))
-            why = "there are derivatives by inputs, states, parameters and start values alone";
+            why = "derivatives exist by inputs, states, parameters and start values only";
         else if (kind_of(c, references[k]) == PARAMETER && component_phase(c) != INITIALIZING)
             why = "parameters and start values are fixed once the run has begun; ask for derivatives by them before";
     if (why)

@@ -46,7 +46,7 @@ API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String gui
     if (type == fmi2ModelExchange)
         c = exchange_instance(c, why, sizeof why);
     else if (c && type != fmi2CoSimulation) {
-        snprintf(why, sizeof why, "%d is no type of FMU", (int)type);
+        snprintf(why, sizeof why, "%d is not a type of FMU", (int)type);
         component_free(c);
         c = NULL;
     }
@@ -175,7 +175,7 @@ API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Bo
 API fmi2Status fmi2CancelStep(fmi2Component c)
 {
     return component_in(c, ANY, "fmi2CancelStep")
-        ? (fmi2Status)component_refuse(c, ERROR_, "fmi2CancelStep", "no step is ever pending")
+        ? (fmi2Status)component_refuse(c, ERROR_, "fmi2CancelStep", "steps are never pending")
         : fmi2Error;
 }
 
@@ -184,7 +184,7 @@ static fmi2Status status_of(Component *c, int found, const char *call)
 {
     if (!component_in(c, RUN, call))
         return fmi2Error;
-    return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "no step is ever pending");
+    return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "steps are never pending");
 }
 
 API fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)

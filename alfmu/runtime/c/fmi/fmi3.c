@@ -41,7 +41,7 @@ static void look(void *host, double time, int can_return, double *until)
 /* Answer a call for features that this FMU does not have; the other arguments are ignored. */
 static fmi3Status unknown(Component *c, const char *call, ...)
 {
-    return component_good(c) ? (fmi3Status)component_refuse(c, ERROR_, call, "this FMU has nothing of the kind")
+    return component_good(c) ? (fmi3Status)component_refuse(c, ERROR_, call, "this FMU does not support this function")
                              : fmi3Error;
 }
 
@@ -111,7 +111,7 @@ API fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String t
     fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
 {
-    return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging, clock,
+    return not_made(environment, log, "it supports co-simulation only", name, token, resources, visible, logging, clock,
         lock, unlock);
 }
 

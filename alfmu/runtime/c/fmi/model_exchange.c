@@ -42,7 +42,7 @@ static int is_in(Component *c, int phases, int modes, const char *call)
     component_refuse(c, ERROR_, call,
         c->instance->flags.mode == AT_EVENT ? "not in event mode"
             : c->instance->flags.mode       ? "not in continuous-time mode"
-                                            : "its state is one of co-simulation");
+                                            : "its state was saved in co-simulation");
     return 0;
 }
 
@@ -93,7 +93,7 @@ static int is_array(Component *c, Exchanged which, const double *values, size_t 
 {
     if (count == (size_t)length_of(c, which) && (values || !count))
         return 1;
-    component_refuse(c, ERROR_, call, "the array has another length than there are states or indicators");
+    component_refuse(c, ERROR_, call, "the length of the array is not the number of states or event indicators");
     return 0;
 }
 

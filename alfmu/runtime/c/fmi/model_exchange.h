@@ -20,7 +20,7 @@ typedef struct {
     double next;
 } Exchange_event;
 
-#define CO_SIMULATION "it is for co-simulation alone"
+#define CO_SIMULATION "it supports co-simulation only"
 
 #ifndef WITHOUT_MODEL_EXCHANGE
 /* Make a new component one of Model Exchange; NULL, and the reason in `why`, if its scene is for co-simulation only. */

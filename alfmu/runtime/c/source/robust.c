@@ -4,8 +4,8 @@
 
 Outcome step_robust(Instance *i, double start, double dt)
 {
-    return instance_say(i, FAILED, "%s, t = %.6g s: a step of %g s takes more iterations than this FMU has; reduce "
-        "solver.step_size, or export it as --kind native", i->scene->name, start, dt);
+    return instance_say(i, FAILED, "%s, t = %.6g s: a step of %g s needs more iterations than this FMU contains; "
+                                   "reduce solver.step_size, or export it as --kind native", i->scene->name, start, dt);
 }
 
 Outcome step_rk4(Instance *i, double start, double dt)

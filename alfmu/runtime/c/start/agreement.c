@@ -103,9 +103,8 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
         list_joints(s, left, names, sizeof names);
         if (fabs(left[row]) / i->units[row] > i->values[s->tolerance])
             outcome = instance_say(i, FAILED,
-                "%s: constraints contradict each other: %s cannot be kept together, and %s is missed by %.3g %s%s; "
-                "make their "
-                "lengths, offsets and laws agree, or leave one of them out",
+                "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
+                "make their lengths, offsets and laws agree, or leave one of them out",
                 s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per);
     }
     arena_release(i, arena);
@@ -154,9 +153,9 @@ void agreement_warn_of_second_order(Instance *i, const unsigned char *held, cons
         find_uncorrectable(i, &J, gap, left);
         list_joints(s, left, names, sizeof names);
         instance_warn(i, WARNED_OF_SECOND_ORDER,
-            "%s: %s stop a motion to second order alone, wherever it is: no force of finite size does, and what loads "
-            "that motion "
-            "is not to be relied on; change lengths or offsets, or leave out what only this motion needs",
+            "%s: %s stop a motion to second order only, in every position: no finite force does, so results are "
+            "unreliable if a load acts on it; change lengths or offsets, or leave out the constraint that only this "
+            "motion needs",
             s->name, names);
     }
     arena_release(i, arena);

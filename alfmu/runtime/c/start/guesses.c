@@ -80,13 +80,12 @@ void guesses_check(Instance *i, Loops *loops, const double *guess, const double 
         snprintf(list + strlen(list), sizeof list - strlen(list), "; and %d more", found - SAID / 2);
     if (degrees)
         instance_say(i, DONE,
-            "%s: the loops closed far from guesses that fit another assembly if they are read as degrees: %s; give "
-            "guesses in "
-            "rad",
+            "%s: the loops closed far from the guesses, which read as degrees would fit another assembly: %s; give "
+            "guesses in rad",
             s->name, list);
     else if (found)
         instance_say(i, DONE,
-            "%s: the loops closed far from what was given: %s; give guesses closer to the assembly you want", s->name,
+            "%s: the loops closed far from the guesses: %s; give guesses closer to the assembly you want", s->name,
             list);
     arena_release(i, arena);
 }
@@ -197,17 +196,15 @@ void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double 
             tape_copy(i, q, guess, n);
             loops_way(i, loops, guess, q, &most);
             instance_say(i, DONE,
-                "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, "
-                "where %s is "
-                "%s, guessed as %s; give start values or guesses closer to the assembly you want",
+                "%s: the assembly nearest to the guess exceeds %s by %s; the nearest found within limits is taken, "
+                "where %s is %s, guessed as %s; give start values or guesses closer to the assembly you want",
                 s->name, s->limited[worst].name, how, s->coordinates[most].name,
                 quantity_in_unit(s->coordinates[most].unit, q[most], own),
                 quantity_in_unit(s->coordinates[most].unit, guess[most], given));
         } else
             instance_say(i, DONE,
-                "%s: no assembly within limits was found; the one taken is beyond %s by %s; check the limits, lengths "
-                "and start "
-                "values",
+                "%s: no assembly within limits was found; the one taken exceeds %s by %s; check the limits, lengths "
+                "and start values",
                 s->name, s->limited[worst].name, how);
     }
     arena_release(i, arena);

@@ -238,7 +238,7 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
     /* Try the motion at the start first, then a random one: a loop may rest on a moving base. */
-    for (int a = 0; a < 2 * SIDE_PLACES && !found; a++) {
+    for (int a = linear_largest(v, s->n) > 0.0 ? 0 : SIDE_PLACES; a < 2 * SIDE_PLACES && !found; a++) {
         if (a % SIDE_PLACES == 0) {
             memcpy(way, v, n * sizeof *way);
             if (a > 0) {

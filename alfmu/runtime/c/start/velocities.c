@@ -72,7 +72,7 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
             worst = r;
     if (!(linear_largest(left, loops->count) <= ROUGH * fmax(1.0, instance_largest(i, v))))
         return instance_say(i, FAILED,
-            "%s: no motion has the given start rates; %s is missed by %.3g per second; give the rates of fewer "
+            "%s: no motion has the given start rates; %s is violated by %.3g per second; give the rates of fewer "
             "coordinates, or rates that belong together",
             s->name,
             worst < s->l ? s->rows[worst].name

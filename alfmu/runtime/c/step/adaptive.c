@@ -306,9 +306,8 @@ int step_adaptive(Instance *i, double end, long tries)
         /* The tolerance of a step is a share of the tolerance of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
             instance_warn(i, WARNED_OF_ROUND_OFF,
-                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had "
-                "here, "
-                "and the motion goes on at that",
+                "%s, t = %.6g s: round-off causes an error of about %.1g, so that solver.relative_tolerance %g cannot "
+                "be met here; the run continues with that error",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);
         if (pace[PACE_ACCEPTED] != 0.0 && m[s->after + s->time] - m[s->z + s->time] > AWAY_FROM_IT * shortest_step(i))

@@ -43,9 +43,8 @@ static void warn_of_drift(Instance *i)
     c[DRIFT] += c[BALANCE] / c[ENERGY_SCALE] / 2 * rate * h;
     if (fabs(c[DRIFT]) > UNBALANCED)
         instance_warn(i, WARNED_OF_DRIFT,
-            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes "
-            "off more and "
-            "more; %s, and judge the run by one with --check",
+            "%s, t = %.6g s: the drift of energy has put the motion off by about %.1g rad (or m), and its error "
+            "grows; %s, and check the run with --check",
             s->name, now[s->time], fabs(c[DRIFT]),
             settings_method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
 }
@@ -71,7 +70,7 @@ void instance_balance(Instance *i)
     warn_of_drift(i);
     if (!(c[RUN_ERROR] <= UNBALANCED))
         instance_warn(i, WARNED_OF_BALANCE,
-            "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
+            "%s, t = %.6g s: the energy balance is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
             settings_method(i) == 1             ? "use a smaller solver.relative_tolerance"
                 : s->l && !settings_continue(i) ? "near singular positions solver.formulation residual with "

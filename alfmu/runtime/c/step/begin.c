@@ -179,14 +179,13 @@ Outcome instance_initialize(Instance *i)
         return REFUSED;
     if (settings_method(i) && !settings_all_serve(i))
         return instance_say(i, REFUSED,
-            "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
+            "%s: solver.method %s needs solver.formulation residual with projections here; choose it, or export with "
             "solver.method rk4",
             s->name, settings_method_name(i));
     if (s->frictions && !settings_all_serve(i))
         return instance_say(i, REFUSED,
-            "%s: dry friction is solved for in the multiplier iteration of solver.formulation residual with "
-            "projections; "
-            "choose that",
+            "%s: dry friction needs the multiplier iteration of solver.formulation residual with projections; choose "
+            "it",
             s->name);
     arena_reset(i);
     i->flags.initialized = i->flags.known = i->flags.pending = 0;

@@ -282,9 +282,8 @@ Outcome breaks_found(Instance *i, double begin, double end)
     arena_release(i, arena);
     if (!enough)
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: forces or laws of time jump or bend more than %d times up to %.6g s; take shorter "
-            "communication "
-            "steps",
+            "%s, t = %.6g s: forces or laws of time have more than %d jumps or kinks up to %.6g s; take shorter "
+            "communication steps",
             s->name, begin, MOST_BREAKS, end);
     return DONE;
 }

@@ -34,9 +34,8 @@ Outcome diagnose_convergence(Instance *i, const double *watch, double t)
         return DONE;
     }
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of "
-        "themselves "
-        "after %g passes, more than %.0e; %s, or raise solver.max_iterations",
+        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by a relative "
+        "%.1e after %g passes, above the limit of %.0e; %s, or raise solver.max_iterations",
         s->name, t, alpha > 0.0 ? alpha : linear_largest(i->penalty, s->l), left, i->values[s->max_iterations],
         UNFINISHED, settings_remedy(i));
 }
@@ -124,8 +123,9 @@ Outcome diagnose_length(Instance *i, double t)
 Outcome diagnose_too_much(Instance *i)
 {
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: more than %d internal steps in one communication step (steps tried again count; patient ones "
-        "count as %d); take shorter communication steps, or increase solver.step_size or the tolerances%s",
+        "%s, t = %.6g s: more than %d internal steps in one communication step (repeated steps count; each that "
+        "iterates to convergence counts as %d); take shorter communication steps, or increase solver.step_size or the "
+        "tolerances%s",
         i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP, settings_or_penalty(i));
 }
 
@@ -140,8 +140,8 @@ Outcome diagnose_derivatives(Instance *i)
     const Scene *s = i->scene;
     if (s->frictions)
         return instance_say(i, REFUSED,
-            "%s: derivatives of a run with dry friction are not known: when joints stick and slide changes with each "
-            "number; take the friction out, or make it viscous",
+            "%s: derivatives of a run with dry friction are not available, as the times at which joints stick or "
+            "slide change with each number; leave the friction out, or make it viscous",
             s->name);
     return DONE;
 }

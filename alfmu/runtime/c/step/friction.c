@@ -88,10 +88,9 @@ Outcome friction_say_jam(Instance *i)
         if (fabs(*friction_slip(i, k)) == 1.0 || *friction_slip(i, k) == SHARED)
             append_name(i, k, names, sizeof names);
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its "
-        "own "
-        "friction without bound: take smaller coefficients of friction, smaller radii or a longer guide",
-        s->name, *instance_time(i), names, s->timed ? ", and a law of time asks for one" : "");
+        "%s, t = %.6g s: joints jam: no sliding motion has friction that agrees with its load (%s)%s; the load grows "
+        "with its own friction without bound: use smaller coefficients of friction, smaller radii or a longer guide",
+        s->name, *instance_time(i), names, s->timed ? ", but a law of time prescribes one" : "");
 }
 
 /* Activate the constraints of sticking joints and deactivate those of the others. */
@@ -430,15 +429,14 @@ Outcome friction_begin(Instance *i)
         switched |= i->requested[k] != s->switched[k].start;
     if (unsettled && switched && !*names)
         instance_warn(i, WARNED_OF_FRICTION,
-            "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of "
-            "joints "
-            "with dry friction, it is not unique: the least loads are taken; give compliances of constraints "
-            "(--compliances) to settle it",
+            "%s, t = %.6g s: switching a lock, joint or motion has made constraints redundant; where they share the "
+            "load of joints with dry friction, it is not unique, and the least loads are taken; give compliances of "
+            "constraints (--compliances) to settle it",
             s->name, *instance_time(i));
     if (*names)
         instance_warn(i, WARNED_OF_FRICTION,
-            "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
-            "either: the least loads are taken; give compliances of constraints (--compliances) to settle it",
+            "%s: redundant constraints share the load of %s, so that its friction and the motion are not unique, and "
+            "the least loads are taken; give compliances of constraints (--compliances) to settle it",
             s->name, names);
     return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A scene for the start alone has no programs. */
 }

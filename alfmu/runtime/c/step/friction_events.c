@@ -241,8 +241,8 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         at_once = *time > from ? 0 : at_once + 1;
         if (at_once == AT_ONCE)
             outcome = instance_say(i, FAILED,
-                "%s, t = %.6g s: joints with dry friction neither stick nor slide here in a way that agrees with their "
-                "loads; change coefficients of friction a little",
+                "%s, t = %.6g s: no combination of sticking and sliding of the joints with dry friction agrees with "
+                "their loads here; change coefficients of friction a little",
                 s->name, *time);
         else
             outcome = friction_event(i, meets);

@@ -58,7 +58,7 @@ static Outcome record_evaluation(Instance *i, Gradient *g, int of_start, int wan
         outcome = exchange_or_read(i, wanted);
     i->tape = NULL;
     if (outcome == DONE && g->tape->lost)
-        outcome = instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+        outcome = instance_say(i, FAILED, "%s: there is not enough memory for derivatives", i->scene->name);
     return outcome;
 }
 
@@ -83,7 +83,7 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
         i->gradient = gradient_new(i, 1);
     g = i->gradient;
     if (!g)
-        return instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+        return instance_say(i, FAILED, "%s: there is not enough memory for derivatives", i->scene->name);
     instance_remember(i);
     outcome = record_evaluation(i, g, of_start, exchanged);
     instance_go_back(i);
@@ -108,7 +108,9 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
     arena_reset(i);
     for (size_t k = 0; k < count; k++)
         if (!isfinite(found[k]))
-            return instance_say(
-                i, FAILED, "%s, t = %.6g s: derivatives cannot be computed here", i->scene->name, *instance_time(i));
+            return instance_say(i, FAILED,
+                "%s, t = %.6g s: derivatives are not finite here, for example at a square root of zero; change the "
+                "state or input a little",
+                i->scene->name, *instance_time(i));
     return DONE;
 }

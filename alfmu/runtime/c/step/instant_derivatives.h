@@ -26,7 +26,8 @@ static inline Outcome instance_sweep(Instance *i, const unsigned *unknowns, size
     const unsigned *knowns, size_t known_count, const double *seed, int back, double *found)
 {
     (void)unknowns, (void)unknown_count, (void)knowns, (void)known_count, (void)seed, (void)back, (void)found;
-    return instance_say(i, REFUSED, "%s: it was exported without derivatives", i->scene->name);
+    return instance_say(i, REFUSED,
+        "%s: it was exported without derivatives; export it as --kind native with --derivatives", i->scene->name);
 }
 #endif
 

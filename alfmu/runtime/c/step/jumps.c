@@ -144,7 +144,7 @@ static Outcome check_laws(Instance *i, double begin, double end)
     law = s->leaps + (breaks ? found.law : 0);
     if (breaks < 0)
         return instance_say(i, FAILED,
-            "%s, t = %.6g s: %s changes too often to be looked at for jumps up to %.6g s; take shorter communication "
+            "%s, t = %.6g s: %s changes too often to be searched for jumps up to %.6g s; take shorter communication "
             "steps",
             s->name, found.time, law->what, end);
     if (breaks && isfinite(found.size))

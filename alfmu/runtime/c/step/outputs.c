@@ -37,7 +37,7 @@ static Outcome set_input(Instance *i, int reference, double value)
     }
     *u = u_before;
     *slope = slope_before;
-    return instance_say(i, REFUSED, "%s: %s = %g %s: outputs are not finite with it; give a smaller value", s->name,
+    return instance_say(i, REFUSED, "%s: outputs are not finite with %s = %g %s; give a smaller value", s->name,
         s->variables[reference].name, value, s->variables[reference].unit);
 }
 
@@ -151,8 +151,8 @@ static Outcome evaluate_patiently(Instance *i)
     else if (s->l && instant == s->instant
         && (instance_diagnostic(i, SEEN_TROUBLE) != 0.0 || (s->limit >= 0 && instance_diagnostic(i, SEEN_NEAR) != 0.0)))
         outcome = instance_say(i, FAILED,
-            "%s, t = %.6g s: accelerations and reactions take more iterations here than this scene has; export it as "
-            "--kind native, or use another start, smaller inputs or a smaller solver.step_size",
+            "%s, t = %.6g s: accelerations and reactions need more iterations here than this FMU contains; export it "
+            "as --kind native, or use another start, smaller inputs or a smaller solver.step_size",
             s->name, *instance_time(i));
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;

@@ -43,7 +43,7 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
         return instance_say(i, FAILED,
             "%s, t = %.6g s: %s; reduce solver.step_size",
             s->name, t,
-            s->l ? "a step takes more iterations than this scene has"
+            s->l ? "a step needs more iterations than this scene contains"
                  : "the state is not finite, or turned by more than half a turn in one step");
     m[s->dt] = dt;
     instance_set_time(i, start);
@@ -64,7 +64,8 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
         for (int k = 0; k < 4; k++)
             if (w[watch[k]] == INFINITY) /* Infinity marks a branch that leaves a constraint open. */
                 return instance_say(i, CONSTRAINT_OPEN,
-                    "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
+                    "%s, t = %.6g s: a constraint does not close ahead on the branch of the motion; reduce "
+                    "solver.step_size",
                     s->name, start);
     }
     outcome = diagnose_state(i, start, dt);
@@ -114,7 +115,7 @@ static Outcome step_bisected(Instance *i, double start, double dt)
         strncat(where, part, sizeof where - strlen(where) - 1);
     }
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: locked up at %s; no motion goes on from this singular position (distance %.1e); turn round "
+        "%s, t = %.6g s: locked up at %s: no motion continues from this singular position (distance %.1e); reverse "
         "before it, or change lengths or start",
         s->name, start + t, where, sqrt(settings_margin(i, q)));
 }

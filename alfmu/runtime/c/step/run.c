@@ -139,9 +139,8 @@ static int is_current_time(Instance *i, double start, double h)
             && apart <= FLT_EPSILON * fmax(fabs(start), fabs(time))))
         return 0;
     instance_warn(i, WARNED_OF_TIME,
-        "%s, t = %.9g s: the host steps from %.9g s, as a time of 32 bits has it; steps begin where the host says, and "
-        "laws of "
-        "time are followed to %.0e s; keep the time in 64 bits to follow them exactly",
+        "%s, t = %.9g s: the host steps from %.9g s, a time rounded to 32 bits; the run continues from there, and "
+        "laws of time are accurate to %.0e s only; keep the time in 64 bits in the host",
         i->scene->name, time, start, FLT_EPSILON * fabs(start));
     return 1;
 }
@@ -171,7 +170,7 @@ Outcome instance_can_step(Instance *i, double start, double h)
     /* A step of at most LEFT_TO_RK4 * GIVEN_UP may be lost in round-off: it has no visible effect. */
     if (!(start + h / steps > (steps > 1.0 ? nextafter(start, INFINITY) : start)) && h > LEFT_TO_RK4 * GIVEN_UP)
         return instance_say(i, REFUSED,
-            "%s, t = %.6g s: steps of %g s are lost in the last digit of the time; take longer ones, or begin at 0",
+            "%s, t = %.6g s: steps of %g s are below the resolution of the time; take longer ones, or begin at 0 s",
             s->name, time, h / steps);
     return DONE;
 }

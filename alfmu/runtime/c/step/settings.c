@@ -53,8 +53,8 @@ const char *settings_or_penalty(const Instance *i)
     if (penalty_is_given(i))
         return "; or solver.penalty 0, which scales it with the masses";
     if (i->scene->timed)
-        return "; or look whether its laws agree, and lead to positions at which the loops can be closed: none is "
-               "beyond a dead position";
+        return "; or check that its laws of motion agree and do not lead beyond a dead position, where the loops "
+               "cannot be closed";
     return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
 }
 
@@ -284,7 +284,8 @@ Outcome settings_update_rank(Instance *i, const double *q, const double *v)
         rank_calibrate(i, q, v, held, settings_usual(i));
     if (i->flags.brakes && !s->brakes)
         outcome = instance_say(i, RANK_CHANGES,
-            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            "%s: with these parameters redundant constraints would brake the motion, and the scene is not traced for "
+            "them; export it with these parameters (--set)",
             s->name);
     arena_release(i, arena);
     return outcome;

@@ -100,8 +100,8 @@ int state_whole(const Instance *i, const unsigned char *state, size_t size)
 
 static Outcome report_unsound(Instance *i, const char *what, double value)
 {
-    return instance_say(
-        i, REFUSED, "%s: %s of the saved state is %g, which no run has; save it again", i->scene->name, what, value);
+    return instance_say(i, REFUSED, "%s: %s of the saved state is %g, which is not possible; save it again",
+        i->scene->name, what, value);
 }
 
 /* Return DONE, or report a number in the restored state that no instance can have, indices and bounds first. */
@@ -163,7 +163,7 @@ static Outcome check_state(Instance *i)
         for (int each = 0; each < 2; each++) {
             const double count = i->input_history[k * HEARD + each];
             if (!(count >= 0.0 && count <= (each ? 2 : HEARD_POINTS) && count == floor(count)))
-                return report_unsound(i, "what is heard of an input", count);
+                return report_unsound(i, "the history of an input", count);
         }
     for (int k = 0; k < s->frictions; k++) {
         const double slip = i->discrete[s->friction[k].slip];
@@ -180,7 +180,7 @@ static Outcome check_state(Instance *i)
                 return report_unsound(i, parts[part].name, parts[part].numbers[k]);
     if (control[CONTROL_STEP_SIZE] != i->values[s->step_size] ||
         (control[CONTROL_TIER] != 0.0 && control[CONTROL_TIER] != 1.0))
-        return report_unsound(i, "the first tier", control[CONTROL_TIER]);
+        return report_unsound(i, "the tier of steps", control[CONTROL_TIER]);
     if (control[CONTROL_METHOD] != settings_method(i))
         return report_unsound(i, "the method", control[CONTROL_METHOD]);
     return DONE;

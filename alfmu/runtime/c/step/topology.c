@@ -29,9 +29,8 @@ static void warn_of_impact(Instance *i, const double *v, double lost)
     energy_evaluate(i, v, &kinetic);
     if (lost > UNBALANCED * fmax(kinetic + lost, fabs(energy_at_speed(i, SLOW_MOTION))))
         instance_warn(i, WARNED_OF_IMPACT,
-            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, "
-            "such "
-            "as %s, have no friction",
+            "%s, t = %.6g s: an impact took %.3g J without a share of dry friction: impulses in joints with dry "
+            "friction, such as %s, cause no friction",
             s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
 }
 
@@ -89,9 +88,8 @@ Outcome topology_change(Instance *i, const double *on)
         gap = constraints_widest(i, q, v, 1, &row);
         if (!(gap <= CONTRADICTION))
             outcome = instance_say(i, REFUSED,
-                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities "
-                "serve both, "
-                "as %s is missed by %.3g per second; switch one of them off",
+                "%s, t = %.6g s: the lock, joint or motion switched on contradicts those in force: no velocities "
+                "satisfy both, as %s is violated by %.3g per second; switch one of them off",
                 s->name, *instance_time(i), instance_row_label(i, row, label, sizeof label), gap);
     }
     if (outcome == DONE)

@@ -71,7 +71,7 @@ Outcome variable_set_choice(Instance *i, int reference, double value)
         strncat(known, part, sizeof known - strlen(known) - 1);
     }
     return instance_say(
-        i, REFUSED, "%s: %s is %g; this native FMU knows %s", s->name, s->variables[reference].name, value, known);
+        i, REFUSED, "%s: %s is %g; this native FMU supports %s", s->name, s->variables[reference].name, value, known);
 }
 
 Outcome variable_set_switch(Instance *i, int reference, double value)

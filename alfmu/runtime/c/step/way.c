@@ -189,8 +189,8 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
         set_along(i);
         if (least == 0.0)
             instance_warn(i, WARNED_OF_REST,
-                "%s: it starts at rest in a singular position, and no start value tells which of the motions that "
-                "cross there it takes; give one, or a rate, or start beside it",
+                "%s: it starts at rest in a singular position, and no start value selects one of the motions that "
+                "cross there; give a start value or rate, or start beside it",
                 s->name);
         if (margin < BRANCH_MARGIN && s->timed && least >= SERVES && !has_single_motion(i)) {
             set_unit_way(i, v, there);
