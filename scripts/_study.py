@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import math
 import statistics
 import sys
@@ -64,25 +63,6 @@ def times(laps: Laps, yardstick: str) -> Row:
     for name, each in laps.items():
         row |= {f"{name} [us]": 1e6 * statistics.median(each), f"{name}, minimum [us]": 1e6 * min(each)}
     return row | {f"{name} / {yardstick}": row[f"{name} [us]"] / row[f"{yardstick} [us]"] for name in laps}
-
-
-class Heard(logging.Handler):
-    """Keeps the warnings that alfmu logs within a `with` statement."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.said: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a warning."""
-        self.said.append(record.getMessage())
-
-    def __enter__(self) -> Heard:
-        logging.getLogger("alfmu").addHandler(self)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        logging.getLogger("alfmu").removeHandler(self)
 
 
 # Targets ----------------------------------------------------------------------------------------------------------

@@ -19,13 +19,13 @@ from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
-from _study import Heard
 from tqdm import tqdm
 
 import alfmu
 from alfmu.catalogue.registry import mechanisms
 from alfmu.equations import Equations
 from alfmu.equations.interface import variables_of
+from alfmu.model.errors import collected
 from alfmu.simulation import prepared, with_defaults
 
 WRONG = 1e-3
@@ -64,7 +64,7 @@ def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, 
 def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, float], stop: float) -> tuple[str, str]:
     """Return the outcome of a run, one of KINDS, and its messages."""
     unit = alfmu.Instance(equations)
-    with Heard() as heard:
+    with collected() as said:
         try:
             for name, value in {**values, **inputs}.items():
                 unit.set(name, value)
@@ -74,10 +74,10 @@ def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, fl
             return ("ended" if unit.initialized else "refused"), str(error)
         except Exception:
             return "traceback", traceback.format_exc()
-    text = f"balance {off:.2g}; {'; '.join(heard.said) or 'nothing said'}"
+    text = f"balance {off:.2g}; {'; '.join(said) or 'nothing said'}"
     if off <= WRONG:
         return "right", text
-    return ("warned" if heard.said else "silent"), text
+    return ("warned" if said else "silent"), text
 
 
 def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:

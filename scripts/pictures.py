@@ -14,12 +14,17 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import _passages as study
 import numpy as np
 from matplotlib.figure import Figure
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from oracles import ode
+from oracles.parallelogram import Parallelogram
+
 import alfmu
 from alfmu.method.singular import BRANCH_MARGIN, LEAST_DISTANCE, LIMIT_ZONE, READ_DISTANCE, READ_ZONE
+from alfmu.simulation import with_defaults
 from alfmu.studies.cases import POSITION
 from alfmu.studies.looks import LOOKS, integrator
 from alfmu.studies.report import LEVELS, TIME
@@ -64,15 +69,14 @@ def distance(equations: alfmu.Equations, angle: float) -> float:
 
 def singular(output: Path) -> None:
     """Draw the distance from a singular position, and the error of the angle, over a motion through it."""
-    equations = study.scene("four_bar", coordinates="joint")
-    acceleration, before = study.parallelogram(), -STEP * BEFORE
+    equations = with_defaults(alfmu.derive(alfmu.load("four_bar", coordinates="joint")), {"solver.method": "rk4"})
+    linkage, before = Parallelogram(m4=None), -STEP * BEFORE
     # The acceleration depends on the angle alone, so the motion is reversible.
-    start = study.motion(acceleration, np.array([[0.0], [SPEED]]), TORQUE, np.array([0.0, -before]), 0.005)[-1, :, 0]
-    start *= 1, -1
+    start = linkage.driven(0.0, SPEED, np.array([0.0, -before]), TORQUE)[-1] * (1, -1)
     fine = np.sort([*np.geomspace(1e-5, STEP * (STEPS - BEFORE), 120), *-np.geomspace(1e-5, -before, 120)])
-    angles = study.motion(acceleration, start[:, None], TORQUE, fine - before, 0.005)[:, 0, 0]
-    motion = study.reference(acceleration, start, TORQUE, STEP, STEPS)
-    times, exact = STEP * np.arange(1, STEPS + 1) + before, motion.exact[1:, 0]
+    angles = linkage.driven(*start, fine - before, TORQUE)[:, 0]
+    exact = linkage.driven(*start, STEP * np.arange(STEPS + 1), TORQUE)[1:, 0]
+    times = STEP * np.arange(1, STEPS + 1) + before
 
     figure = Figure(figsize=(8.0, 6.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
@@ -81,12 +85,15 @@ def singular(output: Path) -> None:
     above.semilogy(fine, [distance(equations, angle) for angle in angles], "k-", lw=1.4)
     above.set(ylabel="distance, root of the margin [rad]", ylim=(1e-5, 2))
     above.set(title=f"Four-bar linkage in joint coordinates, torque of {TORQUE:g} N m, RK4 with steps of {STEP:g} s")
-    lines = {"the paper's procedure (solver.branch = paper)": study.PAPER, "on the branch (default)": study.OWN}
+    lines = {"the paper's procedure (solver.branch = paper)": "paper", "on the branch (default)": "continue"}
     for (label, branch), style in zip(lines.items(), ("C1-x", "C0-o"), strict=True):
         given = {"start.angle": start[0], "start.angular_velocity": start[1], "solver.branch": branch}
-        run = study.drive(equations, given, {"A.torque": TORQUE}, STEP, STEPS)
-        below.semilogy(times, np.maximum.accumulate(np.abs(run.angles[1:] - exact)), style, ms=4, lw=1.2, label=label)
-    best = np.maximum.accumulate(np.abs(motion.by_rk4[1:, 0] - exact))
+        given |= {"solver.step_size": STEP}
+        run = alfmu.simulate(equations, STEP * STEPS, STEP, parameters=given, inputs={"A.torque": TORQUE})
+        errors = np.abs(run["link1.angle"][1:] - exact)
+        below.semilogy(times, np.maximum.accumulate(errors), style, ms=4, lw=1.2, label=label)
+    by_rk4 = ode.plain_steps(lambda th, _: float(linkage.acceleration(th, TORQUE)), *start, STEP, STEPS)
+    best = np.maximum.accumulate(np.abs(by_rk4[1:] - exact))
     below.semilogy(times, best, "k:", lw=1.6, label="RK4 on the exact equation of one degree of freedom")
     below.set(xlabel="time from the singular position [s]", ylabel="largest error so far of the angle [rad]")
     below.set(xlim=(-0.21, 0.41))

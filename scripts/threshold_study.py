@@ -31,6 +31,7 @@ SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
 """Modules imported before variants are forked, as all of them need these."""
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))  # Cases and exact motions are those of tests.
 PAGE = ROOT / "docs" / "singular.md"
 BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
 MODULES = ("method.singular", "method.friction", "method.stepping", "kernel.thresholds")
@@ -109,26 +110,59 @@ class Found(NamedTuple):
     evaluations: int
 
 
+GRAVITY, SPEED = 9.81, 2.0
+"""Gravity [m/s2], and speed [rad/s] of the linkages that start in their singular position."""
+
+FIVE_BAR = {"A.torque": 3.0, "D.torque": -1.0}
+ROW_START = (math.pi / 2, -1.0)
+CRANK_START, CRANK_STEP, LINK = (math.pi / 4, 0.0), 0.00125, 0.5
+"""Starts of the N-four-bar and the slider-crank [rad, rad/s], its step [s] and the length of its links [m]."""
+
+STARTS = 50
+"""Number of starts of the four-bar."""
+
+
+def phases() -> list[tuple[float, float, float]]:
+    """Return random starting angles [rad] of the four-bar, with cyclic speeds [rad/s] and torques [N.m]."""
+    import numpy as np
+
+    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, STARTS).tolist()
+    torques, speeds = (4.0, 2.0, 1.0, -3.0, 8.0), (2.0, 2.0, 0.5)
+    return [(x, speeds[k % 3], torques[k % 5]) for k, x in enumerate(angles)]
+
+
 def references(cases: Sequence[str]) -> dict[str, Any]:
-    """Return the exact motions for these cases; they depend on no constant of the modules."""
+    """Return the exact angles for these cases; they depend on no constant of the modules."""
     if set(cases) <= set(RUBBING):
         return {}
-    import _passages as study
+    import numpy as np
+    from oracles import ode
+    from oracles.parallelogram import Parallelogram
 
-    th, torque, w = study.np.array(study.phases(STARTS)).T
-    start, crank = (0.0, study.DRIVEN_SPEED), (study.slider_crank, study.CRANK_START)
-    five, four = study.parallelogram(m4=1.0), study.parallelogram()
+    five, four = Parallelogram(), Parallelogram(m4=None)
+
+    def times(stop: float, dt: float) -> Any:
+        return np.linspace(0.0, stop, round(stop / dt) + 1)
+
+    def row(_: float, y: Any) -> list[float]:
+        """(4 N + 1) / 3 m l^2 th'' = -(3 N + 1) / 2 m g l cos th, for N = 2 loops."""
+        return [y[1], -7 / 2 * GRAVITY * math.cos(y[0]) / 3]
+
+    def crank(_: float, th: float, w: float) -> float:
+        """The rod of equal length mirrors the crank: its centre is at l (3/2 cos th, 1/2 sin th), the slider at
+        2 l cos th, which gives J th'' + J' th'^2 / 2."""
+        s, c = math.sin(th), math.cos(th)
+        J = LINK**2 * (1 / 3 + 1 / 12 + 9 / 4 * s**2 + c**2 / 4 + 4 * s**2)
+        return (-GRAVITY * LINK * c - 6 * LINK**2 * s * c * w**2) / J
+
     return {
-        "five-bar": study.reference(five, start, sum(FIVE_BAR.values()), 0.02, 250).exact[:, 0],
-        "starts": study.reference(four, (th, w), torque, 0.02, 125).exact,
-        "slider-crank": study.reference(*crank, 0.0, study.CRANK_STEP, 1600).exact[::40, 0],
-        "order 8": study.reference(four, start, 4.0, 0.1, 50).exact[:, 0],
-        "auto": study.reference(four, start, 4.0, 0.01, 500).exact[:, 0],
-        "row": study.reference(study.row(2), study.ROW_START, 0.0, 0.1, 100).exact[:, 0],
+        "five-bar": five.driven(0.0, SPEED, times(5.0, 0.02), sum(FIVE_BAR.values()))[:, 0],
+        "starts": [four.driven(th, w, times(2.5, 0.02), torque)[:, 0] for th, w, torque in phases()],
+        "slider-crank": ode.motion(crank, *CRANK_START, times(2.0, 0.05))[:, 0],
+        "order 8": four.driven(0.0, SPEED, times(5.0, 0.1), 4.0)[:, 0],
+        "auto": four.driven(0.0, SPEED, times(5.0, 0.01), 4.0)[:, 0],
+        "row": ode.solved(row, ROW_START, times(10.0, 0.1), rtol=1e-13, most=0.005)[:, 0],
     }
-
-
-STARTS, FIVE_BAR = 50, {"A.torque": 3.0, "D.torque": -1.0}
 
 
 def _equations(mechanism: Any, **wanted: float | str) -> Any:
@@ -152,27 +186,29 @@ def _started(equations: Any, given: Mapping[str, float]) -> Any:
     return i
 
 
+def _followed(equations: Any, exact: Any, dt: float, angle: float, speed: float, torques: Mapping[str, float]) -> Found:
+    """Step a linkage from a start under constant torques; return the largest error [rad] of its angle th1."""
+    given = {"g": GRAVITY, "start.angle": angle, "start.angular_velocity": speed, **torques, "solver.step_size": dt}
+    i = _started(equations, given)
+    crank = [c.name for c in equations.coordinates].index("th1")
+    worst = abs(i.q[crank] - exact[0])
+    for k, wanted in enumerate(exact[1:]):
+        i.step(dt, k * dt)
+        worst = max(worst, abs(i.q[crank] - wanted))
+    return Found(float(worst), i.counters.evaluations)
+
+
 def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
     """Run a linkage from its singular start over 5 s with steps of dt [s]; return the error [rad] of its angle."""
-    import _passages as study
-
-    import alfmu
-
-    given = {"start.angle": 0.0, "start.angular_velocity": study.DRIVEN_SPEED}
-    run = study.drive(_equations(name, method=method), given, torques, dt, len(exact) - 1)
-    if run.stopped:
-        raise alfmu.StepError(run.stopped)
-    return Found(run.error(exact), run.evaluations)
+    return _followed(_equations(name, method=method), exact, dt, 0.0, SPEED, torques)
 
 
 def _row(exact: Any) -> Found:
     """Run a row of two four-bars in absolute coordinates over 10 s at 1e-9; return the error [rad] at the end."""
-    import _passages as study
-
     import alfmu
 
     m = alfmu.load("n_four_bar", loops=2, coordinates="absolute")
-    given = {"start.angle": study.ROW_START[0], "start.angular_velocity": study.ROW_START[1], "g": study.GRAVITY}
+    given = {"start.angle": ROW_START[0], "start.angular_velocity": ROW_START[1], "g": GRAVITY}
     i = _started(_equations(m, method="explicit", relative_tolerance=1e-9), given)
     for _ in exact[1:]:
         i.step(0.1)
@@ -195,33 +231,43 @@ def _pressed(_: Any) -> Found:
 
 
 def _starts(exact: Any) -> Found:
-    """Run the four-bar from random starts over 2.5 s with steps of 0.02 s; return the largest error [rad]."""
-    import _passages as study
+    """Run the four-bar from random starts over 2.5 s with steps of 0.02 s; return the largest error [rad], infinite if
+    a run stops."""
+    import alfmu
 
-    runs = study.run_phases(0.02, study.phases(STARTS))
-    errors = [math.inf if run.stopped else run.error(exact[:, k]) for k, run in enumerate(runs)]
-    return Found(max(errors), sum(run.evaluations for run in runs))
+    equations, runs = _equations(alfmu.load("four_bar", coordinates="mixed")), []
+    for (th, w, torque), wanted in zip(phases(), exact, strict=True):
+        try:
+            runs.append(_followed(equations, wanted, 0.02, th, w, {"A.torque": torque}))
+        except alfmu.AlfmuError:
+            runs.append(Found(math.inf, 0))
+    return Found(max(run.error for run in runs), sum(run.evaluations for run in runs))
 
 
 def _crank(exact: Any) -> Found:
-    """Run the slider-crank of equal links over 2 s with steps of 0.00125 s; return the error [rad] of its crank."""
-    import _passages as study
+    """Run the slider-crank of equal links in natural coordinates over 2 s with steps of 0.00125 s; return the error
+    [rad] of its crank."""
+    import alfmu
 
-    return Found(*study.crank_run(exact))
+    given = {"l1": LINK, "l2": LINK, "start.angle": CRANK_START[0], "start.angular_velocity": CRANK_START[1]}
+    given |= {"solver.step_size": CRANK_STEP, "g": GRAVITY}
+    equations = _equations(alfmu.load("slider_crank", coordinates="natural"))
+    r = alfmu.simulate(equations, 2.0, 0.05, parameters=given, kernel="vm")
+    return Found(float(abs(r["crank.angle"] - exact).max()), r.counters.evaluations)
 
 
 def _read(_: Any, torque: float) -> Found:
     """Return the error [N] of the four-bar's finite reactions at B, 1e-6 to 0.02 rad from its singular position."""
-    import _passages as study
     import numpy as np
 
+    import alfmu
     from alfmu.studies.paper import Parallelogram
 
     exact, worst = Parallelogram(m4=0.0, torque=torque), 0.0
-    equations = study.scene("four_bar", coordinates="mixed")
+    equations = _equations(alfmu.load("four_bar", coordinates="mixed"))
     for distance in (1e-6, 1e-4, 1e-3, 4e-3, 0.02):
-        i = _started(equations, {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY})
-        forces = exact.multipliers(np.array([distance]), np.array([study.DRIVEN_SPEED]))[:, 0]
+        i = _started(equations, {"start.angle": distance, "A.torque": torque, "g": GRAVITY})
+        forces = exact.multipliers(np.array([distance]), np.array([SPEED]))[:, 0]
         rows = (2,) if torque else (1, 2)  # With a torque the first one has a pole.
         worst = max(worst, *(abs(i.get(f"multiplier[{k}]") - forces[k - 1]) for k in rows))
     return Found(float(worst), 0)
@@ -229,14 +275,9 @@ def _read(_: Any, torque: float) -> Found:
 
 def _locked(_: Any) -> Found:
     """Run a point into the cusp of y^2 = x^3; return the error [s] of the time of the lock-up."""
-    import alfmu
+    from scenes import cusp
 
-    m = alfmu.Mechanism("cusp")
-    x, y = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True), m.coordinate("y", "m", start=1.0)
-    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
-    m.constraint("curve", y**2 - x**3, "m")
-    m.output("place", x, "m")
-    i = _started(_equations(m), {"solver.step_size": 0.005})
+    i = _started(_equations(cusp()), {"solver.step_size": 0.005})
     return _ended(lambda: i.step(1.0), "locked up", (13**1.5 - 8) / 27 / math.hypot(1.0, 1.5))
 
 
@@ -312,7 +353,6 @@ def _prescribed(_: Any) -> Found:
 
 def _beside(_: Any, name: str) -> Found:
     """Run a parallelogram of the tests, on a shaking base or with a rotor, from rest; return the error [rad]."""
-    sys.path.insert(0, str(ROOT / "tests"))
     import test_moving_base as moving
 
     import alfmu
@@ -330,7 +370,6 @@ def _beside(_: Any, name: str) -> Found:
 
 def _rubs(_: Any, name: str) -> Found:
     """Run a mechanism of the tests with dry friction; return the error of the quantity that the test checks."""
-    sys.path.insert(0, str(ROOT / "tests"))
     import numpy as np
     import test_friction as rubbing
     import test_rubbing_motions as moved

@@ -37,7 +37,7 @@ void host_free(Scene *s)
 
 int host_replace(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
 {
-    return scene_compiled(s, functions, count, spare, identity);
+    return scene_compiled(s, functions, count, spare, identity, 0);
 }
 
 /* How many functions there are, and whether the places of one have 32 bits. */

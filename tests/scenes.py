@@ -1,7 +1,7 @@
 """Small mechanisms that the tests declare themselves, and helpers that put one into any state."""
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
@@ -131,7 +131,6 @@ def derived(name: str, **options: str) -> alfmu.Equations:
 
 
 @cache
-@cache
 def by_rk4(name: str, **options: str) -> alfmu.Equations:
     """The same, to be integrated by RK4 with steps of one length, as the oracle does."""
     return with_defaults(derived(name, **options), {"solver.method": "rk4"})
@@ -170,24 +169,22 @@ def parameters(i: alfmu.Instance) -> np.ndarray:
     return i.memory["p"].copy()
 
 
-def by_the_oracle(
-    equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
-) -> oracle.Instance:
-    """What `started` gives, on NumPy arrays."""
-    instance = oracle.Instance(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
-    for name, value in (given or {}).items():
-        instance.set(name, value)
-    instance.initialize()
-    return instance
-
-
-def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:
+def started(
+    equations: alfmu.Equations,
+    given: Mapping[str, float | str] | None = None,
+    kind: type[alfmu.Instance] = alfmu.Instance,
+    **settings,
+) -> alfmu.Instance:
     """An initialised instance with parameters, start values, inputs and solver numbers by name."""
-    instance = alfmu.Instance(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
+    instance = kind(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()
     return instance
+
+
+by_the_oracle = partial(started, kind=oracle.Instance)
+"""What `started` gives, on NumPy arrays."""
 
 
 def readings(instance: alfmu.Instance) -> dict[str, float]:

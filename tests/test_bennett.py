@@ -9,9 +9,7 @@ from oracles import ode
 from scenes import derived, started
 
 import alfmu
-from alfmu.fmi.checks.validation import validate
-from alfmu.fmi.drive import Fmu
-from alfmu.simulation import prepared, run
+from alfmu.simulation import prepared
 
 STEPS = (0.02, 0.01, 0.005, 0.0025)
 A, ALPHA, BETA, G = 0.3, 0.7, 1.2, 9.81
@@ -122,15 +120,6 @@ def test_a_linkage_that_has_turned_many_times_goes_on():
     assert max(abs(result["hinge1.angle"])) > 60
     energy, work = result["monitor.energy"], result["monitor.work"]
     assert max(abs(energy - energy[0] - work)) < 1e-6 * max(work)
-
-
-@pytest.mark.slow
-def test_through_an_fmu(tmp_path):
-    path = alfmu.export("bennett", tmp_path / "bennett.fmu")
-    assert validate(path) == []
-    with Fmu(path) as fmu:
-        result = run(fmu, 0.5, 0.01)
-    assert np.array_equal(result.values, alfmu.simulate("bennett", 0.5, 0.01).values)
 
 
 @pytest.mark.parametrize("beside", ["free", "law"])

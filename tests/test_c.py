@@ -5,10 +5,8 @@ from collections import defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from alfmu import runtime
 from alfmu.runtime.build import FOLDERS, sources
 
-ROOT = Path(runtime.__file__).parent / "c"
 MOST_LINES, MOST_COLUMNS = 600, 120
 HOSTS = re.compile(r"fmi[23][A-Z]\w+|alfmu_\w+|[A-Z_]+")
 """Functions that hosts and the binding call, whose names are given, and macros that define some of them."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from oracles.adaptive import Adaptive, by_method
+from oracles.adaptive import Adaptive, Control, by_method
 from oracles.parallelogram import Parallelogram
 from scenes import derived, made
 
@@ -22,7 +22,7 @@ from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import Call
 from alfmu.kernel.memory import PACE, Layout
 from alfmu.method.inputs import Past
-from alfmu.method.stepping import Control, judged, landing, newton
+from alfmu.method.stepping import judged, landing, newton
 from alfmu.model.settings import FIXED
 from alfmu.runtime import compiled as build
 from alfmu.runtime.pipeline import packed

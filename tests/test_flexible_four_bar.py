@@ -10,9 +10,7 @@ from oracles.flexible_four_bar import FlexibleFourBar
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.fmi.checks.validation import validate
-from alfmu.fmi.drive import Fmu
-from alfmu.simulation import prepared, run
+from alfmu.simulation import prepared
 
 START = (0.5, 1e-3, 6.0, 0.0)
 """Angle of the crank, bend, and their rates."""
@@ -117,18 +115,6 @@ def test_a_strongly_damped_joint_and_its_limit_of_stability():
     assert r["crank.angle"] == pytest.approx(exact(STIFF_AND_DAMPED, 0.02)[:, 0], abs=1e-5)
     lost = simulated(STIFF_AND_DAMPED, 1.2 * limit, 0.02)
     assert np.abs(lost["crank.angle"] - exact(STIFF_AND_DAMPED, 0.02)[:, 0]).max() > 1e-2
-
-
-@pytest.mark.slow
-def test_through_an_fmu(tmp_path):
-    path = alfmu.export("flexible_four_bar", tmp_path / "flexible_four_bar.fmu")
-    assert validate(path) == []
-    inputs = {"O.torque": 0.7}
-    with Fmu(path) as fmu:
-        result = run(fmu, 0.1, 0.002, inputs)
-    library = alfmu.simulate("flexible_four_bar", 0.1, 0.002, inputs=inputs)
-    assert result.names == library.names
-    assert np.array_equal(result.values, library.values)
 
 
 def test_what_cannot_be_assembled_or_is_out_of_bounds_is_refused():

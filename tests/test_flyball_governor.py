@@ -13,10 +13,8 @@ from scipy.spatial.transform import Rotation
 from test_spatial import moving
 
 import alfmu
-from alfmu.fmi.checks.validation import validate
-from alfmu.fmi.drive import Fmu
 from alfmu.method.singular import BRANCH_MARGIN
-from alfmu.simulation import prepared, run
+from alfmu.simulation import prepared
 
 BENCHMARK = Governor()
 STEPS = np.array([2e-4, 1e-4, 5e-5])
@@ -262,18 +260,6 @@ def test_little_inertia_is_no_singular_position(given, start):
 
 
 # The FMU, and what is refused -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_through_an_fmu(tmp_path):
-    path = alfmu.export("flyball_governor", tmp_path / "flyball_governor.fmu")
-    assert validate(path) == []
-    inputs = {"bearing.torque": 3.0}
-    with Fmu(path) as fmu:
-        result = run(fmu, 0.02, 0.002, inputs)
-    library = alfmu.simulate(scene(), 0.02, 0.002, inputs=inputs)
-    assert result.names == library.names
-    assert np.array_equal(result.values, library.values)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from oracles.adaptive import Adaptive, tolerance
+from oracles.adaptive import Adaptive, Control, collocation, collocation_error, tolerance
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
@@ -13,9 +13,6 @@ from alfmu.method.stepping import (
     EXPLICIT8,
     EXPLICIT8_BESIDE,
     RADAU9,
-    Control,
-    collocation,
-    collocation_error,
     combined,
     continued,
     explicit,

@@ -5,17 +5,16 @@ hand, and solved by an unrelated integrator. On a base that accelerates by a(t) 
 per mass.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from oracles.parallelogram import Parallelogram
 from scipy.integrate import solve_ivp
-from studies import script
 
 import alfmu
 from alfmu import Mechanism
@@ -179,20 +178,15 @@ def test_start_rate_from_a_base_that_turns_by_a_law() -> None:
     assert found["bar.angular_velocity", "start.relative_rate"] == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.fixture(scope="module")
-def passages() -> Iterator[ModuleType]:
-    yield from script("_passages")
-
-
 @pytest.mark.parametrize("method", ["auto", "rk4", "order8"])
 @pytest.mark.parametrize(
-    ("name", "torque", "given", "fourth"), [("five_bar", 3.0, {}, 1.0), ("four_bar", 4.0, {"start.angle": 0.0}, 0.0)]
+    ("name", "torque", "given", "fourth"), [("five_bar", 3.0, {}, 1.0), ("four_bar", 4.0, {"start.angle": 0.0}, None)]
 )
 def test_loop_at_rest_beside_a_part_that_moves(
-    passages: ModuleType, name: str, torque: float, given: dict[str, float], fourth: float, method: str
+    name: str, torque: float, given: dict[str, float], fourth: float | None, method: str
 ) -> None:
     """It starts in its singular position, as it does alone; the other part has nothing to do with it."""
-    exact = passages.reference(passages.parallelogram(m4=fourth), (0.0, 0.0), torque, 0.02, 100).exact[:, 0]
+    exact = Parallelogram(m4=fourth).driven(0.0, 0.0, np.linspace(0.0, 2.0, 101), torque)[:, 0]
     rates = {rate.name: 0.0 for rate in alfmu.derive(alfmu.load(name)).start_rates}
     parameters = {**given, **rates, "solver.method": method}
     found = []

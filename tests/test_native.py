@@ -39,7 +39,10 @@ CASES = [
     *(("slider_crank", {"coordinates": c}) for c in ("absolute", "joint", "mixed", "natural")),
     *(("flexible_four_bar", {}), ("bennett", {}), ("flyball_governor", {})),
 ]
-LOADS = {"particle_on_circle": {"force.y": 0.7}, "flexible_four_bar": {"O.torque": 0.3}, "end_stop": {"O.torque": 0.3}}
+LOADS = {
+    **{"particle_on_circle": {"force.y": 0.7}, "flexible_four_bar": {"O.torque": 0.7}, "end_stop": {"O.torque": 5.0}},
+    **{"flyball_governor": {"bearing.torque": 3.0}},
+}
 each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n, *o.values()]) for n, o in CASES])
 
 by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
@@ -85,6 +88,9 @@ def test_the_numbers_of_the_library(built, name, options):
             assert found.tobytes() == instance.memory[part].tobytes(), part
         assert fmu.read().tobytes() == instance.read().tobytes()
         assert same(run(other, stop, step), alfmu.simulate(equations, stop, step))
+        if name in LOADS:
+            other.reset()
+            assert same(run(other, stop, step, LOADS[name]), alfmu.simulate(equations, stop, step, inputs=LOADS[name]))
 
 
 METHODS = [
@@ -116,11 +122,8 @@ def test_methods_of_integration_give_the_numbers_of_the_library(built, name, met
         assert fmu.read().tobytes() == first.tobytes()
 
 
-some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", "flexible_four_bar", "bennett"])
-
-
 @pytest.mark.slow
-@some_cases
+@pytest.mark.parametrize("name", list(dict(CASES)))
 def test_validation_finds_nothing(built, name):
     path = built(name)
     assert validate_fmu(str(path)) == []

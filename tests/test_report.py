@@ -6,7 +6,6 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,7 +64,6 @@ SMALL = Effort(
     paper=replace(paper.QUICK, stop=0.1, counted=0.1, driven=0.1, phases=2, states=1),
     stability=MAPS,
 )
-SCRIPTS = Path(__file__).parents[1] / "scripts"
 FEW = {name: METHODS[name] for name in ("rk4", "explicit")}
 """Methods that the reports of these tests run, of all that there are."""
 TIMES = np.linspace(0.0, 0.4, 21)

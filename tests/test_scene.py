@@ -538,7 +538,7 @@ def test_a_result_may_be_written_over_an_argument_of_a_compiled_function():
     text = "".join(tables.machine_code(complete(e), tables.packed(complete(e))))
     for name in ("weighted_place", "weighted_return", "dynamics"):
         body = text.split(f"void {name}(Arguments x")[1].split("\n}\n")[0]
-        assert "const double x0_0 = x[0][0];" in body
+        assert "const Real x0_0 = x[0][0];" in body
         assert body.rindex("= x[") < body.index("y[0][0] =")
 
 

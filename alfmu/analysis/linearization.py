@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..equations.specialisation import plain
 from ..model.calls import asked
-from ..model.errors import InputError
+from ..model.errors import InputError, needs
 from ..model.files import atomic, write
 from ..model.units import rate_of
 from ..model.words import counted, shown, some_like
@@ -150,12 +150,8 @@ class Linearization:
 
     def to_control(self) -> control.StateSpace:
         """Return a `control.StateSpace` of python-control, with `_` for dots in names. Needs `alfmu[control]`."""
-        try:
+        with needs("to_control() needs python-control", "control"):
             import control
-        except ImportError:
-            raise InputError(
-                "to_control() needs python-control; install it with: pip install 'alfmu[control]'"
-            ) from None
         how = {x: [name.replace(".", "_") for name in getattr(self, x)] for x in ("states", "inputs", "outputs")}
         return control.ss(self.A, self.B, self.C, self.D, name=self.mechanism, remove_useless_states=False, **how)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import InputError
-from .options import EITHER_HELP, Command, add_name, add_option, add_set, chosen_recipe, name_list, pair
+from .options import EITHER_HELP, Command, add_name, add_names, add_option, add_set, chosen_recipe, name_list, pair
 from .says import once_written, progress_bar, say
 
 _EQUILIBRIUM = """Inputs come from --input at the time of --at, or from --set, as start values do; `alfmu simulate
@@ -59,13 +59,7 @@ def add(command: Command) -> None:
         default="start",
         help="where: at the start (default), at rest, or at times in s of the motion from the start",
     )
-    sub.add_argument(
-        "--outputs",
-        metavar="PATTERNS",
-        type=name_list,
-        action="extend",
-        help='outputs of C and D, such as "link*.angle,*.force.*" (default: all)',
-    )
+    add_names(sub, "--outputs", "PATTERNS", 'outputs of C and D, such as "link*.angle,*.force.*" (default: all)')
     sub.add_argument("--plot", metavar="FILE.png", help="draw the eigenvalues in the plane (PNG, SVG or PDF)")
     sub.add_argument("--film", metavar="FILE", help="write a mode as a film (GIF or HTML)")
     sub.add_argument("--mode", metavar="N", type=int, default=1, help="the mode of --film (default: 1, the slowest)")
@@ -95,11 +89,8 @@ def add(command: Command) -> None:
     sub = command("kinematics", _kinematics, "move a mechanism by its actuated joints: positions, Jacobian, efforts")
     sub.epilog = _KINEMATICS
     _add_analysis(sub, "FILE.csv", "write the table of --cycle or --along")
-    each: dict[str, Any] = {"type": name_list, "action": "extend"}
-    sub.add_argument("--actuated", metavar="JOINTS", help="the actuated joints (default: drives and motions)", **each)
-    sub.add_argument(
-        "--watch", metavar="NAMES", help="points and outputs of the Jacobian (default: watched points)", **each
-    )
+    add_names(sub, "--actuated", "JOINTS", "the actuated joints (default: drives and motions)")
+    add_names(sub, "--watch", "NAMES", "points and outputs of the Jacobian (default: watched points)")
     values: dict[str, Any] = {"metavar": "NAME=VALUE,...", "type": _values, "action": "extend"}
     sub.add_argument("--at", help="forward: displacements of actuated joints in rad or m", **values)
     sub.add_argument("--to", help="inverse: positions to reach; the solution nearest to the start is taken", **values)

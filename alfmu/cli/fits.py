@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ..model.errors import InputError
-from .options import Command, add_name, add_option, add_set, chosen_recipe, name_list
+from .options import Command, add_each, add_name, add_names, add_option, add_set, chosen_recipe
 from .says import once_written
 
 _FIT = """The table has a column `time` in s, which begins where the run does. Columns with names of outputs are
@@ -21,36 +21,15 @@ def add(command: Command) -> None:
     sub.epilog = _FIT
     add_name(sub, "name", "NAME", "a mechanism, a recipe, or a Python file")
     sub.add_argument("data", metavar="DATA.csv", help="measurements over time, and inputs")
-    sub.add_argument(
-        "--vary",
-        type=name_list,
-        metavar="NAME,...",
-        action="extend",
-        required=True,
-        help="parameters and start values, such as m2,l",
-    )
-    sub.add_argument(
-        "--bounds",
-        metavar="NAME=LOW:HIGH",
-        action="append",
-        type=_bounds,
-        default=[],
-        help="bounds of a number (default: those of the mechanism)",
-    )
-    sub.add_argument(
-        "--columns",
-        type=name_list,
-        metavar="NAME,...",
-        action="extend",
-        help="columns of measurements to fit (default: all but monitors)",
-    )
-    sub.add_argument(
+    add_names(sub, "--vary", "NAME,...", "parameters and start values, such as m2,l", required=True)
+    add_each(sub, "--bounds", "NAME=LOW:HIGH", _bounds, "bounds of a number (default: those of the mechanism)")
+    add_names(sub, "--columns", "NAME,...", "columns of measurements to fit (default: all but monitors)")
+    add_each(
+        sub,
         "--deviation",
-        metavar="NAME=SIZE",
-        action="append",
-        type=_size,
-        default=[],
-        help="standard deviation of a measured column, which sets its weight (default: the range of the column)",
+        "NAME=SIZE",
+        _size,
+        "standard deviation of a measured column, which sets its weight (default: the range of the column)",
     )
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the fitted run")
     sub.add_argument("--plot", metavar="FILE.png", help="draw measurements, the fitted run and the residuals")

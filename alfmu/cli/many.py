@@ -12,6 +12,7 @@ from .options import (
     EITHER_HELP,
     STEP,
     Command,
+    add_each,
     add_name,
     add_scene,
     chosen_recipe,
@@ -34,13 +35,12 @@ def add(command: Command) -> None:
     sub = command("sweep", _sweep, "run a mechanism or an FMU many times with other numbers, on all cores or a cluster")
     sub.epilog = _SWEEP
     add_name(sub, "unit", "NAME|FMU", f"{EITHER_HELP}, or an .fmu file", ".fmu")
-    sub.add_argument(
+    add_each(
+        sub,
         "--vary",
-        metavar="NAME=HOW",
-        action="append",
-        type=_varied,
-        default=[],
-        help="a parameter, start value, input or number of the solver, and its values; may be given many times",
+        "NAME=HOW",
+        _varied,
+        "a parameter, start value, input or number of the solver, and its values; may be given many times",
     )
     sub.add_argument("--cases", metavar="FILE.csv", help="a table of cases: a row of names, a row of numbers for each")
     sub.add_argument("--samples", metavar="N", type=int, help="number of samples of the distributions")

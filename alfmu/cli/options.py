@@ -73,69 +73,44 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     """Add the options of a scene."""
     add_option(sub)
     add_set(sub)
-    sub.add_argument(
+    add_names(
+        sub,
         "--outputs",
-        metavar="PATTERNS",
-        type=name_list,
-        action="extend",
-        help='compute only these outputs, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" '
+        "PATTERNS",
+        'compute only these outputs, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" '
         "adds the derivative of link1.angle at the end of each communication step by A.torque, held over the step",
     )
-    sub.add_argument(
-        "--freeze",
-        metavar="all|NAMES",
-        type=name_list,
-        action="extend",
-        help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
-    )
+    text = "make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster"
+    add_names(sub, "--freeze", "all|NAMES", text)
     sub.add_argument(
         "--compliances",
         action=argparse.BooleanOptionalAction,
         help="add a compliance of each constraint as a parameter: redundant constraints share a load accordingly",
     )
-    sub.add_argument(
-        "--lock",
-        metavar="JOINTS",
-        type=name_list,
-        action="extend",
-        help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
-    )
-    sub.add_argument(
-        "--release",
-        metavar="JOINTS",
-        type=name_list,
-        action="extend",
-        help="joints that Boolean inputs JOINT.released can open while running, as E,F",
-    )
-    sub.add_argument(
-        "--measure",
-        metavar="all|NAMES",
-        type=name_list,
-        action="extend",
-        help="joints and springs whose relative motion, elongation and force are outputs, as B,C or all",
-    )
+    add_names(sub, "--lock", "JOINTS", "joints that Boolean inputs JOINT.locked can stop while running, as B,C")
+    add_names(sub, "--release", "JOINTS", "joints that Boolean inputs JOINT.released can open while running, as E,F")
+    text = "joints and springs whose relative motion, elongation and force are outputs, as B,C or all"
+    add_names(sub, "--measure", "all|NAMES", text)
+
+
+def add_names(sub: argparse.ArgumentParser, option: str, metavar: str, text: str, **more: Any) -> None:
+    """Add an option that takes names with commas between them, and may be given many times."""
+    sub.add_argument(option, metavar=metavar, type=name_list, action="extend", help=text, **more)
+
+
+def add_each(sub: argparse.ArgumentParser, option: str, metavar: str, kind: Callable[[str], Any], text: str) -> None:
+    """Add an option that may be given many times, each with a value of a `kind`."""
+    sub.add_argument(option, metavar=metavar, action="append", type=kind, default=[], help=text)
 
 
 def add_option(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument(
-        "--option",
-        metavar="KEY=VALUE",
-        action="append",
-        type=pair,
-        default=[],
-        help="an option of the mechanism, such as coordinates=natural; may be given many times",
-    )
+    text = "an option of the mechanism, such as coordinates=natural; may be given many times"
+    add_each(sub, "--option", "KEY=VALUE", pair, text)
 
 
 def add_set(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        type=pair,
-        default=[],
-        help="a parameter, start value, input or solver variable; may be given many times",
-    )
+    text = "a parameter, start value, input or solver variable; may be given many times"
+    add_each(sub, "--set", "NAME=VALUE", pair, text)
 
 
 def name_list(text: str) -> list[str]:

@@ -6,7 +6,7 @@ import argparse
 import os
 
 from ..model.cache import LIMIT, VARIABLE, clear, entries, folder, is_off
-from ..model.errors import InputError
+from ..model.errors import needs
 from .options import Command
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
@@ -36,8 +36,6 @@ def _cache(chosen: argparse.Namespace) -> None:
 
 
 def _completion(chosen: argparse.Namespace) -> None:
-    try:
+    with needs("completion needs argcomplete", "completion"):
         from argcomplete.shell_integration import shellcode
-    except ImportError:
-        raise InputError("completion needs argcomplete; install it with: pip install 'alfmu[completion]'") from None
     print(shellcode(["alfmu"], shell=chosen.shell))

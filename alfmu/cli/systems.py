@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..systems.masters import MASTERS
-from .options import STEP, Command, add_set, name_list
+from .options import STEP, Command, add_names, add_set
 from .runs import add_table, given_inputs, run_and_keep
 from .says import once_written, progress_bar
 
@@ -42,9 +42,7 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--halvings", type=int, metavar="N", help="how often the communication step is halved (default: 5)"
     )
-    sub.add_argument(
-        "--masters", type=name_list, action="extend", metavar="NAMES", help=f"of {','.join(MASTERS)} (default: all)"
-    )
+    add_names(sub, "--masters", "NAMES", f"of {','.join(MASTERS)} (default: all)")
     sub.add_argument(
         "--tolerance", type=float, metavar="T", help="relative tolerance of the components (default: 1e-9)"
     )

@@ -120,9 +120,7 @@ def closures_of(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[
     return rows, closures, stack(signs)
 
 
-def slips_of(
-    m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
-) -> tuple[ca.SX, ca.SX]:
+def slips_of(kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return velocities that nonholonomic rows keep at zero (zero in other rows), and their rows of C by the rates
     `own`."""
     rows = []

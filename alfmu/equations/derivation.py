@@ -179,7 +179,7 @@ def _terms(m: Mechanism, at: _Symbols, closed: _Closed) -> _Terms:
     if not m.coordinates and not m.moves:
         M = ca.SX.eye(1)
     C = ca.jacobian(Phi, at.own[0])
-    slips, slipping = slips_of(m, plain, closed.closures, q, v, at.own[1])
+    slips, slipping = slips_of(plain, closed.closures, q, v, at.own[1])
     C += slipping
     _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)

@@ -127,7 +127,7 @@ def sources(
     files = {path.name: path.read_text(encoding="ascii") for path in paths} | dict(instead)
     files = {name: _without_comments(text) for name, text in files.items()}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
-    text = "".join(f"#define HAS_{name} 0\n" for name in FEATURES if name in without)
+    text = "".join(f"#define WITHOUT_{name}\n" for name in FEATURES if name in without)
     text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
     found = {"alfmu.h": text}
     for folder in _FOLDERS:
@@ -154,7 +154,7 @@ _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 _APART = ("files.c", "fmi2.c", "fmi3.c")
 """Files that are not merged, because system headers and the two versions of FMI share names."""
 
-_FEATURE = re.compile(r"^#if HAS_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
+_FEATURE = re.compile(r"^#ifndef WITHOUT_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
 """Matches the alternative declarations in a header, with its feature and without it."""
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)

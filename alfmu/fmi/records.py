@@ -9,10 +9,9 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import logging
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
-from ..model.errors import AlfmuError, InputError, StepError
+from ..model.errors import AlfmuError, InputError, StepError, collected
 from ..model.settings import internal_steps
 from ..runtime import Instance
 from ..simulation import communication_points, run
@@ -160,7 +159,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         inputs = _signals(e, instance, still.time, size)
         table = {name: (inputs.time, inputs[name]) for name in inputs.names}
         try:
-            with _warned() as warnings:
+            with collected() as warnings:
                 begin = _change(e, still, kept, parameters, table, max(1, len(still.time) // _BEGIN))
                 change = _change(e, still, kept, parameters, table, -1) if begin <= _GENTLE else math.inf
             wild = inputs if _GENTLE < begin < math.inf else wild
@@ -182,7 +181,7 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         return None
     table = {name: (chosen.time, chosen[name]) for name in chosen.names}
     how: dict[str, Any] = {"inputs": table, "parameters": parameters, "held_rows": True}
-    with _warned(), suppress(AlfmuError):  # a wild motion may end early
+    with collected(), suppress(AlfmuError):  # a wild motion may end early
         return parameters, chosen, run(Instance(e), still.time[-1], still.time[1], **how)
     return None
 
@@ -192,23 +191,6 @@ def _change(e: Equations, still: Result, kept: list[str], parameters: Any, input
     result = run(Instance(e), still.time[row], still.time[1], inputs=inputs, parameters=parameters)
     changes = [_apart(result[name], still[name]) for name in kept]
     return max(changes) if np.isfinite(changes).all() else math.inf
-
-
-@contextmanager
-def _warned() -> Iterator[list[logging.LogRecord]]:
-    """Collect the warnings of a run instead of logging them, since several runs are tried."""
-    found: list[logging.LogRecord] = []
-
-    def take(record: logging.LogRecord) -> bool:
-        found.append(record)
-        return False
-
-    logger = logging.getLogger("alfmu")
-    logger.addFilter(take)
-    try:
-        yield found
-    finally:
-        logger.removeFilter(take)
 
 
 def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size: float) -> Result:

@@ -179,18 +179,15 @@ class _Describing:
 
     def _in_plane(self, joint: Any, edge: _Edge) -> None:
         self.constant(joint.name, "geometry", joint.offset, joint.angle, joint.axis, joint.length)
-        one, two = joint.first, joint.second
-        pin = joint.kind == "point_on_line"
-        if joint.kind == "prismatic" or pin:
-            ux, uy, _, _ = self.kinematics.axes(joint)
-            (x1, y1), (x2, y2) = self.kinematics.place(one), self.kinematics.place(two)
-            along = joint.coordinate if edge.placing else ux * (x2 - x1) + uy * (y2 - y1)
-            name = self.fresh(f"{joint.name}_slide") if pin else joint.name
-            self._move(edge, name, "prismatic", self.number(ca.vertcat(ux, uy, 0)).ravel(), along)
-        if joint.kind == "revolute" or pin:
-            turned = self.kinematics.frame(two.body).angle - self.kinematics.frame(one.body).angle
-            name = self.fresh(f"{joint.name}_turn") if pin else joint.name
-            self._move(edge, name, "revolute", (0.0, 0.0, 1.0), joint.coordinate if edge.placing else turned)
+        for which in joint.freedoms:
+            kind, suffix = ("prismatic", "slide") if which == "position" else ("revolute", "turn")
+            axis: Any = (0.0, 0.0, 1.0)
+            if which == "position":
+                ux, uy, _, _ = self.kinematics.axes(joint)
+                axis = self.number(ca.vertcat(ux, uy, 0)).ravel()
+            along = joint.coordinate if edge.placing else self.kinematics.displacement(joint, which)
+            name = joint.name if len(joint.freedoms) == 1 else self.fresh(f"{joint.name}_{suffix}")
+            self._move(edge, name, kind, axis, along)
 
     def _in_space(self, joint: SpatialJoint, edge: _Edge) -> None:
         if joint.kind == "spherical":

@@ -125,44 +125,24 @@ class Maximum(_OfExpression):
     """
 
     _result = 0
+    """Number of its result among those of `_peak`: 0 for the maximum, 1 for its time."""
 
     def weighed(self, times: NDArray[np.float64], columns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         values, slopes = self._at_each(times, columns)
         k = int(np.argmax(values))
         weights = np.zeros_like(slopes)
-        if 0 < k < len(times) - 1:
-            found, by = _PEAK(times[k - 1 : k + 2], values[k - 1 : k + 2])[2 * self._result :][:2]
-            weights[k - 1 : k + 2] = np.array(by).reshape(3, 1) * slopes[k - 1 : k + 2]
-            return float(found), weights
-        return self._at_end(times, values, slopes, weights, k)
-
-    def _at_end(
-        self,
-        times: NDArray[np.float64],
-        values: NDArray[np.float64],
-        slopes: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        k: int,
-    ) -> tuple[float, NDArray[np.float64]]:
-        """Return the maximum at the start or the end of the run."""
-        weights[k] = slopes[k]
-        return float(values[k]), weights
+        if not 0 < k < len(times) - 1:
+            weights[k] = 0.0 if self._result else slopes[k]
+            return float((values, times)[self._result][k]), weights
+        found, by = _PEAK(times[k - 1 : k + 2], values[k - 1 : k + 2])[2 * self._result :][:2]
+        weights[k - 1 : k + 2] = np.array(by).reshape(3, 1) * slopes[k - 1 : k + 2]
+        return float(found), weights
 
 
 class TimeOfMaximum(Maximum):
     """The time [s] at which an expression is largest; its derivatives are zero at an end of the run."""
 
     _result = 1
-
-    def _at_end(
-        self,
-        times: NDArray[np.float64],
-        values: NDArray[np.float64],
-        slopes: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        k: int,
-    ) -> tuple[float, NDArray[np.float64]]:
-        return float(times[k]), weights
 
 
 def _peak() -> ca.Function:

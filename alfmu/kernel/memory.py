@@ -73,7 +73,7 @@ PACE = (
     *("short", "other_dt", "other_before", "other_refused"),
     *("stiff", "since", "patience"),
 )
-"""State of step control (`method.stepping.Control.numbers`), then: length of all steps if fixed, else 0; end of the
+"""Numbers of step control (`method.stepping.judged`), then: length of all steps if fixed, else 0; end of the
 communication step; length of the last accepted step in it, 0 before the first; whether the last one was accepted;
 round-off in its error over the tolerance; number of further steps with careful iterations; whether the first three
 belong to short steps, and the three numbers of the other kind of steps (0 if unknown); whether implicit steps replace

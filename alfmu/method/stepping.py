@@ -5,7 +5,7 @@ at the end do, by a `where` that the caller passes.
 """
 
 import math
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +19,7 @@ __all__ = [
     "RADAU9",
     "SHORTEST",
     "Collocation",
-    "Control",
     "Explicit",
-    "collocation",
-    "collocation_error",
     "combined",
     "continued",
     "explicit",
@@ -419,47 +416,6 @@ def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
     return [tuple(row) for row in (np.maximum(np.abs(weights), 1.0)[:, None] * left).tolist()]
 
 
-def collocation(
-    method: Collocation,
-    linearise: Callable[[Any, State], tuple[State, Any]],
-    correct: Callable[[list, list[State]], list[State]],
-    t: Any,
-    y: State,
-    dt: Any,
-    k: list[State],
-    most: int,
-    done: Callable[[list[State], list[State]], bool],
-) -> tuple[State, list[State], int, bool]:
-    """Return one step from y at t to t + dt by Newton's method, from a guess k of the rates at the nodes.
-
-    `linearise` returns the rate at a time and state, and the data of its tangent J for `correct(tangents, residues)`,
-    which solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has its own tangent, because the direction of a
-    stiff force can rotate within the step. Returns the new state, k, the iterations used, and whether
-    `done(changes, k)` held within `most`.
-    """
-    for i in range(1, most + 1):
-        places = [y + dt * combined(weights, k) for weights in method.matrix]
-        found = [linearise(t + node * dt, place) for node, place in zip(method.nodes, places, strict=True)]
-        changes = correct([tangent for _, tangent in found], [f - x for (f, _), x in zip(found, k, strict=True)])
-        k = [x + change for x, change in zip(k, changes, strict=True)]
-        if done(changes, k):
-            return y + dt * combined(method.matrix[-1], k), k, i, True
-    return y + dt * combined(method.matrix[-1], k), k, most, False
-
-
-def collocation_error(
-    method: Collocation, solve: Callable[[Any, State], State], first: State, k: list[State], dt: Any
-) -> State:
-    """Return an error estimate of a step from its rates, the one at the start first, damped in stiff directions.
-
-    `solve(s, r)` returns (I - s J)^-1 r with J the tangent at the start of the step. It is applied twice: a single
-    application bounds stiff components, but counts an offset of stiff springs, divided by s, as an error of velocities,
-    which the step damps.
-    """
-    s = method.gamma * dt
-    return solve(s, solve(s, dt * (method.gamma * first + combined(method.errors, k))))  # (IV.8.20), (IV.8.21)
-
-
 def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
     """Extrapolate the rates to the next step, `ratio` times as long, by the polynomial through the rates of the last
     step."""
@@ -573,7 +529,10 @@ def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
 def judged(
     order: int, numbers: Sequence[Any], step: Any, error: Any, where: Where = chosen
 ) -> tuple[Any, Any, Any, Any]:
-    """Return `Control.numbers` after a step, given its error over the tolerance, and whether the step is accepted.
+    """Return the numbers of step control after a step, given its error over the tolerance, and whether it is accepted.
+
+    The numbers are the proposed step [s], the error of the last accepted step over the tolerance, and whether the last
+    attempt was rejected.
 
     The controller is proportional-integral in the logarithm of the error. An accepted step that was cut to end at a
     given time does not shorten the next. A NaN error is rejected.
@@ -616,32 +575,3 @@ def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
     rate = change / before
     converged = where(before < math.inf, change * rate, change) <= CONVERGED * (1 - rate)
     return converged, where(converged, 0.0, where(rate < SLOW, 1.0, 0.0))
-
-
-class Control:
-    """Step sizes of one run, from one step to the next.
-
-    `numbers` hold the whole state and can be saved: the proposed step [s], the error of the last accepted step over the
-    tolerance, and whether the last attempt was rejected.
-    """
-
-    def __init__(self, order: int, dt: float, numbers: MutableSequence[float] | None = None):
-        self.order = order
-        """Order of the error estimate in the step: `estimate` + 1 of the method."""
-        self.numbers = [0.0] * 3 if numbers is None else numbers
-        self.numbers[:] = dt, LEAST_BEFORE, 0.0
-
-    @property
-    def dt(self) -> float:
-        """The proposed step [s]."""
-        return float(self.numbers[0])
-
-    def propose(self, left: float) -> float:
-        """Return the next step, given the time `left` up to the point where a step must end."""
-        return landing(self.dt, left)
-
-    def judge(self, dt: float, error: float) -> bool:
-        """Record a step dt with its error over the tolerance; return whether it is accepted."""
-        *numbers, accepted = judged(self.order, [float(x) for x in self.numbers], dt, error)
-        self.numbers[:] = numbers
-        return accepted

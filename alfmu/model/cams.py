@@ -25,12 +25,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .declaration import Declaration
 from .errors import DeclarationError
 from .parts import Marker, Scalar, symbolic
-from .relations import Mechanism, Places, Reading, Relation, Rim, circle, direction
+from .relations import Places, Reading, Relation, Rim, circle
 from .words import Brief, angle, shown
 
-__all__ = ["Cam", "Curve", "cam", "curve"]
+__all__ = ["Cam", "Curve", "check_follower", "curve"]
 
 _LOOK = 720
 """Number of directions at which a curve is checked [1]: two per degree."""
@@ -180,45 +181,7 @@ class Cam(Relation):
         return ca.atan2(dy, dx) - places.frame(self.first.body).angle
 
 
-def cam(
-    m: Mechanism,
-    name: str,
-    first: Marker,
-    second: Marker,
-    outline: Profile | None,
-    distance: Profile | None,
-    roller: Scalar | None,
-    face: Scalar | None,
-    defaults: tuple[ca.SX, ca.DM],
-) -> Cam:
-    """Return the cam of `Mechanism.cam`; the caller adds the `contact`. `defaults` are the parameters and their
-    values."""
-    what = f"cam {name}"
-    if first.body is second.body:
-        raise DeclarationError(f"{m.name}: {what} follows {first.body.name} itself; give a follower on another body")
-    if (outline is None) == (distance is None):
-        given = "neither an outline nor a distance" if outline is None else "an outline and a distance"
-        raise DeclarationError(f"{m.name}: {what} has {given}; give one of them")
-    if (roller is None) == (face is None):
-        given = "neither a roller nor a face" if roller is None else "a roller and a face"
-        raise DeclarationError(
-            f"{m.name}: {what} has {given}; give the radius of its roller, 0 for an edge, or its face"
-        )
-    radius = 0.0
-    if roller is not None:
-        roller = m._constant(f"the roller of {what}", roller, "m")
-        if (radius := m._at_defaults(f"the roller of {what}", roller)) < 0:
-            raise DeclarationError(f"{m.name}: the radius of the roller of {what} is {radius:g} m; give 0 or more")
-    normal = None
-    if face is not None:
-        face = m._constant(f"the face of {what}", face, "rad")
-        normal = face, *direction(face)
-    form = curve(m, what, outline if distance is None else distance, distance is None)
-    _check(m, what, form.samples(*defaults), distance is None, None if face is not None else radius)
-    return Cam(name, first, second, form, 0.0 if roller is None else roller, normal, None)
-
-
-def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
+def curve(m: Declaration, what: str, given: Any, outline: bool) -> Curve:
     """Return a closed curve made from a function or points; raise DeclarationError if it is invalid or does not
     close."""
     which = f"the {'outline' if outline else 'distance'} of {what}"
@@ -254,7 +217,7 @@ def curve(m: Mechanism, what: str, given: Any, outline: bool) -> Curve:
     return Curve(turn, ((cubic * along + square) * along + linear) * along + constant)
 
 
-def _of(m: Mechanism, which: str, given: Callable[[ca.SX], Any], turn: ca.SX) -> Any:
+def _of(m: Declaration, which: str, given: Callable[[ca.SX], Any], turn: ca.SX) -> Any:
     """Return the user's function evaluated at an angle."""
     try:
         return given(turn)
@@ -267,7 +230,7 @@ def _of(m: Mechanism, which: str, given: Callable[[ca.SX], Any], turn: ca.SX) ->
         ) from error
 
 
-def _points(m: Mechanism, which: str, given: Any, outline: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _points(m: Declaration, which: str, given: Any, outline: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return directions that rise by one turn, and lengths, from points (x, y) of an outline or pairs (angle,
     length)."""
     form = "(x, y) [m]" if outline else "(angle, length) [rad, m]"
@@ -312,7 +275,9 @@ def _points(m: Mechanism, which: str, given: Any, outline: bool) -> tuple[NDArra
     return np.append(turns, around), np.append(lengths, lengths[0])
 
 
-def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool, roller: float | None) -> None:
+def check_follower(
+    m: Declaration, what: str, samples: NDArray[np.float64], outline: bool, roller: float | None
+) -> None:
     """Raise DeclarationError if a follower does not fit its curve at the default parameters."""
     turns, lengths, slopes, bends = samples
     if not np.isfinite(samples).all() or lengths.min() <= 0:

@@ -380,8 +380,7 @@ class Declaration:
             raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
         if joint.coordinate is not None:
             what = f"the coordinate of {joint.name}, a {joint.kind},"
-            along = "m" if joint.kind == "prismatic" else "rad"
-            joint.coordinate = self._moving(what, joint.coordinate, along)
+            joint.coordinate = self._moving(what, joint.coordinate, next(iter(joint.freedoms.values()), "rad"))
             # The joint places a body that has no place yet, preferably the second one.
             target = second if not second.is_placed else first
             if target.is_placed:
@@ -523,14 +522,14 @@ class Declaration:
             raise DeclarationError(
                 f"{self.name}: {joint.name} is a {joint.kind} joint, which has several free motions; take {ways}"
             )
-        if joint.kind not in ("revolute", "prismatic", "screw"):
+        if joint.kind not in (*FREE, "screw"):
             raise DeclarationError(
                 f"{self.name}: {joint.name} is a {joint.kind}, which has no single free motion; "
                 "use force() or torque() on its bodies"
             )
         if joint.first.body not in self._owned:
             raise DeclarationError(f"{self.name}: {user} uses {joint.name}, a joint of another mechanism")
-        return "m" if joint.kind == "prismatic" else "rad"
+        return next(iter(joint.freedoms.values()))
 
     # What a number may be ---------------------------------------------------------------------------------------
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -21,6 +23,8 @@ __all__ = [
     "OpenError",
     "StepError",
     "WriteError",
+    "collected",
+    "needs",
 ]
 
 
@@ -84,3 +88,30 @@ class ExportError(AlfmuError):
 
 class OpenError(StepError):
     """A step failed because the constraints cannot be closed after it."""
+
+
+@contextmanager
+def collected() -> Iterator[list[str]]:
+    """Collect the warnings that alfmu logs within the block, by any thread, instead of showing them."""
+    said: list[str] = []
+
+    def take(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.WARNING:
+            said.append(record.getMessage())
+        return record.levelno < logging.WARNING
+
+    logger = logging.getLogger("alfmu")
+    logger.addFilter(take)
+    try:
+        yield said
+    finally:
+        logger.removeFilter(take)
+
+
+@contextmanager
+def needs(what: str, extra: str) -> Iterator[None]:
+    """Raise InputError if the block imports a missing package of an extra; `what` says who needs it."""
+    try:
+        yield
+    except ImportError:
+        raise InputError(f"{what}; install it with: pip install 'alfmu[{extra}]'") from None

@@ -323,7 +323,7 @@ class Forces(Couplings):
             load = self._quantity(f"the load of friction of {name}", load, EFFORTS[along], CONSTANT)
             self._not_negative(f"the load of friction of {name}", load, EFFORTS[along])
         if any(x is not None and each not in takes for each, x in given.items()) or (
-            joint.kind != "prismatic" and radius is None and load is None
+            along == "rad" and radius is None and load is None
         ):
             raise DeclarationError(f"{self.name}: dry friction of {name}: {text}")
         if static is None and stribeck is not None:

@@ -219,8 +219,10 @@ class Joints(Quantities):
 
         Output `<name>.force` [N] is positive when the rod pushes.
         """
-        length = self._moving(f"the length of {name}", self._length(f"the length of {name}", length, PLACE), "m")
+        what = f"the length of {name}"
+        length = self._length(what, length, PLACE)
         if isinstance(first, SpatialMarker) and isinstance(second, SpatialMarker):
+            length = self._moving(what, length, "m")
             return self._join_in_space(SpatialJoint(name, "distance", first, second, length=length))
         return self._join(Joint(name, "distance", first, second, length=length))  # type: ignore[arg-type]
 

@@ -181,7 +181,11 @@ class Kinematics:
         """Return the free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
         if isinstance(joint, SpatialJoint | SpatialFreedom):
             return joint.free
-        if joint.kind == "revolute":
+        return self.displacement(joint, next(iter(joint.freedoms)))
+
+    def displacement(self, joint: Joint, which: str) -> ca.SX:
+        """Return a free displacement of a joint in the plane, one of its `freedoms`."""
+        if which == "angle":
             return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
         x, y = self.way(joint.first, joint.second)
         ux, uy, _, _ = self.axes(joint)

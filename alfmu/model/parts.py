@@ -71,6 +71,15 @@ DIRECTIONS: dict[str, tuple[str, ...]] = {
 }
 """The relative displacements that each kind of joint suppresses, in the order of its constraint rows."""
 
+FREEDOMS: dict[str, dict[str, str]] = {
+    "revolute": {"angle": "rad"},
+    "prismatic": {"position": "m"},
+    "weld": {},
+    "point_on_line": {"position": "m", "angle": "rad"},
+    "distance": {},
+}
+"""The displacements along which each kind of joint is free, with their units; none for the swing of a rod."""
+
 CONSTANT = ("parameters",)
 LAW = (*CONSTANT, "time", "inputs")
 PLACE = (*CONSTANT, "coordinates", "time", "inputs")
@@ -293,6 +302,11 @@ class Joint(Brief):
     def directions(self) -> tuple[str, ...]:
         """The relative displacements that the joint suppresses."""
         return DIRECTIONS[self.kind]
+
+    @property
+    def freedoms(self) -> dict[str, str]:
+        """Its free displacements, with their units."""
+        return FREEDOMS[self.kind]
 
 
 AnyMarker = Marker | SpatialMarker

@@ -644,6 +644,11 @@ class SpatialFreedom(Brief):
         return "revolute" if self.joint.freedoms[self.which] == "rad" else "prismatic"
 
     @property
+    def freedoms(self) -> dict[str, str]:
+        """This free motion, with its unit."""
+        return {self.which: self.joint.freedoms[self.which]}
+
+    @property
     def driven_axis(self) -> Vector | None:
         """Direction of the motion in the frame of the second body; None if it is fixed on the first body alone."""
         return self.joint.axes[1] if self.which in ("angle", "angle2", "position") else None

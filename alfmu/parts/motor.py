@@ -96,7 +96,7 @@ def dc_motor(
     _check(m, name, joint, speed, inertia, gearbox)
     R = named(m, name, "resistance", resistance, "Ohm", "resistance", minimum=0.0)
     k = named(m, name, "constant", constant, "N.m/A", "torque per current, and voltage per speed,")
-    r, efficiency, damping = _geared(m, name, gearbox, joint)
+    r, efficiency, damping = _geared(m, name, gearbox)
     w = symbolic(0.0 if speed is None else speed) if joint is None else r * rate_of_joint(m, joint)
     instant = not isinstance(inductance, ca.SX) and inductance == 0
     if instant:
@@ -151,9 +151,7 @@ def _joints(m: Mechanism) -> tuple[Joint | SpatialJoint, ...]:
     return *m.joints, *m.spatial_joints
 
 
-def _geared(
-    m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | SpatialJoint | None
-) -> tuple[Scalar, Scalar, Scalar]:
+def _geared(m: Mechanism, name: str, gearbox: Gearbox) -> tuple[Scalar, Scalar, Scalar]:
     """Return ratio, efficiency and damping, as parameters if they differ from the defaults."""
     none, ratio, efficiency, damping = Gearbox(), gearbox.ratio, gearbox.efficiency, gearbox.damping
     if isinstance(ratio, ca.SX) or ratio != none.ratio:

@@ -31,7 +31,7 @@ from ..model.kept import once
 from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
-from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
+from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Run, Unit
 from .pipeline import derive, loaded, ready, retraced, with_brakes
 from .probe import mobility, shared
 
@@ -450,21 +450,11 @@ class Instance:
         places = [[self._references[name] for name in names] for names in (inputs, wanted)]
         self.time = float(times[0])
         self.initialize_with(dict(zip(inputs, table[0], strict=True)))
-        addresses = (x.ctypes.data for x in (times, table, values))
-        begin, rows, into = addresses
-        raised: list[BaseException] = []
-
-        def guarded(done: int) -> int:
-            try:
-                return int(progress is None or progress(done) is not False)
-            except BaseException as error:
-                raised.append(error)
-                return 0
-
-        callback = guarded if progress else None
-        made, outcome = self._unit.run(begin, len(times), places[0], rows, places[1], into, callback)
+        begin, rows, into = (x.ctypes.data for x in (times, table, values))
+        run = Run(begin, len(times), places[0], rows, places[1], into, progress)
+        made, outcome = self._unit.run(run)
         self._warn()
-        error = raised[0] if raised else None
+        error = run.raised[0] if run.raised else None
         if outcome not in (DONE, INTERRUPTED):
             error = self._failure(outcome, self.initialized)
         return values[:made], error

@@ -319,25 +319,19 @@ class Unit:
     def restore(self, state: bytes) -> int:
         return self.scene.library.alfmu_restore(self.address, state, len(state))
 
-    def run(
-        self,
-        times: int,
-        count: int,
-        inputs: Sequence[int],
-        table: int,
-        wanted: Sequence[int],
-        values: int,
-        progress: Callable[[int], int] | None = None,
-    ) -> tuple[int, int]:
-        """Run over communication points, with inputs and values by address; return the number of rows and
-        the outcome."""
-        run, outcome = Run(times, count, inputs, table, wanted, values, progress), c_int()
+    def run(self, run: Run) -> tuple[int, int]:
+        """Make a run; return the number of rows and the outcome."""
+        outcome = c_int()
         made = self.scene.library.alfmu_run(self.address, ctypes.byref(run.asked), ctypes.byref(outcome))
         return made, outcome.value
 
 
 class Run:
-    """Arguments of a run in one call: communication points, inputs and values by address, references."""
+    """Arguments of a run in one call: communication points, inputs and values by address, references.
+
+    `progress` is called after each communication step; the run ends when it returns False or raises. An error that it
+    raises is kept in `raised`.
+    """
 
     def __init__(
         self,
@@ -347,11 +341,21 @@ class Run:
         table: int,
         wanted: Sequence[int],
         values: int,
-        progress: Callable[[int], int] | None = None,
+        progress: Callable[[int], bool] | None = None,
     ):
+        self.raised: list[BaseException] = []
+        raised = self.raised
+
+        def guarded(done: int) -> int:
+            try:
+                return int(progress is None or progress(done) is not False)
+            except BaseException as error:
+                raised.append(error)
+                return 0
+
         columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
         places = [ctypes.cast(each, c_void_p) for each in (columns, read)]
-        callback = _Progress(progress) if progress else _Progress()
+        callback = _Progress(guarded) if progress else _Progress()
         self._kept = columns, read, callback
         self.asked: _Run = _Run(times, count, places[0], len(inputs), table, places[1], len(wanted), values, callback)
 

@@ -53,21 +53,9 @@ class Sweeps:
         self._inputs = len(inputs)
         self._directions = directions
         self._library = unit._scene.library
-        self._raised: list[BaseException] = []
-        raised = self._raised
-
-        def guarded(done: int) -> int:
-            try:
-                return int(progress is None or progress(done) is not False)
-            except BaseException as error:
-                raised.append(error)
-                return 0
-
         places = [[unit._references[name] for name in names] for names in (inputs, wanted)]
-        addresses = [x.ctypes.data for x in (self._times, self._table, self.values)]
-        self._run = Run(
-            addresses[0], len(times), places[0], addresses[1], places[1], addresses[2], guarded if progress else None
-        )
+        begin, rows, into = (x.ctypes.data for x in (self._times, self._table, self.values))
+        self._run = Run(begin, len(times), places[0], rows, places[1], into, progress)
         unit.time = float(times[0])
         unit._unit.run_on(False)
         self._address = self._library.alfmu_gradient_new(unit._unit.address, directions)
@@ -132,8 +120,8 @@ class Sweeps:
         """Raise the error that ended the run early; issue its warnings."""
         unit = self.unit
         unit._warn()
-        if self._raised:
-            raise self._raised.pop()
+        if self._run.raised:
+            raise self._run.raised.pop()
         if outcome == INTERRUPTED:
             raise KeyboardInterrupt
         if outcome == _NO_MEMORY:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..equations.interface import Counters
 from ..model.content import content
-from ..model.errors import InputError
+from ..model.errors import InputError, needs
 from ..model.files import atomic, write
 from ..model.hooks import handed_in
 from ..model.mechanism import Mechanism
@@ -186,10 +186,8 @@ class Result:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a pandas table with the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
-        try:
+        with needs("to_pandas() needs pandas", "pandas"):
             import pandas
-        except ImportError:
-            raise InputError("to_pandas() needs pandas; install it with: pip install 'alfmu[pandas]'") from None
         table = pandas.DataFrame(
             self.values, pandas.Index(self.time, name="time"), pandas.Index(self.names, dtype=object)
         )

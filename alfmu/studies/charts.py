@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import InputError
-from ..model.files import atomic
+from ..model.errors import needs
 from .tables import Row, measured, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Line", "Look", "Map", "maps", "require", "save", "scatter", "slope"]
+__all__ = ["Line", "Look", "Map", "maps", "require", "scatter", "slope"]
 
 PALE = 0.5
 """Share by which cells with a note are paler."""
@@ -47,17 +45,9 @@ class Line:
 
 def require() -> type[Figure]:
     """Return the class of figures; raise InputError if matplotlib is missing."""
-    try:
+    with needs("a picture needs matplotlib", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a picture needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     return Figure
-
-
-def save(drawn: Figure, path: Path, dpi: float) -> None:
-    """Write a figure as a PNG, reproducibly."""
-    with atomic(path) as file:
-        drawn.savefig(file, format="png", dpi=dpi, metadata={"Software": None})
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float | None:

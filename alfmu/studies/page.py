@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from markdown import markdown as to_html
 
-from ..model.errors import InputError
+from ..model.errors import needs
 from .charts import Map
 from .plots import Figure
 
@@ -34,10 +34,8 @@ _NUMBER = re.compile(r"<td([^>]*>-?[\d.]+e[-+]?\d+</td>)")
 
 def library() -> str:
     """Return plotly's script; raise InputError if plotly is missing."""
-    try:
+    with needs("a report needs plotly", "report"):
         from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise InputError("a report needs plotly; install it with: pip install 'alfmu[report]'") from None
     return get_plotlyjs()
 
 

@@ -22,11 +22,12 @@ from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import Counters
-from ..model.errors import InputError, StepError
+from ..model.errors import StepError, needs
 from ..model.settings import Settings
 from ..simulation import prepared
 from ..simulation.oracle import Instance
-from .charts import require, save
+from ..view.plot import save
+from .charts import require
 from .tables import Cell, Row, paragraph, shown, write_csv
 
 if TYPE_CHECKING:
@@ -221,10 +222,8 @@ def exact_state(th: float, w: float, m2: float) -> tuple[NDArray, NDArray]:
     The constraint matrix has the null space [1 0 -1 0 -2 0 2 0] away from singular positions; (9) bordered with it is
     regular, and its solution has least norm.
     """
-    try:
+    with needs("a reference in many digits needs mpmath", "bench"):
         import mpmath
-    except ImportError:
-        raise InputError("a reference in many digits needs mpmath; pip install 'alfmu[bench]' has it") from None
     with mpmath.workdps(DIGITS):
         th, w, m2, g, h = (mpmath.mpf(x) for x in (th, w, m2, GRAVITY, 0.5))
         c, s = mpmath.cos(th), mpmath.sin(th)
@@ -380,7 +379,7 @@ def figure_7(effort: Effort) -> Chapter:
         motion += [_motion_row(m2, name, r, th) for name, r in runs.items()]
         multipliers += [_multipliers_row(equations, m2, name, r, exact.multipliers(th, w)) for name, r in runs.items()]
         series.append(_figure_7_series(m2, times, th, exact.multipliers(th, w), runs))
-        _figure_7_plot(axes[:, column], m2, times, th, exact.multipliers(th, w), runs)
+        _figure_7_plot(axes[:, column], m2, times, th, runs)
     text = (
         "The five-bar with one redundant constraint starts at the singular position `th = 0` and falls under gravity, "
         "with `rk4` and corrections (10) after each step. `classic` is (8) as printed with the paper's penalty, "
@@ -488,9 +487,7 @@ def _only(r: Run, length: int) -> NDArray:
     return values
 
 
-def _figure_7_plot(
-    axes: Sequence[Axes], m2: float, times: NDArray, th: NDArray, lam: NDArray, runs: dict[str, Run]
-) -> None:
+def _figure_7_plot(axes: Sequence[Axes], m2: float, times: NDArray, th: NDArray, runs: dict[str, Run]) -> None:
     axes[0].set_title(f"m2 = {m2:g} kg", loc="right", fontweight="bold")
     axes[0].plot(times, th, color=COLOURS["reference"], lw=3, alpha=0.4, label="exact")
     for name, r in runs.items():

@@ -34,6 +34,7 @@ from ..runtime import Instance
 from ..runtime.build import compiler
 from ..simulation import communication_points, instance, prepared, with_defaults
 from ..view.picture import animate
+from ..view.plot import save
 from . import cases, paper, peers
 from . import reference as exact
 from . import stability as maps
@@ -59,7 +60,7 @@ from .cases import (
     run,
     scene,
 )
-from .charts import save, scatter, slope
+from .charts import scatter, slope
 from .cost import cost, left_out
 from .looks import LOOKS, integrator, line_of
 from .page import Page, library

@@ -22,6 +22,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..simulation import prepared
+from ..view.plot import save
 from . import cases
 from . import reference as exact
 from .cases import (
@@ -38,7 +39,7 @@ from .cases import (
     run,
     scene,
 )
-from .charts import Map, maps, save
+from .charts import Map, maps
 from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 
 __all__ = ["CLASSES", "CRITERIA", "Effort", "left_out", "maps_of", "stability"]

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from ..model.errors import InputError, WriteError
+from ..model.errors import InputError, WriteError, needs
 from .jobs import Job, NeedsBrakes, Part, begin, lost, run_part
 from .parts import Store, kept
 from .variations import Cases
@@ -193,10 +193,8 @@ def cluster(address: str) -> Cluster:
 
     Raises InputError if it is unreachable. Needs `alfmu[sweep]`, here and on the workers.
     """
-    try:
+    with needs("a cluster needs distributed", "sweep"):
         import distributed
-    except ImportError:
-        raise InputError("a cluster needs distributed; install it with: pip install 'alfmu[sweep]'") from None
     try:
         client = distributed.Client(address, timeout=WAIT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:

@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 from ..catalogue.registry import load
 from ..equations import Equations
 from ..kernel import DEFAULT
-from ..model.errors import InputError
+from ..model.errors import InputError, needs
 from ..model.mechanism import Mechanism
 from ..runtime.batch import Batch
 from ..runtime.pipeline import derive
 from ..view.picture import draw, view_of
 from ..view.shapes import geometry
 
-try:
+with needs("an environment needs Gymnasium", "gym"):
     import gymnasium
     from gymnasium import spaces
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
-except ImportError:
-    raise InputError("an environment needs Gymnasium; install it with: pip install 'alfmu[gym]'") from None
 
 __all__ = ["Environment", "VectorEnvironment"]
 

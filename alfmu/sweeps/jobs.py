@@ -7,20 +7,19 @@ from __future__ import annotations
 
 import atexit
 import ctypes
-import logging
 import os
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import AlfmuError
+from ..model.errors import AlfmuError, collected
 from ..runtime.library import BRAKES, DONE, REFUSED, Run, Scene, Unit
 from ..runtime.shipped import installed, lane_flags
 from .measures import Measure, measured
@@ -341,7 +340,7 @@ class _FmuRunner:
 
     def runs(self, values: Table, seconds: float) -> Iterator[list[Ran]]:
         for each in values:
-            with _ONE_AT_A_TIME, _heard() as said:
+            with _ONE_AT_A_TIME, collected() as said:
                 rows, failure = self._run(each)
             yield [Ran(rows, failure, "\n".join(text for text in dict.fromkeys(said) if text != failure))]
 
@@ -384,29 +383,6 @@ class _FmuRunner:
         atexit.unregister(self.close)
         self._drop()
         self.files.close()
-
-
-class _Ear(logging.Handler):
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.said: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.said.append(record.getMessage())
-
-
-@contextmanager
-def _heard() -> Iterator[list[str]]:
-    """Collect the library's warnings of a run instead of showing them."""
-    logger, ear = logging.getLogger("alfmu"), _Ear()
-    before = logger.propagate
-    logger.addHandler(ear)
-    logger.propagate = False
-    try:
-        yield ear.said
-    finally:
-        logger.removeHandler(ear)
-        logger.propagate = before
 
 
 # Processes -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import InputError
+from ..model.errors import InputError, needs
 from ..model.files import write
 from ..model.words import there_is
 from .parts import FORMS, Folder, Plan, Store, read_plan
@@ -118,10 +118,8 @@ class Sweep:
 
         Needs `alfmu[pandas]`.
         """
-        try:
+        with needs("to_pandas() needs pandas", "pandas"):
             import pandas
-        except ImportError:
-            raise InputError("to_pandas() needs pandas; install it with: pip install 'alfmu[pandas]'") from None
         table = pandas.DataFrame(self._store.columns(self.names))
         table["case"] = table["case"].astype(int)
         table = table.set_index("case")

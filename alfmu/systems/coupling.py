@@ -229,7 +229,7 @@ def couple(
             return _run(system, mono, master, step, reference, finest, limits or {})[0].error <= FAR
 
         good = [case.step for case in cases if case.master == master and case.error <= FAR]
-        stable[master] = _largest(fine, max(good, default=0.0), system.stop_time, finest)
+        stable[master] = _largest(fine, max(good, default=0.0), system.stop_time)
     said = {master: str(error) for master, error in refused.items()}
     return Coupling(system.name, dict(mono.compare), cases, stable, inexact, [bond.name for bond in bonds], said)
 
@@ -315,7 +315,7 @@ def _run(
     return Case(master, step, worst, errors, energy, passed, tries, time.perf_counter() - began, why, at, made), bonds
 
 
-def _largest(fine: Callable[[float], bool], good: float, span: float, finest: float) -> tuple[float, bool]:
+def _largest(fine: Callable[[float], bool], good: float, span: float) -> tuple[float, bool]:
     """Return the largest stable step, up to a quarter of the run, and whether a longer one was unstable."""
     most = span / 4
     if not good:

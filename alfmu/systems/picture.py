@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import InputError
+from ..model.errors import needs
 from ..view.plot import COLORS
 from .case import Case
 
@@ -27,10 +27,8 @@ def figure(
 
     Raises InputError if matplotlib is missing.
     """
-    try:
+    with needs("a plot needs matplotlib", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     drawn = Figure(figsize=(9.6, 4.2), layout="constrained")
     title = f"{name.replace('_', ' ')}: cost of coupling"
     drawn.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")

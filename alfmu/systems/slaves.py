@@ -35,10 +35,18 @@ class Slave(ABC):
 
     name: str
     ports: dict[str, Port]
-    interpolates: bool
-    """Whether its inputs may change linearly within a step."""
-    rewinds: bool
-    """Whether its state can be saved and restored."""
+    unit: Instance | Fmu
+    """The mechanism or FMU that runs; another one after `begin` of a mechanism."""
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether its inputs may change linearly within a step."""
+        return isinstance(self.unit, Instance) or self.unit.interpolates
+
+    @property
+    def rewinds(self) -> bool:
+        """Whether its state can be saved and restored."""
+        return isinstance(self.unit, Instance) or self.unit.rewinds
 
     @property
     def inputs(self) -> list[Port]:
@@ -53,29 +61,29 @@ class Slave(ABC):
     def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
         """Restart with these inputs."""
 
-    @abstractmethod
     def set(self, name: str, value: float) -> None:
         """Set an input."""
+        self.unit.set(name, value)
 
-    @abstractmethod
     def slope(self, name: str, rate: float) -> None:
         """Set the rate of change of an input in the next step, per second."""
+        self.unit.slope(name, rate)
 
-    @abstractmethod
-    def step(self, communication_step: float, time: float) -> None: ...
+    def step(self, communication_step: float, time: float) -> None:
+        self.unit.step(communication_step, time)
 
-    @abstractmethod
-    def read(self) -> NDArray[np.float64]: ...
+    def read(self) -> NDArray[np.float64]:
+        return self.unit.read()
 
-    @abstractmethod
     def get(self, name: str) -> float:
         """Return the value of an input."""
+        return float(self.unit.read_inputs()[[v.name for v in self.unit.input_variables].index(name)])
 
-    @abstractmethod
-    def save(self) -> bytes: ...
+    def save(self) -> bytes:
+        return self.unit.save()
 
-    @abstractmethod
-    def restore(self, state: bytes) -> None: ...
+    def restore(self, state: bytes) -> None:
+        self.unit.restore(state)
 
     @abstractmethod
     def close(self) -> None:
@@ -87,8 +95,7 @@ class Local(Slave):
 
     def __init__(self, name: str, equations: Equations):
         self.name, self._equations = name, equations
-        self._instance = i = Instance(equations)
-        self.interpolates = self.rewinds = True
+        self.unit = i = Instance(equations)
         real = frozenset(v.name for v in i.input_variables if v.type == "Real")
         self.ports = {}
         for kind, variables in (("parameter", i.parameters), ("input", i.input_variables), ("output", i.outputs)):
@@ -98,30 +105,9 @@ class Local(Slave):
                 self.ports[v.name] = Port(v.name, kind, v.type, unit, measure(unit), v.description, follows)
 
     def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
-        self._instance = Instance(self._equations)
-        self._instance.time = start_time
-        self._instance.initialize_with(inputs)
-
-    def set(self, name: str, value: float) -> None:
-        self._instance.set(name, value)
-
-    def slope(self, name: str, rate: float) -> None:
-        self._instance.slope(name, rate)
-
-    def step(self, communication_step: float, time: float) -> None:
-        self._instance.step(communication_step, time)
-
-    def read(self) -> NDArray[np.float64]:
-        return self._instance.read()
-
-    def get(self, name: str) -> float:
-        return float(self._instance.get(name))
-
-    def save(self) -> bytes:
-        return self._instance.save()
-
-    def restore(self, state: bytes) -> None:
-        self._instance.restore(state)
+        self.unit = Instance(self._equations)
+        self.unit.time = start_time
+        self.unit.initialize_with(inputs)
 
     def close(self) -> None:
         """Do nothing: an instance frees itself."""
@@ -132,8 +118,7 @@ class Remote(Slave):
 
     def __init__(self, name: str, path: Path, parameters: Mapping[str, float | str], stated: Mapping[str, str]):
         self.name, self._parameters = name, dict(parameters)
-        self._fmu = fmu = Fmu(path)
-        self.interpolates, self.rewinds = fmu.interpolates, fmu.rewinds
+        self.unit = self._fmu = fmu = Fmu(path)
         units: dict[str, Measure] = {}
         for each in fmu.description.unitDefinitions:
             if (base := each.baseUnit) is not None and each.name:
@@ -179,27 +164,6 @@ class Remote(Slave):
         for name, value in {**self._parameters, **inputs}.items():
             self._fmu.set(name, value)
         self._fmu.initialize(start_time)
-
-    def set(self, name: str, value: float) -> None:
-        self._fmu.set(name, value)
-
-    def slope(self, name: str, rate: float) -> None:
-        self._fmu.slope(name, rate)
-
-    def step(self, communication_step: float, time: float) -> None:
-        self._fmu.step(communication_step, time)
-
-    def read(self) -> NDArray[np.float64]:
-        return self._fmu.read()
-
-    def get(self, name: str) -> float:
-        return float(self._fmu.read_inputs()[[v.name for v in self._fmu.input_variables].index(name)])
-
-    def save(self) -> bytes:
-        return self._fmu.save()
-
-    def restore(self, state: bytes) -> None:
-        self._fmu.restore(state)
 
     def close(self) -> None:
         self._fmu.close()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import InputError
+from ..model.errors import needs
 from .plot import COLORS
 
 if TYPE_CHECKING:
@@ -26,10 +26,8 @@ def figure(values: Sequence[NDArray[np.complex128]], times: Sequence[float], nam
 
     The unstable half plane is shaded; dotted lines show damping ratios. Raises InputError if matplotlib is missing.
     """
-    try:
+    with needs("a plot needs matplotlib", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     drawn = Figure(figsize=(5.6, 4.6), layout="constrained")
     drawn.suptitle(name.replace("_", " "), x=0.01, ha="left", fontsize=11, fontweight="bold")
     axes = drawn.subplots()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import InputError
+from ..model.errors import needs
 from ..simulation.result import Result
 from .plot import COLORS
 
@@ -25,10 +25,8 @@ def figure(data: Result, result: Result, names: Sequence[str]) -> Figure:
 
     Raises InputError if matplotlib is missing.
     """
-    try:
+    with needs("a plot needs matplotlib", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     shown = list(names)[:MOST]
     drawn = Figure(figsize=(7.2, 0.7 + 2.6 * len(shown)), layout="constrained")
     drawn.suptitle(f"{result.mechanism.replace('_', ' ')}: fit", x=0.01, ha="left", fontsize=11, fontweight="bold")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import InputError
+from ..model.errors import InputError, needs
 from ..model.files import atomic
 from ..model.words import some_like
 from ..simulation.result import Result
@@ -142,10 +142,8 @@ def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
     with the same values share a line. Raises InputError if no column matches one of `names`, or if matplotlib is
     missing.
     """
-    try:
+    with needs("a plot needs matplotlib", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     if names is None:
         panels, caption = _chosen(result)
     else:

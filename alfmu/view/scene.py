@@ -295,11 +295,12 @@ def _knots(shapes: Shapes) -> list[_Knot]:
     """Return hinges, welds and pins, with those at a common point merged."""
     knots: dict[int, _Knot] = {}
     found: dict[Anchor, int] = {}
+    guided = {guide.name for guide in shapes.guides}
     for i, joint in enumerate(shapes.joints):
         if joint.kind in ("prismatic", "distance"):
             continue
         knot = _Knot((joint.name,) if joint.name else (), joint.kind, (joint.first, joint.second))
-        if joint.kind == "point_on_line":  # its guide has the label
+        if joint.name in guided:  # its guide has the label
             knot = _Knot((), joint.kind, (joint.second,))
         for k in sorted({found[at] for at in knot.anchors if at in found}):
             other = knots.pop(k)

@@ -45,9 +45,6 @@ class Anchor:
     y: float
 
 
-ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
-
-
 @dataclass(frozen=True)
 class Link:
     """A body: the points of its joints, springs and ends, at least one, from its centre of mass [m].
@@ -263,7 +260,7 @@ def _in_plane(
     drawn = {j: ends for j in m.joints if (ends := ends_of(m, j)) is not None}
     joints = tuple(Hinge(j.name, j.kind, *map(anchor, ends)) for j, ends in drawn.items())
     joints += tuple(_pins(m, joints, anchor, number))
-    guided = [j for j in drawn if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
+    guided = [j for j in drawn if "position" in j.freedoms and not _telescopes(j)]
     guides = tuple(_guide(j, anchor, number) for j in guided)
     ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
     for spring in m.springs:

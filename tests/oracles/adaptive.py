@@ -6,7 +6,7 @@ The rules are those of `alfmu.method`; their loops stop on convergence here, and
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, MutableSequence
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,19 @@ from alfmu.method import singular as branch
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import (
     EXPLICIT5_SHORT,
+    LEAST_BEFORE,
     LOOSER,
     SHORTEST,
     STEADY,
     Collocation,
-    Control,
     Explicit,
-    collocation,
-    collocation_error,
+    State,
     combined,
     continued,
     explicit,
     explicit_rule,
+    judged,
+    landing,
     rule_beside,
     share,
 )
@@ -40,7 +41,7 @@ from alfmu.model.errors import StepError
 from alfmu.model.settings import FIXED
 from alfmu.simulation.oracle import Instance
 
-__all__ = ["Adaptive", "by_method"]
+__all__ = ["Adaptive", "Control", "by_method", "collocation", "collocation_error"]
 
 NEWTON = 8
 """Most iterations of Newton's method in a step."""
@@ -50,6 +51,77 @@ CONVERGED = 0.01
 
 RETURNS = 4
 """Passes of the derivative of the return to the branch."""
+
+
+def collocation(
+    method: Collocation,
+    linearise: Callable[[Any, State], tuple[State, Any]],
+    correct: Callable[[list, list[State]], list[State]],
+    t: Any,
+    y: State,
+    dt: Any,
+    k: list[State],
+    most: int,
+    done: Callable[[list[State], list[State]], bool],
+) -> tuple[State, list[State], int, bool]:
+    """Return one step from y at t to t + dt by Newton's method, from a guess k of the rates at the nodes.
+
+    `linearise` returns the rate at a time and state, and the data of its tangent J for `correct(tangents, residues)`,
+    which solves x_i - dt J_i sum_j matrix_ij x_j = residue_i. Each node has its own tangent, because the direction of a
+    stiff force can rotate within the step. Returns the new state, k, the iterations used, and whether
+    `done(changes, k)` held within `most`.
+    """
+    for i in range(1, most + 1):
+        places = [y + dt * combined(weights, k) for weights in method.matrix]
+        found = [linearise(t + node * dt, place) for node, place in zip(method.nodes, places, strict=True)]
+        changes = correct([tangent for _, tangent in found], [f - x for (f, _), x in zip(found, k, strict=True)])
+        k = [x + change for x, change in zip(k, changes, strict=True)]
+        if done(changes, k):
+            return y + dt * combined(method.matrix[-1], k), k, i, True
+    return y + dt * combined(method.matrix[-1], k), k, most, False
+
+
+def collocation_error(
+    method: Collocation, solve: Callable[[Any, State], State], first: State, k: list[State], dt: Any
+) -> State:
+    """Return an error estimate of a step from its rates, the one at the start first, damped in stiff directions.
+
+    `solve(s, r)` returns (I - s J)^-1 r with J the tangent at the start of the step. It is applied twice: a single
+    application bounds stiff components, but counts an offset of stiff springs, divided by s, as an error of velocities,
+    which the step damps.
+    """
+    s = method.gamma * dt
+    return solve(s, solve(s, dt * (method.gamma * first + combined(method.errors, k))))  # (IV.8.20), (IV.8.21)
+
+
+class Control:
+    """Step sizes of one run, from one step to the next.
+
+    `numbers` hold the whole state and can be saved: the proposed step [s], the error of the last accepted step over the
+    tolerance, and whether the last attempt was rejected.
+    """
+
+    def __init__(self, order: int, dt: float, numbers: MutableSequence[float] | None = None):
+        self.order = order
+        """Order of the error estimate in the step: `estimate` + 1 of the method."""
+        self.numbers = [0.0] * 3 if numbers is None else numbers
+        self.numbers[:] = dt, LEAST_BEFORE, 0.0
+
+    @property
+    def dt(self) -> float:
+        """The proposed step [s]."""
+        return float(self.numbers[0])
+
+    def propose(self, left: float) -> float:
+        """Return the next step, given the time `left` up to the point where a step must end."""
+        return landing(self.dt, left)
+
+    def judge(self, dt: float, error: float) -> bool:
+        """Record a step dt with its error over the tolerance; return whether it is accepted."""
+        *numbers, accepted = judged(self.order, [float(x) for x in self.numbers], dt, error)
+        self.numbers[:] = numbers
+        return accepted
+
 
 Rule = Explicit | Collocation | implicit.Newmark
 

@@ -5,11 +5,10 @@
 
 #include "instance.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_MOVING_INPUTS
+#ifndef WITHOUT_MOVING_INPUTS
 /* The points of an input: their number, the order of their derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 

@@ -14,7 +14,6 @@
 
 #include "instance.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
@@ -59,7 +58,7 @@ typedef struct Tape Tape;
 /* Words of a correction. Numbers: arguments of closure (and constraints), weights of rows and columns, x, lam; part. */
 enum { PLACE_Q, PLACE_P, PLACE_STARTS, PLACE_V, PLACE_RATES, PLACE_COUNT };
 
-#if HAS_DERIVATIVES
+#ifndef WITHOUT_DERIVATIVES
 Tape *tape_new(void);
 void tape_free(Tape *t);
 size_t tape_bytes(const Tape *t);

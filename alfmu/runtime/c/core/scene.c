@@ -12,7 +12,6 @@
 #include <string.h>
 
 #include "layout.h"
-#include "scene_features.h"
 #include "scene_functions.h"
 #include "scene_programs.h"
 #include "scene_reader.h"
@@ -103,22 +102,41 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
     return sum;
 }
 
-/* Check that this library has the features that the scene needs; it may be built for one scene. */
+/* Check that this library has the features that the scene needs; one built for a scene leaves out others. */
 static void check_features(Reader *r)
 {
-    const Scene *s = r->scene;
     const struct {
-        int has, needed;
+        int needed;
         const char *what;
-    } features[] = {{HAS_FRICTION, s->frictions, "dry friction"},
-        {HAS_MOVING_INPUTS, s->followed_count, "inputs that prescribe motion"},
-        {HAS_SWITCHES, s->switches, "Boolean inputs"}, {HAS_BREAKS, s->break_count, "forces that jump"},
-        {HAS_LAWS, s->leap_count, "laws of motion"}, {HAS_PEAKS, s->peaks, "peaks"},
-        {HAS_ERROR_CONTROL, s->method, "this solver.method"},
-        {HAS_INTERFACE_JACOBIAN, s->entries, "an interface Jacobian"}};
-    for (size_t k = 0; k < sizeof features / sizeof *features; k++)
-        if (features[k].needed && !features[k].has)
-            reader_spoil(r, "this library was compiled for a scene without %s", features[k].what);
+    } absent[] = {
+#ifdef WITHOUT_FRICTION
+        {r->scene->frictions, "dry friction"},
+#endif
+#ifdef WITHOUT_MOVING_INPUTS
+        {r->scene->followed_count, "inputs that prescribe motion"},
+#endif
+#ifdef WITHOUT_SWITCHES
+        {r->scene->switches, "Boolean inputs"},
+#endif
+#ifdef WITHOUT_BREAKS
+        {r->scene->break_count, "forces that jump"},
+#endif
+#ifdef WITHOUT_LAWS
+        {r->scene->leap_count, "laws of motion"},
+#endif
+#ifdef WITHOUT_PEAKS
+        {r->scene->peaks, "peaks"},
+#endif
+#ifdef WITHOUT_ERROR_CONTROL
+        {r->scene->method, "this solver.method"},
+#endif
+#ifdef WITHOUT_INTERFACE_JACOBIAN
+        {r->scene->entries, "an interface Jacobian"},
+#endif
+        {0, ""}};
+    for (size_t k = 0; k < sizeof absent / sizeof *absent; k++)
+        if (absent[k].needed)
+            reader_spoil(r, "this library was compiled for a scene without %s", absent[k].what);
 }
 
 static void read_body(Reader *r)

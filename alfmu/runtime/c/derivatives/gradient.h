@@ -10,11 +10,10 @@
 #include "lanes.h"
 #include "record.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_DERIVATIVES
+#ifndef WITHOUT_DERIVATIVES
 /* A function as runs of equal operations on registers, with loops unrolled. */
 typedef struct {
     int32_t kind, count, result;

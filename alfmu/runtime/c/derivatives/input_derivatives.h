@@ -5,11 +5,10 @@
 
 #include "gradient.h"
 #include "record.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_MOVING_INPUTS
+#ifndef WITHOUT_MOVING_INPUTS
 void aimed_tangents(Gradient *g, const Entry *e);
 void aimed_adjoints(Gradient *g, const Entry *e);
 #else

@@ -4,11 +4,10 @@
 #define ALFMU_INTERFACE_JACOBIAN_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_INTERFACE_JACOBIAN
+#ifndef WITHOUT_INTERFACE_JACOBIAN
 Outcome jacobian_begin(Instance *i);
 void jacobian_along(Instance *i);
 Outcome jacobian_end(Instance *i);

@@ -6,7 +6,6 @@
 #include <stddef.h>
 
 #include "component.h"
-#include "scene_features.h"
 #include "text.h"
 
 #include "internal_begin.h"
@@ -23,7 +22,7 @@ typedef struct {
 
 #define CO_SIMULATION "it supports co-simulation only"
 
-#if HAS_MODEL_EXCHANGE
+#ifndef WITHOUT_MODEL_EXCHANGE
 /* Make a new component one of Model Exchange; NULL, and the reason in `why`, if its scene is for co-simulation only. */
 Component *exchange_instance(Component *c, char *why, size_t why_size);
 

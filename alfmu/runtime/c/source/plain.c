@@ -43,7 +43,7 @@ double NAME_get(NAME *m, int variable)
     return instance_get(instance_of(m), variable);
 }
 
-#if HAS_START
+#ifndef WITHOUT_START
 int NAME_start(NAME *m, double time)
 {
     Instance *i = instance_of(m);

@@ -4,11 +4,10 @@
 #define ALFMU_ADAPTIVE_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_ERROR_CONTROL
+#ifndef WITHOUT_ERROR_CONTROL
 int step_adaptive(Instance *i, double end, long tries);
 #else
 static inline int step_adaptive(Instance *i, double end, long tries) { return (void)i, (void)end, (void)tries, 0; }

@@ -7,14 +7,13 @@
 
 #include "instance.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
 /* Most breaks in a communication step. */
 #define MOST_BREAKS 4096
 
-#if HAS_BREAKS
+#ifndef WITHOUT_BREAKS
 size_t breaks_room(const Scene *s);
 Outcome breaks_found(Instance *i, double begin, double end);
 #else

@@ -8,7 +8,6 @@
 #include "instance.h"
 #include "outputs.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
@@ -16,7 +15,7 @@
    the next event from BEHIND on. */
 enum { FROM, UNTIL, BEHIND, EXCHANGE_TIMES };
 
-#if HAS_MODEL_EXCHANGE
+#ifndef WITHOUT_MODEL_EXCHANGE
 /* Evaluate outputs and rates at the states of the importer, or after a communication step. */
 Outcome exchange_read(Instance *i);
 

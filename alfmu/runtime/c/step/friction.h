@@ -4,11 +4,10 @@
 #define ALFMU_FRICTION_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_FRICTION
+#ifndef WITHOUT_FRICTION
 double *friction_slip(const Instance *i, int k);
 int friction_count_sticking(const Instance *i);
 void friction_reset(Instance *i);

@@ -4,11 +4,10 @@
 #define ALFMU_FRICTION_EVENTS_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_FRICTION
+#ifndef WITHOUT_FRICTION
 void friction_distances(Instance *i, double *found);
 Outcome friction_cover(Instance *i, double start, double h, double dt);
 #else

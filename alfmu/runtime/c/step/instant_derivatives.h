@@ -8,11 +8,10 @@
 #include "instance.h"
 #include "message.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_DERIVATIVES
+#ifndef WITHOUT_DERIVATIVES
 /* Differentiate outputs with respect to inputs and, before the run, to parameters and start values: along a direction
    of the knowns, or backwards for weights of the unknowns. */
 int variable_has_derivatives(const Scene *s, int reference);

@@ -7,11 +7,10 @@
 
 #include "instance.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_LAWS
+#ifndef WITHOUT_LAWS
 size_t laws_room(const Scene *s);
 Outcome laws_checked(Instance *i, double end);
 Outcome laws_begun(Instance *i, Outcome outcome);

@@ -7,11 +7,10 @@
 
 #include "instance.h"
 #include "scene.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_PEAKS
+#ifndef WITHOUT_PEAKS
 size_t peaks_room(const Scene *s);
 void peaks_broken(Instance *i);
 void peaks_begin(Instance *i);

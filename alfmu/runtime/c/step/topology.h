@@ -4,11 +4,10 @@
 #define ALFMU_TOPOLOGY_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_SWITCHES
+#ifndef WITHOUT_SWITCHES
 Outcome topology_change(Instance *i, const double *on);
 Outcome topology_take_effect(Instance *i);
 #else

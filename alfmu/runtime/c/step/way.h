@@ -4,11 +4,10 @@
 #define ALFMU_WAY_H
 
 #include "instance.h"
-#include "scene_features.h"
 
 #include "internal_begin.h"
 
-#if HAS_LIMITS
+#ifndef WITHOUT_LIMITS
 void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v);
 void way_update(Instance *i);
 #else
