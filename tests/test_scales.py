@@ -403,8 +403,25 @@ def motors(off: float) -> Mechanism:
     return m
 
 
+def balance(off: float) -> Mechanism:
+    """Two beams on a column, and a hanger at either side; the lower pivot is a little high, so that the loops close
+    exactly only where the beams stand upright."""
+    m = Mechanism("balance")
+    th = m.coordinate("th", "rad", start=0.3, independent=True)
+    top, lower = (m.bar(name, mass=1.0, length=1.2) for name in ("top", "lower"))
+    m.revolute("A", m.ground.at(0, 0.5), top.at(0.6), coordinate=th)
+    m.revolute("D", m.ground.at(0, off), lower.at(0.6), coordinate=m.coordinate("low", start=0.3))
+    for side, place, mass in (("left", 0.0, 2.0), ("right", 1.2, 2.2)):
+        hanger = m.bar(side, mass=mass, length=0.5)
+        turn = m.coordinate(f"{side}_turn", start=-0.3 - np.pi / 2)
+        m.revolute(f"{side}_top", top.at(place), hanger.start, coordinate=turn)
+        m.revolute(f"{side}_end", hanger.end, lower.at(place))
+    m.gravity(0, -9.81)
+    return m
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("make", "named"), [(rods, "rod2"), (motors, "rod")])
+@pytest.mark.parametrize(("make", "named"), [(rods, "rod2"), (motors, "rod"), (balance, "left_end")])
 @pytest.mark.parametrize("off", [1e-6, 1e-9, 1e-12])
 def test_constraints_that_contradict_each_other_are_named_at_the_start(make, named, off):
     with pytest.raises(alfmu.AlfmuError, match=rf"(contradict each other|cannot be closed|no motion).*{named}") as said:

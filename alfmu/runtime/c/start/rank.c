@@ -163,7 +163,11 @@ static int rank_freedom_near(Instance *i, const double *q, const unsigned char *
             for (int c = 0; c < s->n; c++)
                 near[c] -= dq[c];
         }
-        if (linear_largest(phi, s->l) < 1e-9 && (found = many ? count_rank_of_many(i, &J) : count_rank(i, C)) > rank) {
+        for (int c = 0; c < s->n; c++)
+            dq[c] = (near[c] - q[c]) / (coordinate_is_length(s, c) ? *i->length : 1.0);
+        /* Contradictory constraints may close at places far away alone. */
+        if (linear_largest(phi, s->l) < 1e-9 && linear_norm(dq, s->n) < 3.0 * size * sqrt(s->n)
+            && (found = many ? count_rank_of_many(i, &J) : count_rank(i, C)) > rank) {
             rank = found;
             memcpy(place, near, n * sizeof *near);
         }
