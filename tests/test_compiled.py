@@ -160,7 +160,9 @@ def warnings(command: list[str], files: Mapping[str, str], folder: Path) -> str:
 def test_the_c_is_free_of_warnings(name, options, command, tmp_path):
     e = prepared(derived(name, **options) if name == "five_bar" else by_rk4(name, **options))
     files = {f"{i}.c": text for i, text in enumerate(machine_code(complete(e), packed(e)))}
+    files |= {header.name: header.read_text(encoding="ascii") for header in build.HEADERS}
     assert warnings(command, files, tmp_path) == ""
+    assert warnings([*command, *shipped.lane_flags(), "-Wno-psabi"], files, tmp_path) == ""
 
 
 @pytest.mark.slow

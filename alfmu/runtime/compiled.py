@@ -19,7 +19,7 @@ from ..model.files import scratch
 from .build import compiler
 from .stored import software
 
-__all__ = ["FLAGS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
+__all__ = ["FLAGS", "HEADERS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
@@ -27,11 +27,9 @@ FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 _LANES = ("-fno-trapping-math", "-Wno-psabi")
 """Further flags of functions in lanes, whose choices become vectors without branches."""
 
-_BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
-"""Header included first, so that compiled scenes run wherever the runtime does."""
-
-_SINE_COSINE = _BASELINE.with_name("sine_cosine.h")
-"""Header of the functions of angles, which gives the numbers of the interpreter."""
+HEADERS = [Path(__file__).parent / "c" / "core" / name for name in ("baseline.h", "sine_cosine.h")]
+"""The header that is included first, so that compiled scenes run wherever the runtime does, and the one of sines and
+cosines, which are those of the interpreter."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Suffix of shared libraries on this system."""
@@ -61,8 +59,8 @@ def _built(scene: str, command: list[str], files: list[str], name: str, lanes: S
     # nothing, but for vectors: without it, calls of the C library take ten times as long after them.
     usual = "-O2" if len(files) == 1 or lanes else "-O1"
     level = [x for x in command if x.startswith("-O")] or [usual]
-    flags = [*level, *FLAGS, *lanes, *_LANES * bool(lanes), "-include", _BASELINE.name]
-    named = {header.name: header.read_text(encoding="ascii") for header in (_BASELINE, _SINE_COSINE)}
+    flags = [*level, *FLAGS, *lanes, *_LANES * bool(lanes), "-include", HEADERS[0].name]
+    named = {header.name: header.read_text(encoding="ascii") for header in HEADERS}
     named |= {f"kernel{i}.c": text for i, text in enumerate(files)}
     return build(scene, [*command, *flags], named, name, SUFFIX, "use --kernel vm")
 
