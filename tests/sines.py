@@ -1,12 +1,14 @@
-"""The runtime's sine and cosine, compiled from its header, to be called on arrays."""
+"""The runtime's sine and cosine, compiled from its header, and functions of CasADi with them."""
 
 import ctypes
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
@@ -52,3 +54,22 @@ def sine_cosine(angles: ArrayLike, how: str = "alone") -> NDArray[np.float64]:
     made = np.empty((2, len(x)))
     getattr(compiled(), how)(*(ctypes.c_void_p(a.ctypes.data) for a in (x, *made)), len(x))
     return made
+
+
+def by_instructions(f: ca.Function, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Nonzeros of the results of a function: each instruction by CasADi, but sines and cosines by the runtime."""
+    numbers, results = [0.0] * f.sz_w(), [np.zeros(f.nnz_out(i)) for i in range(f.n_out())]
+    for k in range(f.n_instructions()):
+        operation, made, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+        if operation == ca.OP_OUTPUT:
+            results[made[0]][made[1]] = numbers[given[0]]
+        elif operation == ca.OP_CONST:
+            numbers[made[0]] = f.instruction_constant(k)
+        elif operation == ca.OP_INPUT:
+            numbers[made[0]] = x[given[0]][given[1]]
+        elif operation in (ca.OP_SIN, ca.OP_COS):
+            numbers[made[0]] = sine_cosine([numbers[given[0]]])[int(operation == ca.OP_COS)][0]
+        else:
+            by = ca.DM.unary if len(given) == 1 else ca.DM.binary
+            numbers[made[0]] = float(by(operation, *(numbers[i] for i in given)))
+    return results

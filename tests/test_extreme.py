@@ -229,7 +229,9 @@ def test_a_motion_that_ends_is_said_to_be_locked_up():
         i.set("solver.method", "rk4")
         i.set("solver.step_size", 0.005)
         i.initialize()
-        with pytest.raises(alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no"):
+        with pytest.raises(
+            alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no motion continues"
+        ):
             i.step(1.0)
         assert i.time == 0.0  # the whole communication step is undone
         i.step(0.79)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scenes import derived
-from sines import sine_cosine
+from sines import by_instructions
 
 import alfmu
 from alfmu.equations import Equations, Variable
@@ -135,22 +135,8 @@ def arguments(f: ca.Function, seed: int = 0) -> list[NDArray]:
 
 
 def expected(f: ca.Function, x: Sequence[NDArray]) -> NDArray:
-    """What CasADi gives, instruction by instruction, but with the runtime's sines and cosines."""
-    numbers, results = [0.0] * f.sz_w(), [np.zeros(f.nnz_out(i)) for i in range(f.n_out())]
-    for k in range(f.n_instructions()):
-        operation, made, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
-        if operation == ca.OP_OUTPUT:
-            results[made[0]][made[1]] = numbers[given[0]]
-        elif operation == ca.OP_CONST:
-            numbers[made[0]] = f.instruction_constant(k)
-        elif operation == ca.OP_INPUT:
-            numbers[made[0]] = x[given[0]][given[1]]
-        elif operation in (ca.OP_SIN, ca.OP_COS):
-            numbers[made[0]] = sine_cosine([numbers[given[0]]])[int(operation == ca.OP_COS)][0]
-        else:
-            by = ca.DM.unary if len(given) == 1 else ca.DM.binary
-            numbers[made[0]] = float(by(operation, *(numbers[i] for i in given)))
-    return np.concatenate([*results, []])
+    """What CasADi gives, with the runtime's sines and cosines."""
+    return np.concatenate([*by_instructions(f, x), []])
 
 
 def same_bits(a: NDArray, b: NDArray) -> bool:

@@ -115,7 +115,7 @@ static Outcome step_bisected(Instance *i, double start, double dt)
         strncat(where, part, sizeof where - strlen(where) - 1);
     }
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: locked up at %s: no motion continues from this singular position (distance %.1e); reverse "
+        "%s, t = %.6g s: locked up at %s; no motion continues from this singular position (distance %.1e); reverse "
         "before it, or change lengths or start",
         s->name, start + t, where, sqrt(settings_margin(i, q)));
 }
