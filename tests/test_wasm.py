@@ -15,6 +15,9 @@ from alfmu.runtime import build
 from alfmu.runtime.embedding import with_scene
 
 SAME = 1e-12
+STEP = 0.025
+"""Communication step [s]: none of its points is beside the singular position that the run passes at 0.34 s, where also
+rates follow round-off (1.3e-12 of 5 rad/s)."""
 NAMES = ("link1.angle", "link1.angular_velocity", "monitor.energy", "A.force.x", "A.force.y")
 """Reactions last: beside a singular position, which the run passes, they follow round-off."""
 
@@ -37,7 +40,7 @@ def host(path, monkeypatch):
 
 def test_co_simulation_gives_the_numbers_of_the_native_library(path, host):
     """With a torque, a state that is restored, and a host that looks in between."""
-    native = alfmu.simulate(path, 1.0, 0.02, inputs={"A.torque": 2.0})
+    native = alfmu.simulate(path, 1.0, STEP, inputs={"A.torque": 2.0})
     references = [host.references[name] for name in NAMES]
     assert host.function("common", "get-version") == "3.0"
     assert host.begin("co-simulation", False, False, [references[0]]) is not None
@@ -45,17 +48,16 @@ def test_co_simulation_gives_the_numbers_of_the_native_library(path, host):
     assert host.call("set-float64", [host.references["A.torque"]], [2.0]) == "ok"
     assert host.call("exit-initialization-mode") == "ok"
     found = [host.call("get-float64", references)]
-    for k in range(50):
+    for k in range(round(1.0 / STEP)):
         state = host.call("get-fmu-state")
         for _ in range(2):
             assert host.call("set-fmu-state", state) == "ok"
-            made = host.call("do-step", 0.02 * k, 0.02, False)
-        assert getattr(made, "last-successful-time") == pytest.approx(0.02 * (k + 1))
+            made = host.call("do-step", STEP * k, STEP, False)
+        assert getattr(made, "last-successful-time") == pytest.approx(STEP * (k + 1))
         found.append(host.call("get-float64", references))
     wanted = np.column_stack([native[name] for name in NAMES])
     error = np.abs(np.array(found) - wanted)
-    assert error[:, [0, 2]].max() < SAME
-    assert error[:, 1].max() < SAME * np.abs(wanted[:, 1]).max()  # 5 rad/s: it passes a singular position at t = 0.34 s
+    assert error[:, :3].max() < SAME
     assert error[-1].max() < SAME * (1 + np.abs(wanted[-1]).max())
     assert host.updates[-1] == pytest.approx(1.0)
     assert host.call("get-directional-derivative", references[:1], [host.references["A.torque"]], [1.0]) == [0.0]
