@@ -5,8 +5,6 @@ from __future__ import annotations
 import inspect
 import math
 import re
-import sys
-import warnings
 from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -87,10 +85,10 @@ MEANT = {
 BOOKKEEPING = (
     *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
     *("gravity_vector", "kinetic", "laws", "loads", "measured", "measured_joints", "measured_springs", "measures_all"),
-    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
+    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties"),
     *("instants", "watched"),
 )
-"""Public names that users do not need: they are hidden from listings and become private."""
+"""Names for other modules of alfmu; `dir` does not list them."""
 
 _Part = TypeVar("_Part")
 _Related = TypeVar("_Related", bound=Relation)
@@ -109,8 +107,6 @@ class _Parts(Generic[_Part]):
     def __get__(self, mechanism: Declaration | None, owner: type) -> Self | tuple[_Part, ...]:
         if mechanism is None:
             return self
-        if self._name in BOOKKEEPING and not sys._getframe(1).f_globals.get("__name__", "").startswith("alfmu."):
-            warnings.warn(f"Mechanism.{self._name} becomes private in the next version", DeprecationWarning, 2)
         return tuple(self.of(mechanism))
 
     def __set__(self, mechanism: Declaration, value: Never) -> None:
