@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from .loops import CLOSED, Loops
 from .situation import Vector
 
-__all__ = ["STRAIGHT", "Way", "polished", "ways"]
-
 TOUCHED = 1e-7
 """Relative size of a quadratic equation [1] below which it counts as zero."""
 

@@ -32,8 +32,6 @@ from .small import ZERO, Small, small_motions
 if TYPE_CHECKING:
     from ..view.picture import Drawing
 
-__all__ = ["STARTS", "Equilibria", "Equilibrium", "check_file", "equilibria", "equilibrium"]
-
 STARTS = 32
 """Default number of positions beside the start from which equilibria are searched [1]; 16 of them suffice for the four
 of the double pendulum."""

@@ -16,8 +16,6 @@ from ..view.picture import animate, check_film
 from .loops import STEP, Loops
 from .situation import Situation, Vector
 
-__all__ = ["film", "motion_of"]
-
 SECONDS = 2.0
 """Time [s] of one vibration in a film."""
 

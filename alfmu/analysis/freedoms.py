@@ -29,8 +29,6 @@ from .situation import Situation, Source, Subject, Vector, begun, source, subjec
 from .small import independent
 from .states import motion
 
-__all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
-
 TOUCHED = 1e-7
 """Entry of a projector [1] below which a row is not part of a dependency, or a row of C constrains nothing."""
 

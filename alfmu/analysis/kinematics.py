@@ -37,8 +37,6 @@ from ..simulation.result import Result, Signal
 from .loops import CLOSED, REACH, STEP, Loops, arm_of, plain
 from .situation import Situation, State, Vector, begun, source
 
-__all__ = ["Kinematics", "Position", "Transmission", "kinematics"]
-
 Matrix = NDArray[np.float64]
 Values = Mapping[str, float | Sequence[float] | Vector] | Sequence[float] | Vector | None
 """Values by name, or those of all actuated joints in their order."""

@@ -15,8 +15,6 @@ from ..model.units import rate_of
 from ..model.words import counted
 from .situation import Situation, State
 
-__all__ = ["Driving", "check_at_rest", "driving", "held_still", "moved_by_law", "prescribed"]
-
 RESTING = 1e-9
 """First and second rate [m/s, rad/s, m/s2, rad/s2] below which a prescribed motion is at rest; round-off of laws near 1
 is 1e-15, and a nanometre per second is negligible."""

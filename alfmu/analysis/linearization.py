@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from .equilibria import Equilibrium
 
-__all__ = ["AMPLITUDE", "Linearization", "Mode", "check_file", "figure", "linearize", "save"]
-
 Matrix = NDArray[np.float64]
 
 AMPLITUDE = 0.25

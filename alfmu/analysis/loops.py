@@ -24,8 +24,6 @@ from ..model.errors import InputError
 from ..model.parts import stack
 from .situation import Situation, State, Vector
 
-__all__ = ["CLOSED", "REACH", "STEP", "Loops", "WithStates", "arm_of", "evenly", "plain"]
-
 CLOSED = 1e-12
 """Largest gap of closed loops [units of a row]."""
 

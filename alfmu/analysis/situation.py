@@ -29,20 +29,6 @@ from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..simulation import by_name, signals_of
 from ..simulation.result import Signal
 
-__all__ = [
-    "LEFT_OUT",
-    "Situation",
-    "Source",
-    "State",
-    "Subject",
-    "Vector",
-    "begun",
-    "situation",
-    "situation_of",
-    "source",
-    "subject",
-]
-
 Vector = NDArray[np.float64]
 Subject = str | Path | Mechanism | Recipe | Equations | Instance
 """Types that can be analysed."""

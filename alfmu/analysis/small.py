@@ -30,8 +30,6 @@ from .laws import Driving, driving
 from .loops import Loops
 from .situation import Situation, Vector
 
-__all__ = ["ZERO", "Small", "independent", "ordered", "small_motions"]
-
 Matrix = NDArray[np.float64]
 
 WELL = 20.0

@@ -23,8 +23,6 @@ from ..simulation.result import Result, Signal
 from .equilibria import Equilibrium
 from .states import rest
 
-__all__ = ["Prepared", "prepare", "rest_of", "simulated"]
-
 
 @dataclass(frozen=True)
 class Prepared:

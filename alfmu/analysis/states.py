@@ -20,8 +20,6 @@ from ..simulation.result import Signal
 from .equilibria import Equilibrium, equilibria
 from .situation import Situation, Source, Subject, begun, situation_of, source
 
-__all__ = ["PLACES", "motion", "rest", "states"]
-
 PLACES = ("start", "equilibrium")
 """Words for states in which a mechanism is analysed."""
 

@@ -21,8 +21,6 @@ from ..model.mechanism import Mechanism
 from ..model.sources import LINKAGES, is_file
 from ..model.words import in_words, nearest, there_is
 
-__all__ = ["GROUP", "choices", "executed", "known", "load", "mechanisms", "options", "registered"]
-
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from .types import Equations, Signature
 
-__all__ = ["ArrayFunction", "ArrayFunctions", "Backend"]
-
 
 class Backend(Protocol):
     """Evaluates functions."""

@@ -9,8 +9,6 @@ from ..model.motion import COEFFICIENTS
 from .evaluation import ARGUMENTS, symbols
 from .types import Equations
 
-__all__ = ["LEVELS", "changes", "signal_numbers", "value"]
-
 LEVELS = 3
 """Value, rate and acceleration of a signal, on which accelerations and reactions depend."""
 

@@ -12,8 +12,6 @@ from ..model.relations import Relation
 from ..model.spatial import SpatialJoint
 from .types import Row, Switch, Variable
 
-__all__ = ["closures_of", "compliances_of", "held_by", "relations_of", "slid", "slips_of", "switches_of"]
-
 
 def held_by(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     """Return, by joint, the directions that the choice of coordinates closes, so that they need no constraint.

@@ -46,8 +46,6 @@ from .measures import measures
 from .reactions import carried_by, driving, lengths_of, locking, reach_of, reactions_of, spatial_efforts
 from .types import Equations, Followed, Leap, Row, Variable
 
-__all__ = ["derive"]
-
 _UNGUESSED = 10.0
 """Weight of the change of a coordinate without a guess in the assembly, relative to one with a guess [1]."""
 

@@ -13,19 +13,6 @@ from ..model.kept import once
 from ..model.making import making
 from .types import Equations, Signature
 
-__all__ = [
-    "ARGUMENTS",
-    "DENSE",
-    "EVALUATED",
-    "Stage",
-    "evaluable",
-    "shared",
-    "symbols",
-    "tangents_once",
-    "with_functions",
-    "with_tangents",
-]
-
 Stage = TypeVar("Stage", bound=Equations)
 """Equations, or a later stage of them."""
 

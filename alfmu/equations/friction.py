@@ -29,8 +29,6 @@ from ..model.parts import AnyJoint, Friction, Lock, Motion, Scalar, stack, symbo
 from ..model.spatial import SpatialJoint
 from .types import Rubbing, Variable
 
-__all__ = ["LIMITED", "SHARED", "Rubs", "rubbing"]
-
 LIMITED = 2.0
 """Direction, 2 or -2, of a joint at rest at its static limit, held by other joints."""
 

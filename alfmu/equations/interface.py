@@ -15,25 +15,6 @@ from ..model.units import quotient
 from ..model.words import there_is
 from .types import REACTION_ERROR, Configuration, Equations, Variable, configured
 
-__all__ = [
-    "CHOICES",
-    "MONITORS",
-    "SOLVER_VARIABLES",
-    "Choice",
-    "Counters",
-    "Interface",
-    "checked",
-    "choices",
-    "default_settings",
-    "events",
-    "every_event",
-    "integrator",
-    "not_there",
-    "setting",
-    "state_starts",
-    "variables_of",
-]
-
 assert isinstance(Settings.penalty, float)  # a single penalty for all rows is the default
 SOLVER_VARIABLES = (
     Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),

@@ -9,8 +9,6 @@ from ..model.mechanism import Mechanism
 from ..model.parts import AnyJoint, AnyMarker, Body, Scalar, stack, symbolic
 from ..model.stops import EndStop
 
-__all__ = ["efforts_of", "elongation_of", "inertia_of", "is_guided", "limited_by", "paths_of", "potential_of"]
-
 
 def inertia_of(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
     """Return displacements X and their weights W: positions of centres of mass, and angles.

@@ -11,8 +11,6 @@ from ..model.parts import EFFORTS, FREE, AnyJoint, AnyMarker, Joint
 from ..model.units import rate_of
 from .types import Variable
 
-__all__ = ["measures"]
-
 
 class Displacements(Protocol):
     """Displacements of joints and springs: `model.kinematics.Kinematics`."""

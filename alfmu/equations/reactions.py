@@ -17,12 +17,6 @@ from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
 from .space import Effort
 from .types import Row, Variable
 
-__all__ = [
-    *("carried_by", "driving", "lengths_of", "locking", "reach_of", "reactions_of", "spatial_efforts"),
-    "square_of_size",
-]
-
-
 _REACTIONS = {
     "x": ("force.x", "N", "force along x on {second} from {first}"),
     "y": ("force.y", "N", "force along y on {second} from {first}"),

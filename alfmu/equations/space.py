@@ -27,11 +27,6 @@ from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable
 
-__all__ = [
-    *("Effort", "SpatialMotion", "Wrench"),
-    *("applied", "check_points", "gravity", "loads", "outputs", "relative_bodies"),
-]
-
 Wrench = tuple[ca.SX, ca.SX]
 """A force (3,) and a moment (3,) about a body's anchor, in ground axes."""
 

@@ -17,9 +17,6 @@ from .evaluation import ARGUMENTS, Stage, evaluable, shared, symbols, with_funct
 from .interface import BALANCE, MONITORS, PEAK, events
 from .types import REACTION_ERROR, Configuration, Equations, configured
 
-__all__ = ["plain", "specialised", "starting_at", "without_steps"]
-
-
 ALL = "all"
 """Stands for every parameter of the mechanism."""
 

@@ -15,23 +15,6 @@ from ..model.words import Brief
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = [
-    *(
-        "REACTION_ERROR",
-        "Configuration",
-        "Decision",
-        "Equations",
-        "Followed",
-        "Leap",
-        "Mobility",
-        "Row",
-        "Signature",
-        "Survey",
-        "Switch",
-    ),
-    "Variable",
-]
-
 REACTION_ERROR = "monitor.reaction_error"
 """The monitor that must be requested."""
 

@@ -15,8 +15,6 @@ from ..kernel.tables import NUMBERS, REALS
 from ..runtime import build
 from ..runtime.library import Scene
 
-__all__ = ["Structure", "literal", "loaded", "tables"]
-
 Structure = Any
 """An instance of one of the structures, by ctypes."""
 

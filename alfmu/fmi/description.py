@@ -16,14 +16,6 @@ from ..equations.interface import variables_of as interface
 from ..equations.types import configured
 from ..model.units import composed
 
-__all__ = [
-    "build_description",
-    "dependencies",
-    "documentation",
-    "enumerated",
-    "model_description",
-]
-
 LICENSE = "MIT"
 
 Choices = Mapping[str, Mapping[str, str]]

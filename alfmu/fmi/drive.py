@@ -34,11 +34,6 @@ except ModuleNotFoundError as error:
         f"running or checking an FMU needs fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
-__all__ = [
-    *("Fmu", "checked_archive", "checked_folder", "description_of", "kind_of"),
-    *("missing_library", "platforms_of"),
-]
-
 _LOGGER = logging.getLogger("alfmu")
 
 _LOG: list[tuple[int, str]] = []

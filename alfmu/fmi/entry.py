@@ -12,8 +12,6 @@ from ..runtime.library import Scene, library
 from .recipe import Recipe
 from .slave import SCENE, Slave
 
-__all__ = ["Entry"]
-
 
 class Entry(Slave):
     """The mechanism of a recipe as an FMI 2.0 slave: `class FiveBar(Entry, recipe=recipe)` in the file of the recipe.

@@ -51,8 +51,6 @@ from .slave import COMPILED, OPTIONS, SCENE
 from .source import source
 from .terminals import document, terminals
 
-__all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
-
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
 """Modules of alfmu packed into an FMU for Python, beside the C library."""
 

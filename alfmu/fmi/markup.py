@@ -6,8 +6,6 @@ from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError
 
-__all__ = ["tree"]
-
 
 class _Plain(ET.TreeBuilder):
     """Builds a tree; rejects document types, and with them entities."""

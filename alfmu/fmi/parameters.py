@@ -8,8 +8,6 @@ from xml.etree import ElementTree as ET
 from ..model.errors import InputError
 from .markup import tree
 
-__all__ = ["SSV", "parameter_set", "read_parameter_set"]
-
 SSV = "application/x-ssp-parameter-set"
 """Media type of a parameter set."""
 

@@ -20,8 +20,6 @@ from ..model.words import LONGEST, Brief
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
 
-__all__ = ["GROUP", "INTERFACES", "KINDS", "Recipe", "load", "of", "recipes"]
-
 GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
 

@@ -32,8 +32,6 @@ from ..simulation.result import Result
 from .markup import tree
 from .parameters import SSV, parameter_set, read_parameter_set
 
-__all__ = ["AGREES", "EXPERIMENTS", "FOLDER", "MANIFEST", "Record", "listed", "record_files", "records_in"]
-
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 """Folder of the files in an FMU."""
 

@@ -17,8 +17,6 @@ from . import native
 from .export import export, packed_scene
 from .recipe import KINDS, Recipe
 
-__all__ = ["sizes"]
-
 _CONTENTS = {
     "binaries/": "compiled libraries",
     "sources/": "their C sources",

@@ -23,8 +23,6 @@ from pythonfmu.enums import Fmi2Status
 
 from ..runtime.library import DONE, Scene, Unit, library
 
-__all__ = ["COMPILED", "OPTIONS", "SCENE", "Slave"]
-
 _LOGGER = logging.getLogger("alfmu")
 
 SCENE = "scene.bin"

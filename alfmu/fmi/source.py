@@ -27,8 +27,6 @@ from ..runtime.shipped import installed
 from . import native
 from .constants import Structure, literal, loaded, tables
 
-__all__ = ["facts", "source"]
-
 _LOGGER = logging.getLogger("alfmu")
 
 _INSTANCE = 80

@@ -9,8 +9,6 @@ import casadi as ca
 
 from ..model.mechanism import Mechanism
 
-__all__ = ["document", "terminals"]
-
 _MEMBERS = {
     "N.m": {"torque": "", "angle": "angle", "angular_velocity": "angular_velocity"},
     "N": {"force": "", "position": "position", "velocity": "velocity"},

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from ..fmi.recipe import Recipe
 
-__all__ = ["Fit", "fit"]
-
 _LOGGER = logging.getLogger("alfmu")
 
 _UNSEEN = 1e-7

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from ..model.errors import InputError
 
-__all__ = ["Columns", "Expression", "Final", "Function", "Integral", "Maximum", "TimeOfMaximum"]
-
 Expression = str | Callable[[Mapping[str, Any]], Any]
 """A column by its name, or a function of columns by name; `"time"` is the time [s]."""
 

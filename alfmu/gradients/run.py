@@ -24,8 +24,6 @@ from .functions import Expression, Final, Function
 if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
 
-__all__ = ["Derivatives", "Gradient", "derivatives", "gradient"]
-
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:

@@ -23,8 +23,6 @@ from .form import Call, LeastNorm
 from .symbolic import MATRICES, Scene, Watch
 from .trace import Calls, Tracer, spaced
 
-__all__ = ["CHOSEN", "OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
-
 OWN = Settings.formulation
 """Formulation of all programs except those that serve every formulation."""
 

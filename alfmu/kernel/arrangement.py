@@ -19,19 +19,6 @@ from numpy.typing import NDArray
 
 from .stream import BINARY, OPERATIONS, UNARY, Instructions, address, library
 
-__all__ = [
-    "KINDS",
-    "KIND_OF",
-    "NARROW_HEAD",
-    "OPERANDS",
-    "SINE_COSINE",
-    "SUMS",
-    "Arrangement",
-    "Operation",
-    "arranged",
-    "in_runs",
-]
-
 SUMS = {
     **{"sum1": 3, "sum2": 5, "sum4": 9},
     **{"product": 2, "products": 4, "plus": 2, "minus": 2, "negative": 1},

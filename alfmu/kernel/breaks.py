@@ -17,8 +17,6 @@ from ..equations import Configuration
 from ..equations.evaluation import ARGUMENTS, shared, symbols
 from .stream import BINARY, Instructions
 
-__all__ = ["breaks"]
-
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
 _SIGNED = {ca.OP_FABS: 0, ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1, ca.OP_ATAN2: 0}
 _WHOLE = (ca.OP_FLOOR, ca.OP_CEIL)

@@ -15,8 +15,6 @@ from .lanes import laned
 from .memory import Layout
 from .standalone import READ, standalone
 
-__all__ = ["FUNCTIONS", "complete", "ordered", "smallest"]
-
 FUNCTIONS = {
     **{
         name: name

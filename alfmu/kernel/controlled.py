@@ -45,8 +45,6 @@ from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, Trace
 from .memory import PACE
 from .trace import CAREFUL, Calls, Tracer, spaced, traced, untraced
 
-__all__ = ["programs", "whole"]
-
 PASSES = 8
 """Most iterations of Newton's method with the same tangents, after the first."""
 

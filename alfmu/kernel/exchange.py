@@ -11,8 +11,6 @@ from ..equations.interface import SOLVED
 from ..model.units import quotient
 from .form import Traced
 
-__all__ = ["ACCELERATIONS", "FADING", "exchanged", "indicators", "obstacle"]
-
 FADING = 0.1
 """Share of the distance to the constraints by which states return in a communication step [1]: errors of an importer
 fade over ten of these. A fifth of this share leaves up to twice the error of a run; twice the share gains nothing."""

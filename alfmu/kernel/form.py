@@ -15,28 +15,6 @@ from typing import TypeVar
 from ..equations.types import Configuration
 from ..method import singular
 
-__all__ = [
-    "Call",
-    "Choice",
-    "Factor",
-    "Lanes",
-    "LeastNorm",
-    "Loop",
-    "Plan",
-    "Program",
-    "Routine",
-    "Solve",
-    "Step",
-    "Steps",
-    "Traced",
-    "called",
-    "every",
-    "lifetimes",
-    "renamed",
-    "rewritten",
-    "taken",
-]
-
 
 @dataclass(frozen=True)
 class Call:

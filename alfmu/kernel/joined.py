@@ -14,8 +14,6 @@ from .form import Call, Choice, Loop, Program, Step, Steps, Traced, taken
 from .memory import Layout
 from .stream import Instructions
 
-__all__ = ["LONGEST", "joined"]
-
 LONGEST = 40000
 """Largest number of instructions of joined calls; programs of a larger scene call small functions."""
 

@@ -15,8 +15,6 @@ from casadi import SX
 from ..equations import Equations
 from .stream import BINARY, Instructions
 
-__all__ = ["JUMPS", "jumps", "kinks", "kinks_of_rates"]
-
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
 """Operations with a kink or a jump at equal operands."""
 

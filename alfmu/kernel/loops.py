@@ -18,8 +18,6 @@ from .places import Places, line
 from .repeat import Numbers, Repeat, pieces, repeats
 from .stream import BINARY, CONSTANT, INPUT, PLAIN, UNARY, VALUE, Operations, number
 
-__all__ = ["ANGULAR", "Angles", "blocks", "c_function", "constant", "expression", "name_of"]
-
 ANGULAR = {ca.OP_SIN: "sine", ca.OP_COS: "cosine"}
 """Functions of an angle that are computed together."""
 

@@ -11,11 +11,6 @@ from ..equations import Configuration
 from ..method.inputs import memory_size
 from .form import Traced
 
-__all__ = [
-    *("CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN"),
-    *("Layout", "Memory", "SceneSettings"),
-]
-
 TIERS = ("quick", "careful", "branch")
 """Tiers of RK4 steps in the order of attempts; `branch` comes first near a singular position."""
 

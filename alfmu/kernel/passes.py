@@ -21,8 +21,6 @@ from .places import line
 from .repeat import Repeat, pieces, repeats
 from .stream import CONSTANT, INPUT, NOTHING, ROLE, VALUE, Instructions, Operations, address, library
 
-__all__ = ["BEHIND", "EACH_KIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
-
 LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
 """Numbers of other elements of a function: a loop; an operation in all iterations of a loop; copies of values."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from .repeat import Numbers, Repeat
 from .stream import VALUE, Operations
 
-__all__ = ["Heap", "Places", "line"]
-
 _BESIDE = 8
 """Number of iterations before the first and after the last of a loop for which space may be reserved."""
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from .stream import INPUT, VALUE, Operations
 
-__all__ = ["Numbers", "Repeat", "pieces", "repeats"]
-
 FEWEST = 4
 """Least number of repetitions for a loop."""
 

@@ -20,8 +20,6 @@ from ..method.singular import NOISE_FLOOR
 from .form import Loop, Step, Steps
 from .symbolic import MATRICES, Scene, Watch
 
-__all__ = ["grip", "power", "rub", "supply"]
-
 
 class Calls(Protocol):
     """Interface of the steps of a program while it is traced (`alfmu.kernel.trace.Calls`)."""

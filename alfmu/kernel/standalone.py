@@ -30,8 +30,6 @@ from .memory import SEEN
 from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
-__all__ = ["READ", "beginning", "passed", "standalone"]
-
 
 def passed(equations: Traced) -> dict[str, int]:
     """Return the values that the C runtime passes to programs, with their lengths.

@@ -17,23 +17,6 @@ from ..model.errors import ExportError
 from ..model.hooks import handed_in
 from ..model.kept import latest
 
-__all__ = [
-    *(
-        "BINARY",
-        "CONSTANT",
-        "INPUT",
-        "NOTHING",
-        "OPERATIONS",
-        "PLAIN",
-        "ROLE",
-        "ROLES",
-        "UNARY",
-        "VALUE",
-        "Instructions",
-    ),
-    *("Operations", "address", "library", "number"),
-]
-
 NOTHING, VALUE, INPUT, CONSTANT = range(4)
 """Kinds of operands."""
 

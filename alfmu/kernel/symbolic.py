@@ -28,8 +28,6 @@ from ..method.stepping import NOISE, Explicit
 from .form import Plan
 from .memory import PACE, SETTINGS, TURN, Layout, SceneSettings
 
-__all__ = ["MATRICES", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
-
 MATRICES = ("M", "C", "F", "xi", "D", "L")
 """Values that an evaluation passes on, by their nonzeros: the terms of (4) and (3), and the factors of H."""
 

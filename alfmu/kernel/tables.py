@@ -47,19 +47,6 @@ from .standalone import beginning, passed
 from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
-__all__ = [
-    "HEAD",
-    "function_sizes",
-    "identified",
-    "interface",
-    "known_choices",
-    "layout_header",
-    "machine_code",
-    "number_of",
-    "packed",
-    "packed_start",
-]
-
 MAGIC = b"ALFMU\r\n\x1a"
 
 HEAD, IDENTITY = 64, 40

@@ -39,8 +39,6 @@ from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
 
-__all__ = ["CAREFUL", "NO_NAMES", "Calls", "Tracer", "spaced", "traced", "untraced"]
-
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
 

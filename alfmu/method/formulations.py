@@ -11,30 +11,6 @@ accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies 
 from collections.abc import Callable
 from typing import Any
 
-__all__ = [
-    "CORRECTIONS",
-    "EASE",
-    "GAIN",
-    "HELD_SHARES",
-    "LIGHT",
-    "SETTLED",
-    "SETTLING",
-    "augmented_mass",
-    "classic",
-    "dae",
-    "minimum_norm",
-    "minimum_norm_of_joints",
-    "nearer_norm",
-    "penalty",
-    "project",
-    "project_residual",
-    "residual",
-    "settled",
-    "shared_again",
-    "stabilised",
-    "stiffness",
-]
-
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 

@@ -8,8 +8,6 @@ continues from zero friction all pivots of I - D are positive. At a fold one of 
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["JAM_PIVOT", "JAM_SETTLED", "LAW_ENOUGH", "LAW_PASSES", "newton"]
-
 LAW_PASSES = 12
 """most iterations of Newton's method in an evaluation [1]: near a jam it takes more than six."""
 

@@ -14,26 +14,6 @@ from typing import Any
 from . import formulations as method
 from .stepping import RADAU9, Collocation, combined
 
-__all__ = [
-    "RULES",
-    "TRAPEZOIDAL",
-    "Newmark",
-    "at_node",
-    "changes",
-    "corrected",
-    "damped",
-    "filter_weights",
-    "moved",
-    "on_branch",
-    "position_step",
-    "position_weights",
-    "return_map",
-    "solved",
-    "stage_weights",
-    "stiffness",
-    "tangent",
-]
-
 Array = Any
 Divide = Callable[[Array, Array], Array]
 

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KEPT", "Past", "extrapolated", "memory_size", "reached"]
-
 KEPT = 3
 """Number of communication points recorded: enough for order 2."""
 

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["rk4"]
-
 
 def rk4(rate: Callable[[Any, Any], Any], t: Any, y: Any, dt: Any) -> Any:
     """Return one step of the classic Runge-Kutta method of order 4 from y at t to t + dt (Kutta 1901)."""

@@ -17,23 +17,6 @@ from numpy.typing import NDArray
 
 from .formulations import project, project_residual
 
-__all__ = [
-    "along",
-    "curvature",
-    "direct_error",
-    "farthest",
-    "fewer",
-    "first_position",
-    "limit_error",
-    "mean",
-    "pole",
-    "reading_error",
-    "returned",
-    "tangential",
-    "weights",
-    "with_pole",
-]
-
 Array = Any
 
 BRANCH_MARGIN = 2.5e-4

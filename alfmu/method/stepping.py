@@ -11,27 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "EXPLICIT5",
-    "EXPLICIT5_SHORT",
-    "EXPLICIT8",
-    "EXPLICIT8_BESIDE",
-    "RADAU9",
-    "SHORTEST",
-    "Collocation",
-    "Explicit",
-    "combined",
-    "continued",
-    "explicit",
-    "explicit_at",
-    "explicit_rule",
-    "judged",
-    "kink_bounds",
-    "landing",
-    "newton",
-    "rule_beside",
-]
-
 State = Any
 Rate = Callable[[Any, State], State]
 

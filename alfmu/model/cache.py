@@ -20,8 +20,6 @@ from pathlib import Path
 from .errors import WriteError
 from .files import write
 
-__all__ = ["LIMIT", "VARIABLE", "clear", "entries", "folder", "is_off", "keep", "kept", "remember", "whole"]
-
 VARIABLE = "ALFMU_CACHE"
 """The environment variable that moves the cache, or turns it off."""
 

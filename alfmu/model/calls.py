@@ -20,8 +20,6 @@ import numpy as np
 from .errors import AlfmuError, DeclarationError, InputError
 from .words import in_words, nearest, shown
 
-__all__ = ["asked", "declares", "explained"]
-
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _C = TypeVar("_C", bound=type)

@@ -31,8 +31,6 @@ from .parts import Marker, Scalar, symbolic
 from .relations import Places, Reading, Relation, Rim, circle
 from .words import Brief, angle, shown
 
-__all__ = ["Cam", "Curve", "check_follower", "curve"]
-
 _LOOK = 720
 """Number of directions at which a curve is checked [1]: two per degree."""
 

@@ -17,23 +17,6 @@ import numpy as np
 from .errors import AlfmuWarning, DeclarationError
 from .words import shown
 
-__all__ = [
-    "BROKEN",
-    "IMPACT",
-    "JUMP",
-    "JUMPS",
-    "casadi_function",
-    "hint",
-    "jump_in",
-    "may_break",
-    "number",
-    "perhaps_an_impact",
-    "perhaps_degrees",
-    "perhaps_millimetres",
-    "symbols_in",
-    "users_line",
-]
-
 _LONG = 20.0
 """Length [m] above which the user may have meant millimetres."""
 

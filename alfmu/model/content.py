@@ -16,8 +16,6 @@ import numpy as np
 
 from .mechanism import Mechanism
 
-__all__ = ["content", "value_text"]
-
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
 

@@ -18,8 +18,6 @@ from .relations import Belt, Blade, Gear, Rack, Rolling, SpatialRolling, Way, di
 from .spatial import SpatialMarker, right_handed
 from .words import in_words, quantity, shown
 
-__all__ = ["Couplings"]
-
 INVOLUTE = math.radians(20)
 """Default pressure angle of gears [rad], from ISO 53."""
 

@@ -57,9 +57,6 @@ from .stops import EndStop
 from .units import UNITS, alike, rate_of, unit
 from .words import LONGEST, counted, in_words, no_attribute, shown, text, there_is
 
-__all__ = ["Declaration"]
-
-
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z", re.ASCII)
 _RESERVED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _DOUBTS = 3

@@ -15,8 +15,6 @@ from .mechanism import Mechanism
 from .parts import Body, stack
 from .spatial import SpatialBody
 
-__all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams", "tell", "tell_of_gravity"]
-
 _HEAVY = 20.0
 """Mass [kg] above which the user may have meant grams."""
 

@@ -12,21 +12,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = [
-    "AlfmuError",
-    "AlfmuWarning",
-    "AssemblyError",
-    "DeclarationError",
-    "ExportError",
-    "InputError",
-    "LibraryError",
-    "OpenError",
-    "StepError",
-    "WriteError",
-    "collected",
-    "needs",
-]
-
 
 class Rows(Protocol):
     """The rows computed by a run; `alfmu.Result` implements this."""

@@ -26,8 +26,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["atomic", "exclusive", "scratch", "write"]
-
 _YOUNG = 60.0
 """Age [s] up to which an unlocked file is assumed to be under construction."""
 

@@ -37,9 +37,6 @@ from .stops import CREEP, ONSET, EndStop
 from .units import rate_of
 from .words import counted, in_words, quantity, shown
 
-__all__ = ["Forces"]
-
-
 _DRY_FRICTION: dict[tuple[str, bool], tuple[tuple[str, ...], str]] = {
     ("revolute", False): (("radius",), "a revolute joint is a journal; give its radius [m], and no length or collar"),
     ("prismatic", False): (

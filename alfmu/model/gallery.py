@@ -12,8 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["factory", "names"]
-
 _ROOT = Path(__file__).parents[1]
 
 _FOLDERS = (_ROOT / "catalogue" / "gallery", _ROOT.parent / "docs" / "gallery")

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-__all__ = ["Picture", "hand_in", "handed_in"]
-
 _FIND: list[Callable[[str], Callable[..., Any]]] = []
 
 

@@ -31,8 +31,6 @@ from .quantities import Quantities
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .words import shown
 
-__all__ = ["Joints"]
-
 
 @declares
 class Joints(Quantities):

@@ -8,8 +8,6 @@ from functools import wraps
 from threading import Lock
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["MOST", "Kept", "latest", "once", "outdate"]
-
 _Made = TypeVar("_Made")
 
 MOST = 8

@@ -28,8 +28,6 @@ from .parts import (
 from .relations import Relation
 from .spatial import SpatialFreedom, SpatialJoint, SpatialMarker, with_turns
 
-__all__ = ["FREE", "Closing", "Closure", "Displacement", "Frame", "Kinematics", "same"]
-
 
 @dataclass
 class Frame:

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 
-__all__ = ["getting_ready", "making", "showing"]
-
 Show = Callable[[], AbstractContextManager[Callable[[str], None]]]
 """Opens a display of names, and closes it when everything is made."""
 

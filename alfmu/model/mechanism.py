@@ -46,9 +46,6 @@ from .spatial import SpatialBody, SpatialFreedom, SpatialJoint
 from .units import rate_of
 from .words import in_words, quantity, shown, there_is
 
-__all__ = ["Mechanism"]
-
-
 QUICK = 100
 """Largest number of coordinates for which a notebook draws a mechanism: this takes a second at most."""
 

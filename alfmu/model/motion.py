@@ -12,8 +12,6 @@ import casadi as ca
 
 from .words import Brief
 
-__all__ = ["COEFFICIENTS", "DERIVATIVES", "JUMPS", "ORDERS", "Input", "Law", "Signal"]
-
 DERIVATIVES = ("rate", "acceleration")
 """Suffixes of the derivatives of an input: `A.angle_rate`, `A.angle_acceleration`."""
 

@@ -14,51 +14,6 @@ from .errors import DeclarationError
 from .spatial import SpatialFreedom, SpatialJoint, SpatialMarker, Vector
 from .words import Brief
 
-__all__ = [
-    "CONSTANT",
-    "DIRECTIONS",
-    "EFFORT",
-    "EFFORTS",
-    "FREE",
-    "GUESS",
-    "LAW",
-    "MOTION",
-    "MOVING",
-    "PLACE",
-    "READING",
-    "AnyJoint",
-    "AnyMarker",
-    "Body",
-    "Constraint",
-    "Coordinate",
-    "DrawnBar",
-    "DrawnJoint",
-    "Drive",
-    "Experiment",
-    "Friction",
-    "Joint",
-    "Load",
-    "Lock",
-    "Marker",
-    "Motion",
-    "Output",
-    "Owner",
-    "Parameter",
-    "Point",
-    "Rigidity",
-    "Scalar",
-    "SpatialLoad",
-    "Spring",
-    "Start",
-    "State",
-    "Symbol",
-    "Watched",
-    "key_of",
-    "stack",
-    "symbolic",
-]
-
-
 Scalar = float | ca.SX
 """A number or an expression."""
 

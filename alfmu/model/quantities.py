@@ -34,8 +34,6 @@ from .parts import (
 from .units import is_rate, rate_of
 from .words import shown, text, there_is
 
-__all__ = ["Quantities"]
-
 
 @declares
 class Quantities(Declaration):

@@ -20,17 +20,6 @@ from .parts import Body, Joint, Marker, Scalar, stack
 from .spatial import SpatialMarker
 from .words import Brief
 
-__all__ = [
-    "Belt",
-    "Gear",
-    "Pair",
-    "Places",
-    "Rack",
-    "Relation",
-    "Rolling",
-    "SpatialRolling",
-]
-
 Reading = tuple[str, ca.SX, str, str]
 """An output of a relation: suffix of its name, expression, unit, description."""
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings", "internal_steps"]
-
 FORMULATIONS: dict[str, str] = {
     "residual": "augmented Lagrangian (8) in residual form",
     "classic": "augmented Lagrangian (8) as printed",

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["LINKAGES", "is_file"]
-
 LINKAGES = (".xml", ".urdf", ".sdf")
 """Endings of files of other programs that declare a mechanism (`alfmu.formats`)."""
 

@@ -30,18 +30,6 @@ from .checks import number
 from .errors import DeclarationError
 from .words import Brief, in_words, shown
 
-__all__ = [
-    "SpatialBody",
-    "SpatialFreedom",
-    "SpatialJoint",
-    "SpatialMarker",
-    "about",
-    "angular_velocity",
-    "product",
-    "rotation",
-    "with_turns",
-]
-
 Scalar = float | ca.SX
 Vector = tuple[Scalar, Scalar, Scalar]
 

@@ -24,8 +24,6 @@ import casadi as ca
 
 from .words import Brief
 
-__all__ = ["CREEP", "ONSET", "EndStop", "contact"]
-
 Scalar = float | ca.SX
 
 ONSET = 1e-3

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from .errors import DeclarationError
 from .words import in_words, nearest, shown
 
-__all__ = ["UNITS", "Unit", "alike", "composed", "is_rate", "quotient", "rate_of", "unit"]
-
 
 @dataclass(frozen=True)
 class Unit:

@@ -11,20 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from .errors import DeclarationError
 
-__all__ = [
-    "LONGEST",
-    "Brief",
-    "counted",
-    "in_words",
-    "nearest",
-    "no_attribute",
-    "quantity",
-    "shown",
-    "some_like",
-    "text",
-    "there_is",
-]
-
 LONGEST = 200
 """Largest number of characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
 

@@ -18,8 +18,6 @@ from ..model.parts import Scalar, symbolic
 from ..model.units import UNITS, quotient
 from .declared import label, named, of
 
-__all__ = ["pi_controller"]
-
 
 @explained
 def pi_controller(

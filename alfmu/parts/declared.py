@@ -11,8 +11,6 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Joint, Scalar, stack
 from ..model.spatial import SpatialJoint
 
-__all__ = ["label", "mounted", "named", "of", "rate_of_joint"]
-
 
 def label(part: str, name: str) -> str:
     """Return the name of a quantity of a part, without a prefix if the part has no name."""

@@ -20,8 +20,6 @@ from ..model.words import shown
 from .declared import label, mounted, named, of, rate_of_joint
 from .motor import TURNING
 
-__all__ = ["Load", "load"]
-
 
 @dataclass(frozen=True)
 class Load:

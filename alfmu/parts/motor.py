@@ -21,8 +21,6 @@ from ..model.spatial import SpatialJoint
 from ..model.words import in_words, shown
 from .declared import label, mounted, named, of, rate_of_joint
 
-__all__ = ["Gearbox", "Motor", "dc_motor"]
-
 _DRIVEN = ("revolute", "prismatic", "screw")
 """Kinds of joints that a motor can drive."""
 

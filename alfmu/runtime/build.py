@@ -20,22 +20,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = [
-    "COMPONENT",
-    "FOLDERS",
-    "HERE",
-    "PLATFORMS",
-    "SOURCES",
-    "WEB",
-    "Platform",
-    "build",
-    "compiler",
-    "file_name",
-    "including",
-    "needed",
-    "sources",
-]
-
 
 @dataclass(frozen=True)
 class Platform:

@@ -19,8 +19,6 @@ from ..model.files import scratch
 from .build import compiler
 from .stored import software
 
-__all__ = ["FLAGS", "HEADERS", "SUFFIX", "build", "compiled_scene", "verified", "version"]
-
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off` prevents fused operations, so that results equal those of the interpreter."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-__all__ = ["with_scene"]
-
 _PAGE, _HEAD = 65536, 8
 """Bytes of a page of memory, and of the header of modules and components."""
 

@@ -35,8 +35,6 @@ from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Ru
 from .pipeline import derive, loaded, ready, retraced, with_brakes
 from .probe import mobility, shared
 
-__all__ = ["Instance"]
-
 _NAMED = 5
 """Largest number of coordinates that a message names."""
 

@@ -12,11 +12,6 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_long, c_size_t
 from functools import cache, partial
 from pathlib import Path
 
-__all__ = [
-    *("BRAKES", "DONE", "ENDED", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD"),
-    *("Run", "Scene", "Unit", "library"),
-]
-
 DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES, ENDED = range(7)
 """Outcomes of a call: success; rejected, with nothing changed; constraints that cannot be closed; failure; a massless
 body that nothing holds; redundant constraints that the scene must be traced for; no further step, as a law of time

@@ -43,12 +43,6 @@ from .probe import SINGULAR, Probe, survey
 from .shipped import installed, lane_flags
 from .stored import Start, constants, stored_decision, stored_scene, stored_start
 
-__all__ = [
-    *("chosen", "decision_of", "derive", "library_in_lanes", "loaded", "loaded_in_lanes", "packed", "prepared"),
-    *("ready", "retraced", "with_brakes", "with_defaults"),
-]
-
-
 UNRUBBED = ("trapezoidal", "generalized_alpha")
 """Methods of the index-3 form, whose multipliers are of position level; dry friction needs those of accelerations."""
 

@@ -20,8 +20,6 @@ from ..method import implicit
 from .library import DONE, Scene, Unit
 from .shipped import installed
 
-__all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared", "survey"]
-
 SINGULAR = (RuntimeError, np.linalg.LinAlgError)
 """Exceptions of SciPy and NumPy for a singular augmented mass, as near a motion with almost no mass."""
 

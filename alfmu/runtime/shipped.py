@@ -15,8 +15,6 @@ from . import build
 from . import library as binding
 from .build import COMPONENT, HERE, WEB, file_name
 
-__all__ = ["installed", "lane_flags", "library", "there"]
-
 
 @cache
 def installed() -> CDLL:

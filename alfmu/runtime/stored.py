@@ -32,8 +32,6 @@ from ..model.cache import is_off, kept, remember
 from ..model.content import value_text
 from ..model.kept import latest, outdate
 
-__all__ = ["Start", "constants", "fingerprint", "software", "stored_decision", "stored_scene", "stored_start"]
-
 _Made = TypeVar("_Made")
 
 _WORTH = 0.05

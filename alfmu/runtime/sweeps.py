@@ -16,8 +16,6 @@ from ..model.errors import AlfmuError, StepError
 from .instance import Instance
 from .library import INTERRUPTED, Run
 
-__all__ = ["Sweeps"]
-
 _NO_MEMORY = -2
 """An additional outcome: out of memory."""
 

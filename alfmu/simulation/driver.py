@@ -22,11 +22,6 @@ from ..runtime.pipeline import prepared
 from . import oracle
 from .result import OFF, Check, Result, Signal
 
-__all__ = [
-    *("Progress", "Unit", "by_name", "checked", "communication_points", "finer"),
-    *("instance", "names_in", "run", "settings_of", "signals_of", "table_of", "values_of"),
-]
-
 MOST = 500_000_000
 """Largest number of values in a result: 4 GB."""
 

@@ -25,8 +25,6 @@ from ..method.integrators import rk4
 from ..model.errors import OpenError, StepError
 from .stepped import EPS, Reading, Stepped, least_squares, unchanged
 
-__all__ = ["Instance"]
-
 Found = tuple[NDArray, NDArray, int, NDArray]
 """Accelerations a (n,), multipliers lam (l,), number of multiplier iterations, residual Phi-ddot (l,)."""
 

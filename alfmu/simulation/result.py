@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-__all__ = ["Check", "Film", "Result", "Signal", "facts_beside", "facts_in", "read_inputs"]
-
 Table = Sequence[float] | NDArray[Any]
 
 Signal = float | Callable[[float], float] | tuple[Table, Table]

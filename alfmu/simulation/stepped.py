@@ -32,8 +32,6 @@ from ..method.inputs import Past
 from ..model.errors import AlfmuError, InputError, OpenError, StepError
 from ..model.settings import internal_steps
 
-__all__ = ["EPS", "Reading", "Stepped", "least_squares", "unchanged"]
-
 EPS = float(np.finfo(float).eps)
 
 _LOGGER = logging.getLogger("alfmu")

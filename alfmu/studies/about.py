@@ -25,8 +25,6 @@ from ..runtime.pipeline import decision_of, prepared, with_defaults
 from ..simulation import Result
 from .cost import cost, described
 
-__all__ = ["About", "about", "gravity", "in_all", "in_short", "notes"]
-
 LINES = 20
 """Largest number of lines of the short description."""
 

@@ -32,30 +32,6 @@ from .charts import require
 from .reference import Reference
 from .tables import Cell, Row, write_csv
 
-__all__ = [
-    "ENERGY",
-    "PHI",
-    "PHI_DOT",
-    "POSITION",
-    "QUANTITIES",
-    "REACTION",
-    "STEP",
-    "TOLERANCE",
-    "Begun",
-    "Case",
-    "Judge",
-    "Progress",
-    "Run",
-    "Study",
-    "begin",
-    "control",
-    "exactness",
-    "methods",
-    "restarting",
-    "run",
-    "scene",
-]
-
 POSITION, REACTION = "position error [m, rad]", "reaction error [N, N.m]"
 PHI, PHI_DOT = "constraint error, Phi [m, rad]", "constraint error, Phi-dot [m/s, rad/s]"
 ENERGY = "energy error [J]"

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Line", "Look", "Map", "maps", "require", "scatter", "slope"]
-
 PALE = 0.5
 """Share by which cells with a note are paler."""
 

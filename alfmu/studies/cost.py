@@ -21,8 +21,6 @@ from ..kernel.symbolic import Scene, lengths_of
 from ..kernel.trace import traced
 from ..simulation import prepared
 
-__all__ = ["Cost", "cost", "described", "left_out", "operations", "parts"]
-
 _FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
 
 

@@ -9,8 +9,6 @@ from .charts import Line, Look
 from .rivals import RIVALS
 from .tables import Row
 
-__all__ = ["LINES", "LOOKS", "integrator", "line_of"]
-
 COLOURS = (
     *("#c0523a", "#d98c1f", "#3f9268", "#7a66b0", "#b0608c", "#8a6d3b", "#1f5fae"),
     *("#6b7680", "#a4acb3", "#222222", "#1f8f96", "#5aa9d6", "#93a83a", "#d0709a"),

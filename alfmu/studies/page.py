@@ -25,9 +25,6 @@ from .plots import Figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-__all__ = ["Page", "library"]
-
-
 _NUMBER = re.compile(r"<td([^>]*>-?[\d.]+e[-+]?\d+</td>)")
 """Matches a cell with a number that must not wrap."""
 

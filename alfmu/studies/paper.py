@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LIMITS", "QUICK", "SHORT", "STUDIES", "USUAL", "Chapter", "Effort", "Table", "settings"]
-
 GRAVITY = 9.81
 RATE = 2.0
 """Start of all linkages: th = 0, a singular position, with this rate [rad/s]."""

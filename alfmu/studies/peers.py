@@ -31,26 +31,6 @@ from ..catalogue.registry import load
 from ..equations.derivation import derive
 from ..runtime import Instance
 
-__all__ = [
-    "ANGLE",
-    "CRANK",
-    "GRAVITY",
-    "MECHANISMS",
-    "REACTIONS",
-    "ROD",
-    "TUNED",
-    "USAGE",
-    "Exudyn",
-    "MuJoCo",
-    "Peer",
-    "Pinocchio",
-    "SciPy",
-    "Simulation",
-    "Start",
-    "Trajectory",
-    "solved",
-]
-
 GRAVITY = 9.81
 
 EVALUATIONS = 100_000

@@ -13,8 +13,6 @@ from .charts import LEAST, Line
 from .looks import LOOKS, integrator, line_of
 from .tables import Row, number
 
-__all__ = ["Figure", "against_time", "convergence"]
-
 Figure = dict[str, Any]
 
 GAP = 0.1

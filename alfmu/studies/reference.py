@@ -29,8 +29,6 @@ from ..equations.arrays import ArrayFunction, ArrayFunctions
 from ..equations.evaluation import shared, symbols, with_functions
 from ..runtime import Instance
 
-__all__ = ["Effort", "Reference", "reference"]
-
 SINGULAR = 0.02
 """Smallest singular value of the independent constraints, over the largest, below which a null space is ambiguous."""
 

@@ -68,8 +68,6 @@ from .plots import against_time, convergence
 from .rivals import COMPILED, PYTHON, RIVALS, SCIPY, TUNED, Rival
 from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 
-__all__ = ["PROFILES", "Effort", "report"]
-
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
 TIME = "least [s]"

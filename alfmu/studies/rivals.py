@@ -22,8 +22,6 @@ from . import peers
 from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
 from .peers import Peer, Start
 
-__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "TUNED", "Rival"]
-
 PYTHON, COMPILED = "Python", "compiled code"
 LANGUAGES = {"Pinocchio": "compiled code, stepped in Python", "SciPy stabilised": PYTHON}
 """Languages of codes that are not entirely compiled."""

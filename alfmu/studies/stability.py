@@ -42,8 +42,6 @@ from .cases import (
 from .charts import Map, maps
 from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 
-__all__ = ["CLASSES", "CRITERIA", "Effort", "left_out", "maps_of", "stability"]
-
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
 GROWTH = 0.1

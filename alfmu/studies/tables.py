@@ -17,21 +17,6 @@ from pathlib import Path
 from ..model.files import atomic
 from ..runtime.build import compiler
 
-__all__ = [
-    "Cell",
-    "Chapter",
-    "Row",
-    "environment",
-    "markdown",
-    "measured",
-    "number",
-    "paragraph",
-    "processor",
-    "rounded",
-    "shown",
-    "write_csv",
-]
-
 Cell = str | int | float | None
 Row = dict[str, Cell]
 

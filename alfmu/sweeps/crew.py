@@ -26,8 +26,6 @@ from .jobs import Job, NeedsBrakes, Part, begin, lost, run_part
 from .parts import Store, kept
 from .variations import Cases
 
-__all__ = ["Crew", "Processes", "Stop", "cluster", "make", "stopping"]
-
 PART = 2.0
 """Time [s] after which a part is returned: it bounds the loss due to a killed process, and exceeds the time to write a
 file."""

@@ -26,8 +26,6 @@ with needs("an environment needs Gymnasium", "gym"):
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
-__all__ = ["Environment", "VectorEnvironment"]
-
 Numbers = NDArray[np.float64]
 
 Values = Mapping[str, Numbers]

@@ -24,8 +24,6 @@ from ..runtime.library import BRAKES, DONE, REFUSED, Run, Scene, Unit
 from ..runtime.shipped import installed, lane_flags
 from .measures import Measure, measured
 
-__all__ = ["Code", "FmuJob", "Job", "NeedsBrakes", "Part", "Ran", "SceneJob", "run_part", "runner_of"]
-
 Table = NDArray[np.float64]
 
 KEPT = 2

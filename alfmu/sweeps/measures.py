@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from ..model.errors import InputError
 from ..model.words import some_like, there_is
 
-__all__ = ["FUNCTIONS", "USUAL", "Measure", "matching", "measured", "measures"]
-
 Table = NDArray[np.float64]
 
 FUNCTIONS = {

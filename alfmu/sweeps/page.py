@@ -12,8 +12,6 @@ from .measures import FUNCTIONS
 from .parts import Store
 from .summary import QUANTILES, Failures, Spread, Summary
 
-__all__ = ["chosen", "page"]
-
 ACROSS, DOWN = 6, 5
 """Largest numbers of varied and of stored quantities plotted against each other."""
 

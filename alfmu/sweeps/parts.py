@@ -26,8 +26,6 @@ from ..model.files import exclusive, write
 from ..simulation import communication_points
 from .jobs import Part
 
-__all__ = ["FORMS", "OWN", "Folder", "Held", "Plan", "Store", "kept", "read_plan", "usual_form"]
-
 Column = NDArray[Any]
 
 PLAN = "plan.json"

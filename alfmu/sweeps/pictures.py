@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..studies.plots import FAINT, FONT, GRID, Figure
 from .summary import QUANTILES, Spread
 
-__all__ = ["bands", "histograms", "parallel", "scatter", "sensitivities"]
-
 Column = NDArray[np.float64]
 
 INK, WIDE, NARROW, POINT = "#1f5fae", "rgba(31,95,174,0.16)", "rgba(31,95,174,0.32)", "rgba(31,95,174,0.45)"

@@ -22,8 +22,6 @@ from .summary import QUANTILES, Summary, summarised
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Sweep"]
-
 SUMMARY, PAGE = "summary.json", "sweep.html"
 
 STILL = 3

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from .parts import Plan, Store
 
-__all__ = ["QUANTILES", "Failures", "Spread", "Summary", "summarised"]
-
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Probabilities [1] of the quantiles."""
 

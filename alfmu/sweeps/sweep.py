@@ -37,8 +37,6 @@ from .variations import Cases, planned, read_cases, table_of_cases
 if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
 
-__all__ = ["sweep"]
-
 _LOGGER = logging.getLogger("alfmu")
 
 QUICK = 1.0

@@ -17,8 +17,6 @@ from scipy.special import ndtr, ndtri
 from ..model.errors import InputError
 from ..model.words import in_words, there_is
 
-__all__ = ["DISTRIBUTIONS", "SAMPLERS", "Cases", "Distribution", "parsed", "planned", "read_cases", "table_of_cases"]
-
 Column = NDArray[np.float64]
 
 MOST_CASES = 50_000_000

@@ -44,8 +44,6 @@ from ..model.sources import is_file
 from ..model.words import counted, in_words, shown, text, there_is
 from .masters import MASTERS
 
-__all__ = ["Component", "Connection", "Description", "Monolithic", "read_toml"]
-
 _NAME = re.compile(r"[A-Za-z_]\w*\Z")
 _FILE_KEYS = (
     *("name", "description", "start_time", "stop_time", "communication_step", "master"),

@@ -1,7 +1,5 @@
 """Names of the master algorithms; help texts need only this light module."""
 
-__all__ = ["MASTERS"]
-
 MASTERS = {
     "held": "each component holds its inputs for a communication step, as importers of FMUs do: order 1",
     "extrapolated": "inputs are extrapolated linearly from the last communication step: order 2",

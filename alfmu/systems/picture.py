@@ -14,8 +14,6 @@ from .case import Case
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure"]
-
 _LOOKS = {"held": (COLORS[3], "o"), "extrapolated": (COLORS[1], "s"), "iterated": (COLORS[0], "^")}
 """Colour and marker of each master."""
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from ..model.errors import DeclarationError, InputError
 from ..model.units import UNITS, composed
 
-__all__ = ["Measure", "Port", "conversion", "measure"]
-
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI and SSP, in their order."""
 

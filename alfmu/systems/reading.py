@@ -19,8 +19,6 @@ from .description import Component, Connection, Description
 from .masters import MASTERS
 from .ssp import DESCRIPTION, OSP, OWN, VERSIONS, tag
 
-__all__ = ["read", "unpacked"]
-
 _LARGEST = 16_000_000
 """Largest size of a description or a parameter set in bytes."""
 

@@ -35,8 +35,6 @@ from .ports import Port, conversion
 from .reading import unpacked
 from .slaves import Slave, opened, outputs_of
 
-__all__ = ["Assembly", "Link", "interface_jacobian", "simulate"]
-
 Vector = NDArray[np.float64]
 
 AGREES = 1e-9

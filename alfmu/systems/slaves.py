@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
     from .description import Component
 
-__all__ = ["Local", "Remote", "Slave", "naming", "opened", "recipe_of"]
-
 
 class Slave(ABC):
     """A component that can be stepped, rewound, and read."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["DESCRIPTION", "OSP", "OWN", "SPACES", "VERSIONS", "tag"]
-
 VERSIONS = ("1.0", "2.0")
 """Supported versions of SSP."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from ..simulation import Progress
     from ..simulation.result import Result, Signal
 
-__all__ = ["System"]
-
 
 @dataclass(frozen=True, repr=False, eq=False)
 class System(Description):

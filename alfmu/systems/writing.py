@@ -20,8 +20,6 @@ from .run import Assembly
 from .slaves import Remote, naming, recipe_of
 from .ssp import DESCRIPTION, OSP, OWN, SPACES, VERSIONS, tag
 
-__all__ = ["write"]
-
 _SET = "defaults"
 """Name of the parameter sets of all components; ecos selects sets by name."""
 

@@ -10,8 +10,6 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from .shapes import GROUND, Shapes, Space
 
-__all__ = ["as_data", "from_data"]
-
 _LATER = ("rims",)
 """Fields that drawings may omit if they are empty."""
 

@@ -14,8 +14,6 @@ from .plot import COLORS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure"]
-
 RATIOS = (0.1, 0.3, 0.6)
 """Damping ratios of the dotted lines."""
 

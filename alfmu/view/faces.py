@@ -17,8 +17,6 @@ from .shapes import Shapes, Vector3
 from .space import Camera, Lens, Pose, SpaceView, camera_of, cross, floor_of, place_of, poses_of, rotated, turned_to
 from .surface import FAINT, GRID, INK, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, placed, rim_of
 
-__all__ = ["Stage"]
-
 SIDES = 18
 """Number of faces around a rod."""
 

@@ -14,8 +14,6 @@ from .plot import COLORS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure"]
-
 MOST = 4
 """Largest number of columns in the plot: the first ones."""
 

@@ -42,8 +42,6 @@ from .space import SpaceView
 from .surface import COLORS, FONTS
 from .traced import Traced
 
-__all__ = ["live", "needed", "written_by_alfmu"]
-
 _MARK = '<meta name="generator" content="alfmu'
 """Identifies a page of alfmu."""
 

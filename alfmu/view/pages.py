@@ -23,8 +23,6 @@ from .shapes import Shapes, Spot
 from .surface import BACKGROUND, FONTS, PALETTE, RIM
 from .traced import Traced
 
-__all__ = ["data_of", "filled", "packed_text", "page", "space_of", "stage_of", "text_of"]
-
 EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
     "moment": {"applied": "#5b3fa8", "reaction": "#8a6fd1"},

@@ -20,8 +20,6 @@ from .surface import COLORS
 
 Kind = Literal["rod", "coil", "ball", "box", "cylinder", "cone", "plate"]
 
-__all__ = ["Name", "Piece", "colors_of", "names_of", "pieces_of"]
-
 
 @dataclass(frozen=True)
 class Piece:

@@ -20,8 +20,6 @@ from .scene import LEFT, OVERHANG, RIGHT, RULER, Label, Part, hull_of, scene_of,
 from .shapes import GROUND, Anchor, Shapes
 from .surface import GRID, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, cell_of, placed, rim_of, width_of
 
-__all__ = ["Fit", "Stage", "View", "fit_of", "hides", "poses_of", "view_of"]
-
 # View: extent of a motion -----------------------------------------------------------------------------------------
 
 Pose = tuple[Any, Any, Any]

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "plot"]
-
 PANELS = 4
 """Largest number of panels of a default figure."""
 

@@ -18,20 +18,6 @@ from .shapes import GROUND, Anchor, Guide, Link, Rim, Shapes, Tie
 from .surface import COLORS, Vector, rounded
 from .traced import cos, sin
 
-__all__ = [
-    "LEFT",
-    "OVERHANG",
-    "RIGHT",
-    "RULER",
-    "Label",
-    "Part",
-    "Scene",
-    "Stroke",
-    "hull_of",
-    "scene_of",
-    "supports_of",
-]
-
 LEFT, RIGHT = "left corner", "right corner"
 """Lower corners of a picture as frames, with anchors in `Fit.base` pixels."""
 

@@ -17,8 +17,6 @@ from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
 from .traced import cos, sin, tracer
 
-__all__ = ["Shapes", "by_law", "ends_of", "geometry"]
-
 GROUND = "ground"
 
 POSE = ("x", "y", "z", "e0", "e1", "e2", "e3")

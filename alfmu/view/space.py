@@ -19,8 +19,6 @@ from ..model.spatial import right_handed
 from .shapes import GROUND, Shapes, Spot, Vector3
 from .surface import Size, Vector, base_of, cell_of
 
-__all__ = ["Camera", "Floor", "Lens", "Pose", "SpaceView", "camera_of", "floor_of", "place_of", "poses_of", "view_of"]
-
 Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Position (..., 3) [m] and Euler parameters (..., 4) of a frame, at one instant or over time."""
 

@@ -11,8 +11,6 @@ from typing import Any, Protocol
 
 from PIL import Image, ImageDraw, ImageFont
 
-__all__ = ["Raster", "Size", "Surface", "Svg", "Text", "Vector", "placed"]
-
 Vector = tuple[float, float]
 
 Size = tuple[int, int]

@@ -13,8 +13,6 @@ from ..model.errors import DeclarationError
 from ..model.mechanism import Mechanism
 from ..model.parts import Scalar
 
-__all__ = ["Traced", "cos", "sin", "tracer"]
-
 
 def _operator(f: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return a binary operator for traced numbers, and its reflected form."""

@@ -35,8 +35,6 @@ from .registry import (
 )
 from .unit import Broken, Journal, Once, Session
 
-__all__ = ["CURRENT", "JOURNAL", "RECORD", "TASK", "all_checks", "main", "result_file"]
-
 TASK, JOURNAL, CURRENT = "task.json", "journal", "current"
 """Files in the folder: the task, the current call, the current check."""
 

@@ -12,8 +12,6 @@ import numpy as np
 from .registry import RISKY, Fault, NotApplicable, Task, Unjudged, check, judge
 from .unit import DISCARD, WARNING, Broken, Session, Unit, Variable, shown
 
-__all__ = ["driven", "excite", "unlike"]
-
 _COUNT = 20
 """Number of steps of a repeated run."""
 

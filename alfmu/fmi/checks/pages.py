@@ -14,8 +14,6 @@ from ...model.words import counted
 from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Finding
 from .validation import Report
 
-__all__ = ["FORMS", "check_form", "html", "lines", "markdown", "save", "summary", "svg"]
-
 _COLOURS = {PASSED: "#2b7a3d", FAILED: "#b3261e", NOT_APPLICABLE: "#7a7a7a", UNJUDGED: "#9a6700"}
 _COLOURS |= {RISKY: "#a04000", NOTED: "#1f5fa8"}
 """Dark enough for text on white: the contrast is at least 4.5."""

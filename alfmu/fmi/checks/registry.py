@@ -8,25 +8,6 @@ from typing import Any
 
 from .unit import Session
 
-__all__ = [
-    "CHECKS",
-    "FAILED",
-    "NOTED",
-    "NOT_APPLICABLE",
-    "PASSED",
-    "RISKY",
-    "UNJUDGED",
-    "Check",
-    "Fault",
-    "Finding",
-    "NotApplicable",
-    "Noted",
-    "Task",
-    "Unjudged",
-    "check",
-    "judge",
-]
-
 PASSED, FAILED, NOT_APPLICABLE, UNJUDGED = "passed", "failed", "not applicable", "could not be judged"
 RISKY, NOTED = "risk", "note"
 """Results of a check. A violation of the standard fails. A risk is allowed but hides mistakes of importers; a note is

@@ -19,22 +19,6 @@ from fmpy.model_description import ModelDescription, ModelVariable
 
 from ..markup import tree
 
-__all__ = [
-    "DISCARD",
-    "ERROR",
-    "FATAL",
-    "OK",
-    "STATUS",
-    "WARNING",
-    "Broken",
-    "Journal",
-    "Once",
-    "Session",
-    "Unit",
-    "Variable",
-    "state_call",
-]
-
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 """Names of status values of FMI by number."""

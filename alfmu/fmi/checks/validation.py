@@ -30,8 +30,6 @@ from .child import CURRENT, JOURNAL, TASK, all_checks, result_file
 from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Check, Finding
 from .unit import Journal
 
-__all__ = ["OTHERS_AGREE", "TIMEOUT", "Report", "examine", "known_checks", "validate"]
-
 TIMEOUT = 120.0
 """Time limit of a check [s]: minutes, for FMUs that take a second per step."""
 
