@@ -119,7 +119,7 @@ def test_drawings_that_cannot_be_made_say_why(tmp_path):
         load("four_bar").draw(at={"th": 1.0})
     with pytest.raises(InputError, match="it cannot be drawn at th1 = nan; give a finite number"):
         load("four_bar").draw(at={"th1": float("nan")})
-    with pytest.raises(InputError, match=r"a\.pdf cannot hold a drawing; its name must end in \.png or \.svg"):
+    with pytest.raises(InputError, match=r"a\.pdf: the name of a file for a drawing must end in \.png or \.svg"):
         load("four_bar").draw(tmp_path / "a.pdf")
     assert not list(tmp_path.iterdir())
 

@@ -457,13 +457,13 @@ RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([*RUN, "-o", "out.json"], "out.json cannot hold a table; its name must end in .csv"),
-        ([*RUN, "-o", "model.fmu"], "model.fmu cannot hold a table"),
+        ([*RUN, "-o", "out.json"], "out.json: the name of a file for a table must end in .csv"),
+        ([*RUN, "-o", "model.fmu"], "model.fmu: the name of a file for a table"),
         ([*RUN, "-o", "theirs.csv"], "theirs.json exists and was not written by alfmu"),
         (RUN, "particle_on_circle.csv exists and was not written by alfmu"),
         ([*RUN, "-o", "in.csv", "--input", "in.csv"], "in.csv holds the inputs of the run"),
-        ([*RUN, "-o", "r.csv", "--plot", "model.fmu"], "model.fmu cannot hold a plot"),
-        (["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"], "model.fmu cannot hold an animation"),
+        ([*RUN, "-o", "r.csv", "--plot", "model.fmu"], "model.fmu: the name of a file for a plot"),
+        (["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"], "model.fmu: the name of a file for a film"),
     ],
     ids=["json", "fmu", "beside", "default", "inputs", "plot", "film"],
 )

@@ -471,7 +471,7 @@ def test_an_animation_follows_the_parameters_of_the_run(tmp_path):
 def test_animations_that_cannot_be_written_say_why(tmp_path):
     mechanism = load("five_bar")
     result = simulate(mechanism, 0.1, 0.02)
-    with pytest.raises(InputError, match=r"film\.mp4 cannot hold an animation; its name must end in \.gif or \.html"):
+    with pytest.raises(InputError, match=r"film\.mp4: the name of a file for a film must end in \.gif or \.html"):
         animate(mechanism, result, tmp_path / "film.mp4")
     for wrong in ({"fps": 0}, {"speed": math.inf}):
         with pytest.raises(InputError, match=f"five_bar: {next(iter(wrong))} is .*above zero"):
@@ -637,7 +637,7 @@ def test_plots_are_written(tmp_path, name, suffix, start):
 
 def test_plots_that_cannot_be_written_say_why(tmp_path, monkeypatch):
     result = simulate("particle_on_circle", 0.1, 0.02)
-    with pytest.raises(InputError, match=r"a\.bmp cannot hold a plot; its name must end in \.png, \.svg, \.pdf"):
+    with pytest.raises(InputError, match=r"a\.bmp: the name of a file for a plot must end in \.png, \.svg or \.pdf"):
         plot(result, tmp_path / "a.bmp")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match=r"install it with: pip install 'alfmu\[plot\]'"):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..kernel.symbolic import ROUND_OFF
 from ..model.calls import asked
 from ..model.errors import InputError
-from ..model.files import write
+from ..model.files import path_for, write
 from ..model.words import counted
 from ..simulation.result import Signal
 from .branches import polished, ways
@@ -216,8 +216,7 @@ class Equilibria(Sequence[Equilibrium]):
     @asked
     def save(self, path: str | Path) -> None:
         """Write all of it as `.json`. Raises InputError if the suffix is another one, else WriteError."""
-        path = Path(path)
-        check_file(path)
+        path = path_for("positions of rest", path)
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
@@ -239,12 +238,6 @@ class Equilibria(Sequence[Equilibrium]):
             lines += ["     held by " + ", ".join(each.held_by)] * bool(each.held_by)
             lines += [f"     balance within {each.residual:.1e} N, N.m"]
         return [*lines, *self.notes]
-
-
-def check_file(path: Path) -> None:
-    """Raise InputError if equilibria cannot be written to a file of this name."""
-    if path.suffix.lower() != ".json":
-        raise InputError(f"{path} cannot hold positions of rest; its name must end in .json")
 
 
 _SHOWN = 12

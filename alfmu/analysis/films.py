@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..model.errors import InputError
+from ..model.files import path_for
 from ..model.words import counted
 from ..simulation.result import Result
-from ..view.picture import animate, check_film
+from ..view.picture import animate
 from .loops import STEP, Loops
 from .situation import Situation, Vector
 
@@ -68,7 +69,7 @@ def film(
     progress: Callable[[Any], Any] = iter,
 ) -> None:
     """Write a mode of a linearisation as a film (`Linearization.film`)."""
-    check_film(path)
+    path_for("a film", path)
     modes = linear.modes
     if isinstance(mode, bool) or not isinstance(mode, int) or not 1 <= mode <= len(modes):
         raise InputError(f"{linear.mechanism}: there is no mode {mode!r}; it has {counted(len(modes), 'mode')}")

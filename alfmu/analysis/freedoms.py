@@ -17,7 +17,7 @@ import numpy as np
 from ..equations import Equations
 from ..model.calls import asked
 from ..model.errors import AlfmuError, InputError
-from ..model.files import write
+from ..model.files import path_for, write
 from ..model.words import counted
 from ..runtime import Instance
 from ..simulation import Progress, communication_points
@@ -157,8 +157,7 @@ class Freedoms:
     @asked
     def save(self, path: str | Path) -> None:
         """Write all of it as `.json`. Raises InputError if the suffix is another one, else WriteError."""
-        path = Path(path)
-        check_file(path)
+        path = path_for("degrees of freedom", path)
         write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
 
     def lines(self) -> list[str]:
@@ -184,12 +183,6 @@ class Freedoms:
                 lines += [f"  nearest to one at t = {self.least_at:.6g} s: singular value {self.least:.3g}"]
             lines += [f"  from t = {t:g} s: {counted(freedom, 'degree')} of freedom" for t, freedom in self.changes]
         return [*lines, *self.notes]
-
-
-def check_file(path: Path) -> None:
-    """Raise InputError if degrees of freedom cannot be written to a file of this name."""
-    if path.suffix.lower() != ".json":
-        raise InputError(f"{path} cannot hold degrees of freedom; its name must end in .json")
 
 
 def _position(each: SingularPosition) -> list[str]:

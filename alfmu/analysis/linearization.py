@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..equations.specialisation import plain
 from ..model.calls import asked
 from ..model.errors import InputError, needs
-from ..model.files import atomic, write
+from ..model.files import atomic, path_for, write
 from ..model.units import rate_of
 from ..model.words import counted, shown, some_like
 from ..simulation.result import Signal
@@ -363,8 +363,7 @@ def save(found: Sequence[Linearization], path: str | Path) -> None:
 
     Raises InputError for another suffix, else WriteError.
     """
-    path = Path(path)
-    check_file(path)
+    path = path_for("linearisations", path)
     if path.suffix.lower() == ".json":
         data = [each.as_data() for each in found]
         write(path, (json.dumps(data[0] if len(data) == 1 else data, indent=1) + "\n").encode())
@@ -374,8 +373,8 @@ def save(found: Sequence[Linearization], path: str | Path) -> None:
     first = found[0]
     if any(each.states != first.states for each in found):
         raise InputError(
-            f"{first.mechanism}: its independent coordinates change along the motion, which {path.name} cannot hold; "
-            "save it as .json"
+            f"{first.mechanism}: its independent coordinates change along the motion; save them as .json, as "
+            f"{path.name} has the same ones at each time"
         )
     alone = 0 if len(found) == 1 else slice(None)
 
@@ -393,12 +392,6 @@ def save(found: Sequence[Linearization], path: str | Path) -> None:
         savemat(file, {**matrices, **names, **values, "dx0": drift, "time": times, "mechanism": first.mechanism})
 
 
-def check_file(path: Path) -> None:
-    """Raise InputError if a linearisation cannot be written to a file of this name."""
-    if path.suffix.lower() not in (".json", ".mat"):
-        raise InputError(f"{path} cannot hold a linearisation; its name must end in .json or .mat")
-
-
 @asked
 def figure(found: Sequence[Linearization], path: str | Path | None = None) -> Figure:
     """Return a figure of the eigenvalues of linearisations, and write it if a path is given."""
@@ -406,9 +399,8 @@ def figure(found: Sequence[Linearization], path: str | Path | None = None) -> Fi
 
     if not found:
         raise InputError("figure() is given no linearisation; give one or more")
-    if path is not None:
-        plot.check_name(Path(path))
+    path = None if path is None else path_for("a plot", path)
     drawn = eigenvalues.figure([x.eigenvalues for x in found], [x.time for x in found], found[0].mechanism)
     if path is not None:
-        plot.save(drawn, Path(path), 150)
+        plot.save(drawn, path, 150)
     return drawn

@@ -9,7 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import InputError
-from .options import EITHER_HELP, Command, add_name, add_names, add_option, add_set, chosen_recipe, name_list, pair
+from .options import (
+    EITHER_HELP,
+    Command,
+    add_name,
+    add_names,
+    add_option,
+    add_set,
+    chosen_recipe,
+    file_of,
+    inputs_of,
+    name_list,
+    pair,
+)
 from .says import once_written, progress_bar, say
 
 _EQUILIBRIUM = """Inputs come from --input at the time of --at, or from --set, as start values do; `alfmu simulate
@@ -118,36 +130,24 @@ def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
 
 
 def _equilibrium(chosen: argparse.Namespace) -> None:
-    from ..analysis.equilibria import STARTS, check_file, equilibrium
-    from ..simulation.result import read_inputs
-    from ..view.picture import check_drawing
+    from ..analysis.equilibria import STARTS, equilibrium
 
-    path, drawn = (Path(x) if x else None for x in (chosen.output, chosen.draw))
-    if path:
-        check_file(path)
-    if drawn:
-        check_drawing(drawn)
-    starts = STARTS if chosen.starts is None else chosen.starts
-    inputs = read_inputs(chosen.input) if chosen.input else {}
+    path, drawn = file_of("positions of rest", chosen.output), file_of("a drawing", chosen.draw)
+    starts, inputs = STARTS if chosen.starts is None else chosen.starts, inputs_of(chosen)
     found = equilibrium(chosen_recipe(chosen, chosen.mechanism), inputs=inputs, time=chosen.at, starts=starts)
     _analysed(chosen, [found], path, found.save)
     _save(chosen, drawn, lambda path: found.nearest.draw().save(path))
 
 
 def _linearize(chosen: argparse.Namespace) -> None:
-    from ..analysis.linearization import AMPLITUDE, check_file, figure, linearize, save
-    from ..simulation.result import read_inputs
-    from ..view.picture import check_film
-    from ..view.plot import check_name
+    from ..analysis.linearization import AMPLITUDE, figure, linearize, save
 
-    path, plot, film = (Path(x) if x else None for x in (chosen.output, chosen.plot, chosen.film))
-    for each, check in ((path, check_file), (plot, check_name), (film, check_film)):
-        if each:
-            check(each)
+    path, plot = file_of("linearisations", chosen.output), file_of("a plot", chosen.plot)
+    film = file_of("a film", chosen.film)
     if film and isinstance(chosen.at, list):
         raise InputError("--film shows the modes of one state; give --at one place or time")
-    inputs = read_inputs(chosen.input) if chosen.input else {}
-    made = linearize(chosen_recipe(chosen, chosen.mechanism), chosen.at, inputs=inputs, outputs=chosen.outputs)
+    recipe = chosen_recipe(chosen, chosen.mechanism)
+    made = linearize(recipe, chosen.at, inputs=inputs_of(chosen), outputs=chosen.outputs)
     found = made if isinstance(made, list) else [made]
     _analysed(chosen, found, path, lambda path: save(found, path))
     amplitude = AMPLITUDE if chosen.amplitude is None else chosen.amplitude
@@ -156,17 +156,13 @@ def _linearize(chosen: argparse.Namespace) -> None:
 
 
 def _mobility(chosen: argparse.Namespace) -> None:
-    from ..analysis.freedoms import check_file, mobility
-    from ..simulation.result import read_inputs
+    from ..analysis.freedoms import mobility
 
-    path = Path(chosen.output) if chosen.output else None
-    if path:
-        check_file(path)
-    inputs = read_inputs(chosen.input) if chosen.input else {}
+    path = file_of("degrees of freedom", chosen.output)
     found = mobility(
         chosen_recipe(chosen, chosen.mechanism),
         stop_time=chosen.stop_time,
-        inputs=inputs,
+        inputs=inputs_of(chosen),
         time=chosen.at,
         progress=progress_bar("following the motion"),
     )
@@ -176,16 +172,13 @@ def _mobility(chosen: argparse.Namespace) -> None:
 def _kinematics(chosen: argparse.Namespace) -> None:
     from ..analysis.kinematics import kinematics
     from ..simulation.result import read_inputs
-    from ..view.plot import check_name, figure
+    from ..view.plot import figure
     from ..view.plot import save as draw
 
-    output, plot = (Path(x) if x else None for x in (chosen.output, chosen.plot))
-    if plot:
-        check_name(plot)
+    output, plot = Path(chosen.output) if chosen.output else None, file_of("a plot", chosen.plot)
     if (output or plot) and not (chosen.cycle or chosen.along):
         raise InputError("-o and --plot are for the table of --cycle or --along; give one of these")
-    inputs = read_inputs(chosen.input) if chosen.input else {}
-    k = kinematics(chosen_recipe(chosen, chosen.mechanism), chosen.actuated, chosen.watch, inputs=inputs)
+    k = kinematics(chosen_recipe(chosen, chosen.mechanism), chosen.actuated, chosen.watch, inputs=inputs_of(chosen))
     at, to = (dict(x) if x else {} for x in (chosen.at, chosen.to))
     if chosen.solutions:
         places = k.solutions({**at, **to})

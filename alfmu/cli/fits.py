@@ -6,8 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from ..model.errors import InputError
-from .options import Command, add_each, add_name, add_names, add_option, add_set, chosen_recipe
+from .options import Command, add_each, add_name, add_names, add_option, add_set, chosen_recipe, file_of
 from .says import once_written
 
 _FIT = """The table has a column `time` in s, which begins where the run does. Columns with names of outputs are
@@ -57,12 +56,8 @@ def _size(text: str) -> tuple[str, float]:
 def _fit(chosen: argparse.Namespace) -> None:
     from ..gradients import fit
 
-    if chosen.plot:
-        from ..view.plot import check_name
-
-        check_name(Path(chosen.plot))
-    if chosen.output and not chosen.output.endswith(".csv"):
-        raise InputError(f"{chosen.output} cannot hold a table; its name must end in .csv")
+    file_of("a plot", chosen.plot)
+    file_of("a table", chosen.output)
     recipe = chosen_recipe(chosen, chosen.name)
 
     def show(run: int, size: float) -> None:

@@ -10,6 +10,7 @@ import shlex
 from pathlib import Path
 
 from ..model.errors import InputError
+from ..model.files import path_for
 from .options import (
     EITHER_HELP,
     STEP,
@@ -173,10 +174,9 @@ def _import(chosen: argparse.Namespace) -> None:
 
 
 def _draw(chosen: argparse.Namespace) -> None:
-    from ..view.picture import SIZE, check_drawing, drawing
+    from ..view.picture import SIZE, drawing
 
-    path = Path(chosen.output or f"{file_name(Path(chosen.mechanism).stem)}.png")
-    check_drawing(path)
+    path = path_for("a drawing", chosen.output or f"{file_name(Path(chosen.mechanism).stem)}.png")
     recipe = chosen_recipe(chosen, chosen.mechanism)
     drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
     said = once_written(path)
@@ -198,9 +198,7 @@ def _live(chosen: argparse.Namespace) -> None:
 
     recipe = chosen_recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
     mechanism = recipe.declared()
-    path = Path(chosen.output or f"{file_name(mechanism.name)}_live.html")
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path} cannot hold a page; its name must end in .html")
+    path = path_for("a page", chosen.output or f"{file_name(mechanism.name)}_live.html")
     if path.exists() and not chosen.output and not written_by_alfmu(path):
         raise InputError(f"{path} exists and was not written by alfmu live; name another file with -o, or remove it")
     outputs = None if recipe.outputs is None else [*plain(recipe.outputs), *needed(mechanism)]

@@ -17,6 +17,7 @@ from .options import (
     add_scene,
     chosen_recipe,
     file_name,
+    inputs_of,
     refuse_scene_of_fmu,
 )
 from .says import progress_bar
@@ -102,7 +103,6 @@ def _varied(text: str) -> tuple[str, str]:
 
 
 def _sweep(chosen: argparse.Namespace) -> None:
-    from ..simulation.result import read_inputs
     from ..sweeps.sweep import sweep
 
     vary = dict(chosen.vary)
@@ -128,7 +128,7 @@ def _sweep(chosen: argparse.Namespace) -> None:
             cases=chosen.cases,
             stop_time=chosen.stop_time,
             communication_step=chosen.step,
-            inputs=read_inputs(chosen.input) if chosen.input else {},
+            inputs=inputs_of(chosen),
             parameters=parameters,
             kernel=chosen.kernel,
             workers=chosen.workers,

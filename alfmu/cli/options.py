@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..kernel import DEFAULT, KERNELS
 from ..model.errors import InputError
+from ..model.files import path_for
 
 if TYPE_CHECKING:
     from ..equations import Equations
     from ..fmi.recipe import Recipe
     from ..model.mechanism import Mechanism
+    from ..simulation.result import Signal
 
 Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argparse.ArgumentParser]
 """Adds a command: its name, the function that runs it and returns the exit code (None for 0), and a line of help."""
@@ -111,6 +113,18 @@ def add_option(sub: argparse.ArgumentParser) -> None:
 def add_set(sub: argparse.ArgumentParser) -> None:
     text = "a parameter, start value, input or solver variable; may be given many times"
     add_each(sub, "--set", "NAME=VALUE", pair, text)
+
+
+def inputs_of(chosen: argparse.Namespace) -> dict[str, Signal]:
+    """Return the inputs over time in the file of --input."""
+    from ..simulation.result import read_inputs
+
+    return read_inputs(chosen.input) if chosen.input else {}
+
+
+def file_of(content: str, path: str | None) -> Path | None:
+    """Return the path of a requested file, None if none is. Raises InputError if its name has another suffix."""
+    return path_for(content, path) if path else None
 
 
 def name_list(text: str) -> list[str]:

@@ -13,6 +13,7 @@ from ..model.errors import AlfmuError, InputError
 if TYPE_CHECKING:
     from ..simulation.result import Result, Signal
 
+from ..model.files import path_for
 from .options import (
     EITHER_HELP,
     STEP,
@@ -26,6 +27,8 @@ from .options import (
     chosen_recipe,
     equations_of,
     file_name,
+    file_of,
+    inputs_of,
     refuse_scene_of_fmu,
 )
 from .says import between_steps, failed, fall_silent, once_written, progress_bar
@@ -172,15 +175,10 @@ def add_table(sub: argparse.ArgumentParser) -> None:
 
 def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
     """Return inputs over time from a file, after checking the names to be plotted."""
-    from ..simulation.result import read_inputs
-
-    inputs = read_inputs(chosen.input) if chosen.input else {}
+    inputs = inputs_of(chosen)
     if chosen.plot_names and not chosen.plot:
         raise InputError("--plot-names needs --plot FILE")
-    if chosen.plot:
-        from ..view.plot import check_name
-
-        check_name(Path(chosen.plot))
+    file_of("a plot", chosen.plot)
     return inputs
 
 
@@ -217,9 +215,7 @@ def _table_path(chosen: argparse.Namespace, name: str) -> Path:
     """Return the path of the table of a run; raise InputError if it, or its `.json`, would replace another file."""
     from ..simulation.result import facts_beside, facts_in
 
-    table = Path(chosen.output or f"{file_name(name)}.csv")
-    if table.suffix.lower() != ".csv":
-        raise InputError(f"{table} cannot hold a table; its name must end in .csv")
+    table = path_for("a table", chosen.output or f"{file_name(name)}.csv")
     if chosen.input and table.resolve() == Path(chosen.input).resolve():
         raise InputError(f"{table} holds the inputs of the run and would be overwritten; name another file with -o")
     facts = facts_beside(table)
@@ -265,10 +261,9 @@ def _animate(chosen: argparse.Namespace) -> None:
     from ..catalogue.registry import load
     from ..simulation.result import Result, facts_beside
     from ..view.drawing import from_data
-    from ..view.picture import animate, check_film
+    from ..view.picture import animate
 
-    path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
-    check_film(path)
+    path = path_for("a film", chosen.output or Path(chosen.result).with_suffix(".gif"))
     if Path(chosen.result).suffix.lower() in (".py", ".fmu"):
         raise InputError(f"{chosen.result} is not a result; `alfmu simulate` writes one, a table that ends in .csv")
     result = Result.from_csv(chosen.result)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from ..systems.masters import MASTERS
-from .options import STEP, Command, add_names, add_set
+from .options import STEP, Command, add_names, add_set, file_of
 from .runs import add_table, given_inputs, run_and_keep
 from .says import once_written, progress_bar
 
@@ -70,15 +69,9 @@ def _system(chosen: argparse.Namespace) -> None:
 
 
 def _couple(chosen: argparse.Namespace) -> None:
-    from ..systems.coupling import check_file, couple
+    from ..systems.coupling import couple
 
-    table, plot = (Path(x) if x else None for x in (chosen.output, chosen.plot))
-    if table:
-        check_file(table)
-    if plot:
-        from ..view.plot import check_name
-
-        check_name(plot)
+    table, plot = file_of("a table", chosen.output), file_of("a plot", chosen.plot)
     asked = {"halvings": chosen.halvings, "masters": chosen.masters, "tolerance": chosen.tolerance}
     how = {name: value for name, value in asked.items() if value is not None}
     found = couple(chosen.system, **how, stability=not chosen.no_stability, progress=progress_bar("coupling", "run"))

@@ -19,7 +19,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import WriteError
+from .errors import InputError, WriteError
+from .words import in_words
 
 try:
     import fcntl
@@ -34,6 +35,27 @@ _FOLDER = "alfmu-scratch-"
 
 _OPENED = "/proc/self/fd"
 """Folder with links to open files, through which an unnamed file gets a name."""
+
+
+ENDS = {
+    "a table": (".csv",),
+    "a plot": (".png", ".svg", ".pdf"),
+    "a drawing": (".png", ".svg"),
+    "a film": (".gif", ".html"),
+    "a page": (".html", ".htm"),
+    "positions of rest": (".json",),
+    "degrees of freedom": (".json",),
+    "linearisations": (".json", ".mat"),
+}
+"""Suffixes of files, by their content."""
+
+
+def path_for(content: str, path: str | Path) -> Path:
+    """Return the path of a file with a content of `ENDS`. Raises InputError if its name has another suffix."""
+    path = Path(path)
+    if path.suffix.lower() not in ENDS[content]:
+        raise InputError(f"{path}: the name of a file for {content} must end in {in_words(ENDS[content])}")
+    return path
 
 
 @contextmanager

@@ -31,11 +31,11 @@ from .. import simulation
 from ..analysis.start import prepare, simulated
 from ..fmi.recipe import of
 from ..model.errors import AlfmuError, InputError
-from ..model.files import write
+from ..model.files import path_for, write
 from ..model.units import UNITS
 from ..model.words import in_words, there_is
 from ..simulation.result import Result
-from ..view.plot import check_name, save
+from ..view.plot import save
 from .case import Case
 from .description import Monolithic
 from .masters import MASTERS
@@ -137,7 +137,7 @@ class Coupling:
 
     def save(self, path: str | Path) -> None:
         """Write the table as `.csv`; raise InputError for another suffix, WriteError if it cannot be written."""
-        check_file(Path(path))
+        path = path_for("a table", path)
         text = io.StringIO(newline="")
         table = csv.writer(text, lineterminator="\n")
         heads = ["master", "step [s]", "error [1]", *(f"error of {name} [1]" for name in self.compared)]
@@ -157,14 +157,8 @@ class Coupling:
 
     def plot(self, path: str | Path) -> None:
         """Write the figure as PNG, SVG or PDF."""
-        check_name(Path(path))
-        save(self.figure(), Path(path), 150)
-
-
-def check_file(path: Path) -> None:
-    """Raise InputError if a table cannot be written to a file of this name."""
-    if path.suffix.lower() != ".csv":
-        raise InputError(f"{path} cannot hold a table; its name must end in .csv")
+        path = path_for("a plot", path)
+        save(self.figure(), path, 150)
 
 
 def couple(

@@ -24,7 +24,7 @@ from PIL import Image
 from ..equations import Equations
 from ..kernel import DEFAULT
 from ..model.errors import AlfmuError, AssemblyError, InputError
-from ..model.files import atomic, write
+from ..model.files import atomic, path_for, write
 from ..model.mechanism import Mechanism
 from ..model.parts import Start
 from ..model.words import quantity, shown, there_is
@@ -164,21 +164,14 @@ class Drawing:
 
     def save(self, path: str | Path) -> None:
         """Write a `.png` or an `.svg`. Raises InputError for another suffix, else WriteError."""
-        path = Path(path)
-        check_drawing(path)
-        write(path, self.png() if path.suffix == ".png" else self.svg().encode())
+        path = path_for("a drawing", path)
+        write(path, self.png() if path.suffix.lower() == ".png" else self.svg().encode())
 
     def _repr_svg_(self) -> str | None:
         return None if self.shapes.space else self.svg()
 
     def _repr_png_(self) -> bytes | None:
         return self.png() if self.shapes.space else None
-
-
-def check_drawing(path: Path) -> None:
-    """Raise InputError if a drawing cannot be written to a file of this name."""
-    if path.suffix not in (".png", ".svg"):
-        raise InputError(f"{path} cannot hold a drawing; its name must end in .png or .svg")
 
 
 def drawing(
@@ -338,8 +331,7 @@ def animate(
     moments contained in the result. Raises InputError for another suffix, a missing column, or a number that is not
     positive.
     """
-    path = Path(path)
-    check_film(path)
+    path = path_for("a film", path)
     for name, value in (("fps", fps), ("speed", speed)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{shown.name}: {name} is {value}; it must be a finite number above zero")
@@ -358,17 +350,11 @@ def animate(
         columns["monitor.singular"] = np.zeros(MAX_SAMPLES)
         columns["monitor.singular"][np.abs(instants[:, None] - poles).argmin(axis=0)] = POLE
         time = instants
-    if path.suffix == ".gif":
+    if path.suffix.lower() == ".gif":
         with atomic(path) as file:
             _film(file, shapes, view, size, time, columns, *_instants(time, fps, speed), progress)
     else:
         write(path, page(shapes, _stage(shapes, view, size), time, columns, speed).encode())
-
-
-def check_film(path: Path) -> None:
-    """Raise InputError if a film cannot be written to a file of this name."""
-    if path.suffix not in (".gif", ".html"):
-        raise InputError(f"{path} cannot hold an animation; its name must end in .gif or .html")
 
 
 def _film(

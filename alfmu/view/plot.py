@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import InputError, needs
-from ..model.files import atomic
+from ..model.files import atomic, path_for
 from ..model.words import some_like
 from ..simulation.result import Result
 
@@ -115,21 +115,15 @@ def plot(result: Result, path: str | Path, names: Sequence[str] | None = None) -
 
     Raises InputError for another suffix, if no column matches one of `names`, or if matplotlib is missing.
     """
-    path = Path(path)
-    check_name(path)
+    path = path_for("a plot", path)
     save(figure(result, names), path, 150)
-
-
-def check_name(path: Path) -> None:
-    """Raise InputError if a plot cannot be written to a file of this name."""
-    if path.suffix not in METADATA:
-        raise InputError(f"{path} cannot hold a plot; its name must end in {', '.join(METADATA)}")
 
 
 def save(drawn: Figure, path: Path, dpi: float) -> None:
     """Write a figure atomically and reproducibly."""
+    suffix = path.suffix.lower()
     with atomic(path) as file:
-        drawn.savefig(file, format=path.suffix[1:], dpi=dpi, metadata=METADATA[path.suffix])
+        drawn.savefig(file, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
 
 
 def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
