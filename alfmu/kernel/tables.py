@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
+from textwrap import wrap
 
 import numpy as np
 
@@ -243,16 +244,21 @@ def layout_header() -> str:
         "BROKEN": f'"{BROKEN}"',
         "IMPACT": f'"{IMPACT}"',
     }
-    for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
-        found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
     found |= {name: value for name, value in vars(thresholds).items() if name.isupper()}
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]
-    tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
-    tables |= {"OTHERS": CHOSEN.values()}
-    for name, entries in tables.items():
-        rows = "".join(f" \\\n    X({each})" for each in entries)
-        lines += ["", f"#define SCENE_{name}(X){rows}"]
+    for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
+        entries = wrap(", ".join([*(f"{vector}_{name.upper()}" for name in names), vector]), 114)
+        lines += ["", "enum {", *(f"    {line}" for line in entries), "};"]
+    parts = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "PROGRAMS": PROGRAMS}
+    rest = [name for name in NUMBERS if not any(name in part for part in parts.values())]
+    numbers = [*COUNTS, *REFERENCES, *rest, *PROGRAMS]
+    assert numbers == [*NUMBERS]
+    tables = {**parts, "REST": rest, "REALS": REALS, "OTHERS": CHOSEN.values()}
+    for name, each in tables.items():
+        rows = [f"    {line}" for line in wrap(" ".join(f"X({x})" for x in each), 112)]
+        lines += ["", " \\\n".join([f"#define SCENE_{name}(X)", *rows])]
+    lines += ["", "#define SCENE_NUMBERS(X) SCENE_COUNTS(X) SCENE_REFERENCES(X) SCENE_REST(X) SCENE_PROGRAMS(X)"]
     head = (
         "/* Numbers and messages common to alfmu's Python code and its runtime; generated from "
         "alfmu/kernel/tables.py. */"

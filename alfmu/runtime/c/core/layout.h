@@ -44,70 +44,6 @@
 #define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which a rigid mechanism cannot follow; give a law without jumps"
 #define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law with finite value, rate and acceleration, or other parameters"
 #define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s: an impact, whose impulse no output contains; round the law off there, if no impact is meant"
-#define SETTINGS 16
-#define SETTINGS_ALPHA 0
-#define SETTINGS_TOLERANCE 1
-#define SETTINGS_FREEDOM 2
-#define SETTINGS_MASSES 3
-#define SETTINGS_REGULAR 4
-#define SETTINGS_NOTHING 5
-#define SETTINGS_LEAST_DISTANCE 6
-#define SETTINGS_CONTINUES 7
-#define SETTINGS_RELATIVE 8
-#define SETTINGS_ABSOLUTE 9
-#define SETTINGS_ABSOLUTE_LENGTH 10
-#define SETTINGS_INVERSE_LENGTH 11
-#define SETTINGS_SHORT 12
-#define SETTINGS_BESIDE 13
-#define SETTINGS_STIFF 14
-#define SETTINGS_ALONG 15
-#define CONTROL 3
-#define CONTROL_STEP_SIZE 0
-#define CONTROL_TIER 1
-#define CONTROL_METHOD 2
-#define TALLY 15
-#define TALLY_QUICK 0
-#define TALLY_CAREFUL 1
-#define TALLY_BRANCH 2
-#define TALLY_LIMITS 3
-#define TALLY_SHORT_TRIES 4
-#define TALLY_SHORT_BESIDE 5
-#define TALLY_SHORT_LIMITS 6
-#define TALLY_STIFF_TRIES 7
-#define TALLY_REGULAR_TRIES 8
-#define TALLY_TRIES 9
-#define TALLY_CAREFUL_TRIES 10
-#define TALLY_COVERED 11
-#define TALLY_REFUSED 12
-#define TALLY_BESIDE 13
-#define TALLY_BESIDE_LIMITS 14
-#define PACE 16
-#define PACE_DT 0
-#define PACE_BEFORE 1
-#define PACE_REFUSED 2
-#define PACE_FIXED 3
-#define PACE_END 4
-#define PACE_LAST 5
-#define PACE_ACCEPTED 6
-#define PACE_FLOOR 7
-#define PACE_CAREFUL 8
-#define PACE_SHORT 9
-#define PACE_OTHER_DT 10
-#define PACE_OTHER_BEFORE 11
-#define PACE_OTHER_REFUSED 12
-#define PACE_STIFF 13
-#define PACE_SINCE 14
-#define PACE_PATIENCE 15
-#define SEEN 3
-#define SEEN_ACCELERATION_ERROR 0
-#define SEEN_NEAR 1
-#define SEEN_TROUBLE 2
-#define WATCH 5
-#define WATCH_CHANGE 0
-#define WATCH_SIZE 1
-#define WATCH_PIVOT 2
-#define WATCH_NEAR 3
-#define WATCH_MARGIN 4
 #define ASIDE -0.7, -0.1, 0.1, 0.7
 #define LITTLE 0.0001
 #define FAR_RATIO 2.0
@@ -181,223 +117,68 @@
 #define LEFT_TO_RK4 16.0
 #define LAST_DIGITS 4.0
 
+enum {
+    SETTINGS_ALPHA, SETTINGS_TOLERANCE, SETTINGS_FREEDOM, SETTINGS_MASSES, SETTINGS_REGULAR, SETTINGS_NOTHING,
+    SETTINGS_LEAST_DISTANCE, SETTINGS_CONTINUES, SETTINGS_RELATIVE, SETTINGS_ABSOLUTE, SETTINGS_ABSOLUTE_LENGTH,
+    SETTINGS_INVERSE_LENGTH, SETTINGS_SHORT, SETTINGS_BESIDE, SETTINGS_STIFF, SETTINGS_ALONG, SETTINGS
+};
+
+enum {
+    CONTROL_STEP_SIZE, CONTROL_TIER, CONTROL_METHOD, CONTROL
+};
+
+enum {
+    TALLY_QUICK, TALLY_CAREFUL, TALLY_BRANCH, TALLY_LIMITS, TALLY_SHORT_TRIES, TALLY_SHORT_BESIDE, TALLY_SHORT_LIMITS,
+    TALLY_STIFF_TRIES, TALLY_REGULAR_TRIES, TALLY_TRIES, TALLY_CAREFUL_TRIES, TALLY_COVERED, TALLY_REFUSED,
+    TALLY_BESIDE, TALLY_BESIDE_LIMITS, TALLY
+};
+
+enum {
+    PACE_DT, PACE_BEFORE, PACE_REFUSED, PACE_FIXED, PACE_END, PACE_LAST, PACE_ACCEPTED, PACE_FLOOR, PACE_CAREFUL,
+    PACE_SHORT, PACE_OTHER_DT, PACE_OTHER_BEFORE, PACE_OTHER_REFUSED, PACE_STIFF, PACE_SINCE, PACE_PATIENCE, PACE
+};
+
+enum {
+    SEEN_ACCELERATION_ERROR, SEEN_NEAR, SEEN_TROUBLE, SEEN
+};
+
+enum {
+    WATCH_CHANGE, WATCH_SIZE, WATCH_PIVOT, WATCH_NEAR, WATCH_MARGIN, WATCH
+};
+
 #define SCENE_COUNTS(X) \
-    X(parameters) \
-    X(choices) \
-    X(inputs) \
-    X(switches) \
-    X(outputs) \
-    X(own) \
-    X(starts) \
-    X(compliances) \
-    X(solver) \
-    X(held) \
-    X(frictions) \
-    X(impulses) \
-    X(event_count) \
-    X(n) \
-    X(l) \
-    X(angles) \
-    X(counted) \
-    X(readings) \
-    X(ties) \
-    X(peaks) \
+    X(parameters) X(choices) X(inputs) X(switches) X(outputs) X(own) X(starts) X(compliances) X(solver) X(held) \
+    X(frictions) X(impulses) X(event_count) X(n) X(l) X(angles) X(counted) X(readings) X(ties) X(peaks) \
     X(break_count)
 
 #define SCENE_REFERENCES(X) \
-    X(step_size) \
-    X(penalty) \
-    X(tolerance) \
-    X(max_iterations) \
-    X(relative_tolerance) \
-    X(absolute_tolerance) \
+    X(step_size) X(penalty) X(tolerance) X(max_iterations) X(relative_tolerance) X(absolute_tolerance) \
     X(input_order)
 
-#define SCENE_NUMBERS(X) \
-    X(parameters) \
-    X(choices) \
-    X(inputs) \
-    X(switches) \
-    X(outputs) \
-    X(own) \
-    X(starts) \
-    X(compliances) \
-    X(solver) \
-    X(held) \
-    X(frictions) \
-    X(impulses) \
-    X(event_count) \
-    X(n) \
-    X(l) \
-    X(angles) \
-    X(counted) \
-    X(readings) \
-    X(ties) \
-    X(peaks) \
-    X(break_count) \
-    X(step_size) \
-    X(penalty) \
-    X(tolerance) \
-    X(max_iterations) \
-    X(relative_tolerance) \
-    X(absolute_tolerance) \
-    X(input_order) \
-    X(formulation) \
-    X(branch) \
-    X(continues) \
-    X(method_choice) \
-    X(freedom) \
-    X(brakes) \
-    X(weighted) \
-    X(balances) \
-    X(same_tiers) \
-    X(careful_iterations) \
-    X(monitor_position) \
-    X(monitor_velocity) \
-    X(monitor_energy) \
-    X(monitor_iterations) \
-    X(monitor_step_error) \
-    X(method) \
-    X(rk4_choice) \
-    X(automatic) \
-    X(reuses) \
-    X(implicit) \
-    X(method_cost) \
-    X(short_cost) \
-    X(z) \
-    X(after) \
-    X(begin) \
-    X(u) \
-    X(p) \
-    X(k) \
-    X(dt) \
-    X(control) \
-    X(tally) \
-    X(pace) \
-    X(past) \
-    X(seen) \
-    X(past_size) \
-    X(seen_size) \
-    X(time) \
-    X(work) \
-    X(trouble) \
-    X(change) \
-    X(near) \
-    X(size) \
-    X(exchange) \
-    X(workspace) \
-    X(most) \
-    X(patient) \
-    X(slopes) \
-    X(within) \
-    X(q) \
-    X(v) \
-    X(struck) \
-    X(lost) \
-    X(again) \
-    X(stabilisation) \
-    X(projects) \
-    X(of_least_norm) \
-    X(on_branch) \
-    X(onward) \
-    X(by_classic) \
-    X(by_penalty) \
-    X(by_stiffness) \
-    X(by_baumgarte) \
-    X(by_dae) \
-    X(impulse) \
-    X(watch1) \
-    X(watch2) \
-    X(watch3) \
-    X(watch4) \
-    X(q1) \
-    X(q2) \
-    X(q3) \
-    X(q4) \
-    X(v1) \
-    X(v2) \
-    X(v3) \
-    X(v4) \
-    X(watch0) \
-    X(read_watch) \
-    X(grip) \
-    X(dynamics) \
-    X(constraints) \
-    X(energy) \
-    X(closure) \
-    X(guesses) \
-    X(displacements) \
-    X(pivots) \
-    X(irregular) \
-    X(sliding) \
-    X(laws) \
-    X(breaks) \
-    X(state_rates) \
-    X(stops) \
-    X(place) \
-    X(bring) \
-    X(settle) \
-    X(margin) \
-    X(quick) \
-    X(careful) \
-    X(instant) \
-    X(limit) \
-    X(move) \
-    X(close) \
-    X(impact) \
-    X(reach) \
-    X(beside) \
-    X(branch_step) \
-    X(method_step) \
-    X(method_careful) \
-    X(short_step) \
-    X(stiff_step) \
-    X(regular_step) \
-    X(short_beside) \
-    X(instant_quick) \
-    X(instant_patient) \
-    X(limit_patient) \
-    X(gripping)
+#define SCENE_PROGRAMS(X) \
+    X(quick) X(careful) X(instant) X(limit) X(move) X(close) X(impact) X(reach) X(beside) X(branch_step) \
+    X(method_step) X(method_careful) X(short_step) X(stiff_step) X(regular_step) X(short_beside) X(instant_quick) \
+    X(instant_patient) X(limit_patient) X(gripping)
+
+#define SCENE_REST(X) \
+    X(formulation) X(branch) X(continues) X(method_choice) X(freedom) X(brakes) X(weighted) X(balances) \
+    X(same_tiers) X(careful_iterations) X(monitor_position) X(monitor_velocity) X(monitor_energy) \
+    X(monitor_iterations) X(monitor_step_error) X(method) X(rk4_choice) X(automatic) X(reuses) X(implicit) \
+    X(method_cost) X(short_cost) X(z) X(after) X(begin) X(u) X(p) X(k) X(dt) X(control) X(tally) X(pace) X(past) \
+    X(seen) X(past_size) X(seen_size) X(time) X(work) X(trouble) X(change) X(near) X(size) X(exchange) X(workspace) \
+    X(most) X(patient) X(slopes) X(within) X(q) X(v) X(struck) X(lost) X(again) X(stabilisation) X(projects) \
+    X(of_least_norm) X(on_branch) X(onward) X(by_classic) X(by_penalty) X(by_stiffness) X(by_baumgarte) X(by_dae) \
+    X(impulse) X(watch1) X(watch2) X(watch3) X(watch4) X(q1) X(q2) X(q3) X(q4) X(v1) X(v2) X(v3) X(v4) X(watch0) \
+    X(read_watch) X(grip) X(dynamics) X(constraints) X(energy) X(closure) X(guesses) X(displacements) X(pivots) \
+    X(irregular) X(sliding) X(laws) X(breaks) X(state_rates) X(stops) X(place) X(bring) X(settle) X(margin)
 
 #define SCENE_REALS(X) \
-    X(no_slope) \
-    X(fading) \
-    X(share) \
-    X(exponent) \
-    X(short_share) \
-    X(short_exponent) \
-    X(stiff_share) \
-    X(stiff_exponent) \
-    X(beside_share) \
-    X(beside_exponent)
-
-#define SCENE_PROGRAMS(X) \
-    X(quick) \
-    X(careful) \
-    X(instant) \
-    X(limit) \
-    X(move) \
-    X(close) \
-    X(impact) \
-    X(reach) \
-    X(beside) \
-    X(branch_step) \
-    X(method_step) \
-    X(method_careful) \
-    X(short_step) \
-    X(stiff_step) \
-    X(regular_step) \
-    X(short_beside) \
-    X(instant_quick) \
-    X(instant_patient) \
-    X(limit_patient) \
-    X(gripping)
+    X(no_slope) X(fading) X(share) X(exponent) X(short_share) X(short_exponent) X(stiff_share) X(stiff_exponent) \
+    X(beside_share) X(beside_exponent)
 
 #define SCENE_OTHERS(X) \
-    X(by_classic) \
-    X(by_penalty) \
-    X(by_stiffness) \
-    X(by_baumgarte) \
-    X(by_dae)
+    X(by_classic) X(by_penalty) X(by_stiffness) X(by_baumgarte) X(by_dae)
+
+#define SCENE_NUMBERS(X) SCENE_COUNTS(X) SCENE_REFERENCES(X) SCENE_REST(X) SCENE_PROGRAMS(X)
 
 #endif
