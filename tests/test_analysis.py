@@ -311,6 +311,7 @@ def test_a_pendulum_is_linearised_to_its_closed_form():
     (mode,) = lin.modes
     assert mode.frequency == pytest.approx(np.sqrt(weight / inertia - (c / inertia / 2) ** 2) / (2 * np.pi), rel=1e-12)
     assert mode.damping == pytest.approx(c / 2 / np.sqrt(weight * inertia), rel=1e-11)
+    assert mode.time_constant == pytest.approx(2 * inertia / c, rel=1e-11)
     assert lin.at_rest
     start = alfmu.linearize(pendulum())
     assert not start.at_rest

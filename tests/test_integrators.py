@@ -7,7 +7,7 @@ from oracles.adaptive import Adaptive, Control, collocation, collocation_error, 
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
-from alfmu.method import implicit
+from alfmu.method import implicit, stepping
 from alfmu.method.stepping import (
     EXPLICIT5,
     EXPLICIT8,
@@ -69,6 +69,12 @@ def choices(parts: tuple[int, ...], found: list):
     for rest in choices(parts[1:], found):
         for tree in found[parts[0] - 1]:
             yield (tree, *rest)
+
+
+def test_every_rule_has_a_name_of_its_own():
+    """A scene says by its name which rule it carries."""
+    rules = [each for each in vars(stepping).values() if isinstance(each, stepping.Explicit | stepping.Collocation)]
+    assert len({rule.name for rule in rules}) == len(rules) >= 5
 
 
 @each_explicit

@@ -421,11 +421,6 @@ class Instance:
         self._read()
         return np.array(self._unit.outputs)
 
-    def read_state(self) -> NDArray[np.float64]:
-        """Return all outputs as `read` does; accelerations and reactions that cannot be computed are NaN."""
-        self._unit.read()
-        return np.array(self._unit.outputs)
-
     def read_inputs(self) -> NDArray[np.float64]:
         """Return the present inputs, in the order of `input_variables`."""
         return np.array([self._unit.get(self._references[v.name]) for v in self.input_variables])
