@@ -60,7 +60,7 @@ _HOME = {
 }
 """Public name -> module; imported when first used."""
 
-# What takes an extra is imported by its name alone: `import *` works without.
+# Names that need an extra are left out, so that `import *` works without it.
 __all__ = [name for name, module in _HOME.items() if module != "sweeps.environment"]
 
 if TYPE_CHECKING:

@@ -125,7 +125,7 @@ def test_a_study_says_what_it_lacks(tmp_path):
     with pytest.raises(InputError, match=r"drive has no output .arm\.angle."):
         couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.angle": "link1.angle"})))
     with pytest.raises(
-        InputError, match=r"arm\.link1\.angle is in rad and motor\.current in A; compare what has one unit"
+        InputError, match=r"arm\.link1\.angle is in rad and motor\.current in A; compare outputs with one unit"
     ):
         couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.link1.angle": "motor.current"})))
     with pytest.raises(InputError, match="whole number of communication steps"):

@@ -463,7 +463,10 @@ RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
         (RUN, "particle_on_circle.csv exists and was not written by alfmu"),
         ([*RUN, "-o", "in.csv", "--input", "in.csv"], "in.csv holds the inputs of the run"),
         ([*RUN, "-o", "r.csv", "--plot", "model.fmu"], "model.fmu: the name of a file for a plot"),
-        (["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"], "model.fmu: the name of a file for a film"),
+        (
+            ["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"],
+            "the name of a file for a film must end in",
+        ),
     ],
     ids=["json", "fmu", "beside", "default", "inputs", "plot", "film"],
 )

@@ -222,9 +222,7 @@ def test_a_load_on_what_slides_says_what_to_do_instead():
     m = Mechanism("slide")
     cart = m.body("cart", mass=1.0)
     guide = m.prismatic("guide", m.ground.at(), cart.at(), coordinate=m.coordinate("s", "m"))
-    says = (
-        r"the load of brake is on guide; give it a joint .* a revolute or a screw.*; load what slides by its mass, fric"
-    )
+    says = r"the load of brake is on guide; give it a joint .* a revolute or a screw.*; load a slider by its mass, fric"
     with pytest.raises(DeclarationError, match=says):
         parts.load(m, "brake", guide, damping=1.0)
 

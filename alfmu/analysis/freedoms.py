@@ -163,7 +163,7 @@ class Freedoms:
     def lines(self) -> list[str]:
         """Return a text as lines."""
         lines = [f"{self.mechanism}: {counted(self.freedom, 'degree')} of freedom"]
-        lines += [f"told by: {', '.join(self.independent) or 'nothing, as constraints leave no freedom'}"]
+        lines += [f"determined by: {', '.join(self.independent) or 'nothing, as constraints leave no freedom'}"]
         lines += [f"redundant constraints: {self.redundant}"]
         for group in self.groups:
             lines += [f"  {group.redundant} of {len(group.rows)}: {', '.join(group.rows)}"]

@@ -158,8 +158,8 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     mass = S.T @ M @ S
     if freedom and not np.linalg.cond(mass * np.outer(loops.scale[z], loops.scale[z])) < 1e13:
         raise InputError(
-            f"{where.name}: a motion of {', '.join(e.coordinates[i].name for i in z)} has no mass here; give a mass to "
-            "what moves"
+            f"{where.name}: a motion of {', '.join(e.coordinates[i].name for i in z)} has no mass here; give the "
+            "moving bodies a mass"
         )
     # The condition g = C y for least loads of joints, weighted by compliances, is linear in lam, a and the state.
     nothing = np.zeros(e.l)

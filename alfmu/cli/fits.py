@@ -62,7 +62,7 @@ def _fit(chosen: argparse.Namespace) -> None:
 
     def show(run: int, size: float) -> None:
         if sys.stderr.isatty():
-            print(f"\rrun {run}: differs by {size:.6g} of what is measured", end="", file=sys.stderr, flush=True)
+            print(f"\rrun {run}: differs by {size:.6g} of the measurements", end="", file=sys.stderr, flush=True)
 
     found = fit(
         recipe,

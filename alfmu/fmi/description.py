@@ -217,7 +217,7 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
         items = list(choices[v.name])
         text = ", ".join(f"{k} {item}" for k, item in enumerate(items, 1))
         return replace(
-            v, type="Enumeration", start=items.index(str(v.start)) + 1, description=f"what this FMU has: {text}"
+            v, type="Enumeration", start=items.index(str(v.start)) + 1, description=f"choices in this FMU: {text}"
         )
 
     return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]

@@ -20,7 +20,7 @@ from .recipe import KINDS, Recipe
 _CONTENTS = {
     "binaries/": "compiled libraries",
     "sources/": "their C sources",
-    "resources/": "resources: the scene, and in Python what runs it",
+    "resources/": "resources: the scene, and the Python code that runs it",
     "documentation/": "documentation, licences, picture",
     "extra/": "reference results",
     "": "description of the model, icon",
@@ -67,7 +67,7 @@ def sizes(
         _, equations = packed_scene(mechanism, **given, kernel=None)
     except ExportError:
         return text[:-1]
-    text += [f"{'the scene by what it is for, kB; what parts share, at the first':66} {'':8} {'unpacked':>8}"]
+    text += [f"{'the scene by purpose, kB; shared functions count for the first one':66} {'':8} {'unpacked':>8}"]
     return text + [f"  {what:64} {'':8} {_kB(size)}" for what, size in _parts(equations).items() if size]
 
 

@@ -376,14 +376,14 @@ enum {{
 {listed}    {name.upper()}_VARIABLES
 }};
 
-/* What functions return. REFUSED: a value or a call that cannot be; nothing has changed. Other numbers above zero: the
-   step cannot be made; the state is that before it. */
+/* Results of functions. REFUSED: the value or the call is invalid, and nothing has changed. Other numbers above zero:
+   the step failed, and the state before it is kept. */
 enum {{ {name.upper()}_DONE, {name.upper()}_REFUSED }};
 
-/* The instance at its default values, before all else. Values in SI units: of a parameter or start value before the
-   start, of an input at any time. The start at a time [s], which closes constraints; outputs are known from then on.
-   A step of a length [s] with the present inputs, in internal steps of solver.step_size. A value now, NAN where it is
-   not known. The time of the state [s]. */
+/* {name}_init sets an instance to its default values; call it first. {name}_set sets a value in SI units:
+   parameters and start values before the start, inputs at any time. {name}_start starts at a time [s] and closes the
+   constraints; outputs are known from then on. {name}_step makes a step of a length [s] with the present inputs, in
+   internal steps of solver.step_size. {name}_get returns a value, NAN if it is unknown; {name}_time the time [s]. */
 void {name}_init({name} *m);
 int {name}_set({name} *m, int variable, double value);
 int {name}_start({name} *m, double time);

@@ -195,7 +195,7 @@ def _runs(
     drivers = [v.name for v in runs.unit.input_variables if v.name in table.names]
     for name in drivers:
         if not np.isfinite(table[name]).all():
-            raise InputError(f"the input {name} is not finite in the data; fill in what is missing")
+            raise InputError(f"the input {name} is not finite in the data; fill in the missing values")
     if drivers:
         held: dict[str, Signal] = {name: (times, table[name]) for name in drivers}
         runs = Runs(mechanism, vary, None, None, {**held, **(inputs or {})}, parameters, times=times)

@@ -153,7 +153,7 @@ class _Takes:
             if name in self.hints and not _fits(value, self.hints[name]):
                 return f"{call}: {name} is {shown(value)}; give {_in_words(self.hints[name])}"
         text = str(error).strip().partition("\n")[0]
-        return f"{call} cannot use what it is given ({type(error).__name__}: {text}); {self.all()}"
+        return f"{call} cannot use its arguments ({type(error).__name__}: {text}); {self.all()}"
 
     @property
     def needed(self) -> list[str]:

@@ -524,7 +524,7 @@ class Declaration:
             raise DeclarationError(f"{self.name}: {user} uses {joint.name}, a joint of another mechanism")
         return next(iter(joint.freedoms.values()))
 
-    # What a number may be ---------------------------------------------------------------------------------------
+    # Allowed numbers ---------------------------------------------------------------------------------------
 
     def _stands_for(self, symbol: ca.SX, kind: str, text: str, unit: str) -> ca.SX:
         self._symbols[key_of(symbol)] = Symbol(kind, text, unit)

@@ -1,4 +1,4 @@
-"""Errors that say which mechanism, what was measured, the limit, and what to do."""
+"""Errors that name the mechanism, the measured value, the limit, and a remedy."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def collected() -> Iterator[list[str]]:
 
 @contextmanager
 def needs(what: str, extra: str) -> Iterator[None]:
-    """Raise InputError if the block imports a missing package of an extra; `what` says who needs it."""
+    """Raise InputError if the block imports a missing package of an extra; `what` names the feature that needs it."""
     try:
         yield
     except ImportError:

@@ -155,7 +155,7 @@ class Quantities(Declaration):
         """Return the velocity of a coordinate, or the rate of an expression in coordinates declared before, for kinetic
         energies, forces and outputs."""
         if isinstance(coordinate, ca.SX) and coordinate.is_scalar() and not coordinate.is_symbolic():
-            x = symbolic(self._quantity("what rate() is asked of", coordinate, "1", PLACE))
+            x = symbolic(self._quantity("the argument of rate()", coordinate, "1", PLACE))
             moving = stack([self.time, *(c.q for c in self.coordinates)])
             return ca.jtimes(x, moving, stack([1.0, *(c.v for c in self.coordinates)]))
         return self._coordinate(coordinate).v

@@ -54,7 +54,7 @@ class EndStop(Brief):
         """The limited displacement in words."""
         if isinstance(self.of, tuple):
             return f"the distance of {self.of[0].body.name} and {self.of[1].body.name}"
-        return "what it limits" if isinstance(self.of, ca.SX) else f"{self.of.second.body.name} in {self.of.name}"
+        return "the displacement" if isinstance(self.of, ca.SX) else f"{self.of.second.body.name} in {self.of.name}"
 
     def penetrations(self, x: ca.SX) -> Sequence[tuple[ca.SX, int]]:
         """Return the penetration at each limit, with the sign in which it grows with the displacement."""

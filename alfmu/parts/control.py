@@ -46,8 +46,8 @@ def pi_controller(
     """
     if not isinstance(units, tuple | list) or len(units) != 2:
         raise DeclarationError(
-            f'{m.name}: the units of the controller {name} are {units!r}; give two, as ("rad/s", "V"): of what is '
-            "measured, and of the output"
+            f'{m.name}: the units of the controller {name} are {units!r}; give two, as ("rad/s", "V"): of the '
+            "measured quantity and of the output"
         )
     of_error, of_output = units
     of_gain = quotient(of_output, of_error)
@@ -63,6 +63,6 @@ def pi_controller(
         most = named(m, name, "limit", limit, of_output, "largest output", minimum=0.0)
         output = ca.fmax(-most, ca.fmin(most, asked))
     m.derivative(z, (K * error + output - asked) / T)
-    m.output(label(name, "error"), error, of_error, f"what {name or 'it'} corrects")
+    m.output(label(name, "error"), error, of_error, f"control error{of(name)}")
     m.output(label(name, "output"), output, of_output, f"output{of(name)}")
     return symbolic(output)

@@ -54,7 +54,7 @@ def load(
     """
     turns = isinstance(joint, Joint | SpatialJoint) and joint.kind in ("revolute", "screw")
     if not turns or joint not in (*m.joints, *m.spatial_joints):
-        instead = "; load what slides by its mass, friction() and drive()" * (getattr(joint, "kind", "") == "prismatic")
+        instead = "; load a slider by its mass, friction() and drive()" * (getattr(joint, "kind", "") == "prismatic")
         raise DeclarationError(
             f"{m.name}: the load{of(name)} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
             f"joint of this mechanism that is a revolute or a screw, in the plane or in space{instead}"

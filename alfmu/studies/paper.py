@@ -680,7 +680,7 @@ def accuracy(effort: Effort) -> Chapter:
         "Accelerations and multipliers of the five-bar at states spread over its motion, each solved anew in many\n"
         "digits with the redundant direction held explicitly. Errors are the largest over the states, each relative\n"
         "to the largest entry of its vector. Multipliers are those of least norm, as a user reads them; `as iterated`\n"
-        "is what the iteration of (8) leaves before its redundant part is taken off."
+        "is the result of the iteration of (8) before its redundant part is removed."
     )
     given = Table(
         "accuracy_given",

@@ -674,7 +674,7 @@ FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "reach"
 
 SHOWN = {
     "reference": (
-        "The reference, and what it changes by where it is computed in other ways",
+        "The reference, and its change if it is computed in other ways",
         (
             *("reduced by", "integrator", "tolerance", "known until [s]", "points", "points for reactions"),
             *("energy drift [J]", "compared with", POSITION, REACTION),
@@ -700,7 +700,7 @@ SHOWN = {
         (*LINE, "position error", "run time [s]", *(f"over alfmu's fastest, {way}" for way in ("compiled", "vm"))),
     ),
     "scenes": (
-        "Operations of scenes, and what is saved by what they leave out",
+        "Operations of scenes, and savings by the parts they leave out",
         ("scene", "left out", "step", "outputs"),
     ),
 }
@@ -711,7 +711,7 @@ Every run is judged by a motion from an unrelated method: the equations of motio
 with the constraints closed to round-off, integrated with tolerances near round-off (`studies.reference`). Its error is
 the change to other ways to compute it: the other reduction, a larger tolerance. {POSITION} and {REACTION} are the
 largest differences of outputs with these units at the points of the run; reactions are compared where they are unique
-and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are what the run itself leaves at these points.
+and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are those of the run itself at these points.
 Run time is the processor's, of all steps and of reading all outputs at each point, without set-up: the fastest of so
 many repeats that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where
 there are enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
@@ -816,7 +816,7 @@ def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
         parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
     if "maps" in begun.studies[0].effort.parts:
         parts += ["## Maps of stability", *maps.explained()]
-    parts += ["## What did not run"]
+    parts += ["## Skipped runs"]
     parts.append(shown("Skipped", "skipped_summary", SKIPPED, summary) if summary else "All runs were made.")
     return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
 
@@ -924,7 +924,7 @@ def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
     page.fold("Where this was measured", shown("Machine", "environment", ("what", "value"), begun.environment))
     for study in begun.studies:
         _chapter_of_page(page, study, study in first)
-    page.head(2, "What did not run")
+    page.head(2, "Skipped runs")
     page.text(markdown(SKIPPED, [[r[x] for x in SKIPPED] for r in summary]) if summary else "All runs were made.")
     return page.html()
 
@@ -1013,7 +1013,7 @@ def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
     panels = {c: [r for r in fast if r["control"] == c] for c in (STEP, TOLERANCE)}
     if fast:
         about = (
-            f"Position errors of {name} over what sets them, of runs that reached their end. An order stands beside "
+            f"Position errors of {name} over step or tolerance, of runs that reached their end. An order stands beside "
             "integrators whose errors show one. On the dashed line, the error is the tolerance."
         )
         page.plot(convergence(panels, orders, TOLERANCE, POSITION), about)

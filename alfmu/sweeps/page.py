@@ -53,7 +53,7 @@ def page(store: Store, s: Summary) -> str:
         f"of {plan.times[1] - plan.times[0]:g} s; {s.failed} of them failed. Extremes and means are those at "
         "communication points."
     )
-    made.head(2, "What was varied")
+    made.head(2, "Varied quantities")
     made.text(_varied(store, s))
     _reasons(made, "Failures", s.failures, s.finished)
     _reasons(made, "Warnings", s.warnings, s.finished)

@@ -117,7 +117,7 @@ def sweep(
         "set": dict(job.fixed),
         "digest of the inputs": hashlib.sha256(repr(job.inputs).encode() + job.table.tobytes()).hexdigest(),
         "digest of the cases": planned_cases.digest(),
-        "digest of what is run": job.identity,
+        "digest of the scene or FMU": job.identity,
     }
     names = tuple(map(str, job.measures))
     plan = Plan(job.name, len(planned_cases), job.times, job.varied, names, job.series, units, asked)
@@ -259,7 +259,7 @@ def _scene(
         recipe = of(mechanism)
         if recipe.start != "declared":
             raise InputError(
-                f"{recipe}: a sweep begins at start values, and a position of rest changes with what is varied; take a "
+                f"{recipe}: a sweep begins at start values, and a position of rest changes with them; take a "
                 "recipe that starts as declared"
             )
         declared = recipe.declared()

@@ -237,8 +237,8 @@ def _limits(system: System, mono: Monolithic, units: Mapping[str, str], toleranc
                 raise InputError(f"{system.name} has no output {name!r}; {there_is(name, known)}")
             if known[name] not in ("", units[theirs]):
                 raise InputError(
-                    f"{system.name}: {name} is in {known[name]} and {theirs} in {units[theirs]}; compare what has one "
-                    "unit"
+                    f"{system.name}: {name} is in {known[name]} and {theirs} in {units[theirs]}; compare outputs "
+                    "with one unit"
                 )
         found = [s.name for s in assembly.slaves if _LIMITED in s.ports]
     return {f"{c}.{_LIMITED}": tolerance for c in found if _LIMITED not in system.components[c].parameters}

@@ -228,7 +228,7 @@ class Assembly:
         try:
             factor, offset = conversion(source.measure, target.measure)
         except InputError as error:
-            raise InputError(f"{self.name}, {given}: {error}; connect what has one unit") from None
+            raise InputError(f"{self.name}, {given}: {error}; connect variables of one unit") from None
         if (factor, offset) != (1.0, 0.0) and given.convert is None:
             raise InputError(
                 f"{self.name}, {given}: the units are {source.unit} and {target.unit}; say that they are converted, "

@@ -55,7 +55,7 @@ def all_checks(records: list[str]) -> dict[str, Check]:
         f"{RECORD}{name}": Check(
             f"{RECORD}{name}",
             f"The recorded run {name} is reproduced",
-            "An experiment in the FMU can be run with what is in the FMU, and gives its reference results",
+            "An experiment in the FMU runs with the files of the FMU alone, and gives its reference results",
             dict.fromkeys("23", "FMI-LS-REF, Role experiment"),
             replaying(number),
         )

@@ -179,7 +179,7 @@ _STATIC = {
         Check(
             "file.records",
             "The related files agree with the manifest",
-            "Each file has the check sum of the manifest, and experiments can be read with what is in the FMU",
+            "Each file has the check sum of the manifest, and experiments can be read from the files of the FMU",
             dict.fromkeys("23", "FMI-LS-REF, Layered Standard Manifest File"),
             None,
             None,
