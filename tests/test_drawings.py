@@ -11,8 +11,9 @@ from PIL import Image
 from alfmu import DeclarationError, InputError, Mechanism, load
 from alfmu.cli import main
 from alfmu.view.drawing import as_data, from_data
-from alfmu.view.picture import COLORS, COLORS_OF_ICON, animate, drawing, geometry, model_png, view_of
-from alfmu.view.surface import PUSHED, WHITE, Text, placed, width_of
+from alfmu.view.picture import COLORS_OF_ICON, animate, drawing, model_png, view_of
+from alfmu.view.shapes import geometry
+from alfmu.view.surface import COLORS, PUSHED, WHITE, Text, placed, width_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -26,7 +26,7 @@ from alfmu.model import files
 from alfmu.simulation import communication_points, prepared, run, with_defaults
 from alfmu.simulation.stepped import least_squares
 from alfmu.view.drawing import as_data, from_data
-from alfmu.view.picture import geometry
+from alfmu.view.shapes import geometry
 
 NAMELESS = [pytest.param(True, id="nameless"), pytest.param(False, id="named")]
 

@@ -10,7 +10,8 @@ from PIL import Image
 from selenium.webdriver.support.ui import WebDriverWait
 
 from alfmu import load, simulate
-from alfmu.view.picture import animate, geometry
+from alfmu.view.picture import animate
+from alfmu.view.shapes import geometry
 from alfmu.view.surface import BACKGROUND, COLORS
 
 

@@ -25,8 +25,8 @@ from alfmu.fmi.drive import Fmu
 from alfmu.runtime import build, shipped
 from alfmu.simulation import run
 from alfmu.view import live, pages, picture, pieces, plane, space
-from alfmu.view.picture import geometry
 from alfmu.view.scene import scene_of
+from alfmu.view.shapes import geometry
 
 pytestmark = pytest.mark.slow
 

@@ -15,9 +15,11 @@ import pytest
 from PIL import Image
 
 from alfmu import DeclarationError, InputError, Instance, Mechanism, Result, derive, load, simulate
-from alfmu.view.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
+from alfmu.view.picture import MAX_FRAMES, animate, draw, model_png, view_of
 from alfmu.view.plot import COLORS as OF_LINES
 from alfmu.view.plot import figure, plot
+from alfmu.view.shapes import Anchor, geometry
+from alfmu.view.surface import COLORS
 
 SLIDER_CRANKS = [
     {"coordinates": coordinates, "rod": rod}

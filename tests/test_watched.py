@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from alfmu import DeclarationError, Mechanism, simulate
-from alfmu.view.picture import drawing, geometry
+from alfmu.view.picture import drawing
+from alfmu.view.shapes import geometry
 
 
 def arm(length: float = 0.8) -> Mechanism:

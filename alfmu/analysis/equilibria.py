@@ -146,7 +146,8 @@ class Equilibrium:
 
     def draw(self, size: tuple[int, int] | None = None) -> Drawing:
         """Return a drawing of the mechanism in this position. Raises InputError if only its equations are known."""
-        from ..view.picture import SIZE, Drawing, geometry, view_of
+        from ..view.picture import SIZE, Drawing, view_of
+        from ..view.shapes import geometry
 
         shapes = geometry(self.situation.source.drawn(), self.situation.parameters)
         columns = {name: self.outputs[name] for name in shapes.columns}

@@ -120,9 +120,10 @@ def _export(chosen: argparse.Namespace) -> None:
         _export_system(chosen)
         return
     from ..api import export
-    from ..fmi.native import PLATFORMS, WASM, libraries_in
+    from ..fmi.native import WASM, libraries_in
     from ..fmi.recipe import load
     from ..fmi.source import facts
+    from ..runtime.build import PLATFORMS
 
     recipe = changed_by(chosen, load(chosen.mechanism)).changed(
         kind=chosen.kind,

@@ -32,7 +32,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import Settings
 from ..model.sources import is_file
 from ..runtime import Instance
-from ..runtime.build import HERE
+from ..runtime.build import HERE, PLATFORMS, file_name
 from ..runtime.compiled import compiled_scene, verified
 from ..runtime.pipeline import chosen, derive, packed
 from ..simulation import prepared, with_defaults
@@ -117,7 +117,7 @@ def _python(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
 
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
     hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
-    libraries = {native.file_name(each): data for each, data in native.libraries(name, hosts).items()}
+    libraries = {file_name(each): data for each, data in native.libraries(name, hosts).items()}
     content = [_ENTRY.encode(), *(text.encode() for text in sources.values()), scene]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package, generator = f"alfmu_{name}_{digest}", _generator()
@@ -236,7 +236,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         }
     libraries = native.component(e.name, identified(scene, guid)) if native.WASM in chosen else {}
     for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM]).items():
-        platform = native.PLATFORMS[each]
+        platform = PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
         libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data
     return {

@@ -25,21 +25,6 @@ from ..runtime.embedding import with_scene
 from ..runtime.pipeline import packed
 from ..runtime.shipped import library, there
 
-__all__ = [
-    "FEATURES",
-    "PLATFORMS",
-    "WASM",
-    "checked",
-    "component",
-    "file_name",
-    "left_out",
-    "libraries",
-    "libraries_in",
-    "platforms",
-    "sources",
-]
-
-
 WASM = "wasm32"
 """The platform of an FMU whose runtime is a component of WebAssembly, by the draft of FMI-LS-WASM."""
 

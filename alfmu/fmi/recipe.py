@@ -138,7 +138,7 @@ class Recipe(Brief):
     """Kernel of an FMU of kind python, of `alfmu.kernel.KERNELS`; on platforms without its compiled functions it
     interprets them."""
     platforms: Sequence[str] = ()
-    """Platforms of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those in
+    """Platforms of a native FMU, of `alfmu.runtime.build.PLATFORMS`, or `["all"]`; empty for those in
     this installation."""
     fmi: int = 2
     """Version of FMI; 3 for FMUs of kinds native and source."""

@@ -24,10 +24,8 @@ from ..model.making import making
 from . import passes
 from .arrangement import KINDS, NARROW_HEAD, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
-from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
+from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, written
 from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
-
-__all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """Elements of a program, in the order of their numbers."""

@@ -42,8 +42,9 @@ from .emit import compiled_code
 from .exchange import ACCELERATIONS, FADING, obstacle
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, Traced, lifetimes, taken
 from .memory import TIERS, Layout
+from .passes import Constants
 from .places import Heap
-from .scene import CALLS, Constants, Writer, code
+from .scene import CALLS, Writer, code
 from .standalone import beginning, passed
 from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL

@@ -46,8 +46,6 @@ from .system import System
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Bond", "Case", "Coupling", "couple"]
-
 HALVINGS = 5
 """Number of halvings of the communication step of the system."""
 

@@ -37,23 +37,9 @@ from . import faces, plane, space
 from .pages import page
 from .plane import View
 from .plot import POLE
-from .shapes import Anchor, Shapes, geometry
+from .shapes import Shapes, geometry
 from .space import SpaceView
-from .surface import COLORS, FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
-
-__all__ = [
-    "COLORS",
-    "Anchor",
-    "Drawing",
-    "Shapes",
-    "View",
-    "animate",
-    "draw",
-    "drawing",
-    "geometry",
-    "model_png",
-    "view_of",
-]
+from .surface import FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
 
 MAX_FRAMES = 750
 """Largest number of frames of a GIF; a longer motion has fewer frames per second."""
