@@ -1,11 +1,11 @@
-/* Calls every function of a native FMU in legal and illegal order, with values, references, sizes, times and states that
-   make sense or none, and compares each status with what it must be. Linked with the FMU's sources, under sanitizers;
-   FUZZ_FMI is 2 or 3. argv: GUID, seed, calls, threads, number of variables, first and number of the Real inputs, first
-   and number of the Real outputs. The unpacked FMU lies beside the program, in a folder of its name but for the suffix.
-   Says the seed, how many calls there were, how many of each status, the longest one, and what went wrong; returns 1
-   where anything did. The same arguments make the same calls.
+/* Calls every function of a native FMU in legal and illegal order, with values, references, sizes, times and states
+   that make sense or do not, and compares each status with the expected ones. It is linked with the FMU's sources, under
+   sanitizers. FUZZ_FMI is 2 or 3. argv: GUID, seed, calls, threads, number of variables, first and number of the Real
+   inputs, first and number of the Real outputs. The unpacked FMU is beside the program, in a folder with its name
+   without the suffix. Prints the seed, the number of calls, the number of each status, the longest call, and all
+   failures; returns 1 if there are any. The same arguments make the same calls.
 
-   Files of scenes that are damaged are those of tests/test_scene.py. */
+   tests/test_scene.py tests damaged scene files. */
 
 #include <math.h>
 #include <pthread.h>
@@ -26,14 +26,14 @@
 enum { OK, WARNING, DISCARD, ERROR_, STATUSES = 6 };
 enum { NONE = 0, BORN = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED = 8, RUN = 12, ANY = 15 };
 
-/* One instance, and what is known of it. */
+/* An instance, and the expected phase and time. */
 typedef struct {
     void *handle;
     int phase;
-    double time, stop; /* INFINITY where no stop time was said */
+    double time, stop; /* INFINITY without a stop time */
 } Unit;
 
-/* A thread: its own instances and states, its own numbers. */
+/* A thread with instances, states and random numbers of its own. */
 typedef struct Fuzz {
     uint64_t random;
     long calls, made, steps, counts[STATUSES];
@@ -42,7 +42,7 @@ typedef struct Fuzz {
     char last[40], slowest[40];
     Unit units[SLOTS];
     void *states[SLOTS];
-    int state_phase[SLOTS], bytes_phase[SLOTS]; /* -1 where a number was changed */
+    int state_phase[SLOTS], bytes_phase[SLOTS]; /* -1 if a number was changed */
     unsigned char *bytes[SLOTS];
     size_t sizes[SLOTS];
 } Fuzz;
@@ -76,7 +76,7 @@ static double unit(Fuzz *f)
     return (double)(next(f) >> 11) / 9007199254740992.0;
 }
 
-/* A number from anywhere. */
+/* Return a random number of any size, or a special one. */
 static double nonsense(Fuzz *f)
 {
     static const double odd[] = {0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 1e6, 2147483648.0, -1e15, 1e30, 1e100, 1e300,
@@ -121,7 +121,7 @@ static double now(void)
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-/* Counts a call and its status, which must be one of `expected` (as bits). */
+/* Count a call and its status, which must be one of `expected` (as bits). */
 static int judged(Fuzz *f, const char *name, int status, int expected)
 {
     const double took = now() - f->begin;
@@ -133,12 +133,12 @@ static int judged(Fuzz *f, const char *name, int status, int expected)
         snprintf(f->slowest, sizeof f->slowest, "%s", name);
     }
     if (status < 0 || status >= STATUSES) {
-        wrong(f, "a status that there is not");
+        wrong(f, "an unknown status");
         return ERROR_;
     }
     f->counts[status]++;
     if (!(expected & (1 << status))) {
-        snprintf(text, sizeof text, "status %d is none of those in %d", status, expected);
+        snprintf(text, sizeof text, "status %d is not among those of %d", status, expected);
         wrong(f, text);
     }
     return status;
@@ -171,7 +171,7 @@ static Unit *unit_of(Fuzz *f, const void *handle)
     return NULL;
 }
 
-/* What may come of a step: one past the stop time is an error. */
+/* Return the statuses that a step may have: one past the stop time is an error. */
 static int of_step(const Unit *u, int expected, double point, double h)
 {
     return u && expected != ALL && point + h > u->stop ? expected | ONLY(ERROR_) : expected;
@@ -241,7 +241,7 @@ static int entered(Fuzz *f, void *c, int expected, double start)
     return CALLED(ENTER, expected, c);
 }
 
-/* Learns the time of a run. */
+/* Read the time of a run. */
 static void ask_time(Fuzz *f, Unit *u)
 {
     if (u->phase & RUN)
@@ -253,7 +253,7 @@ static int stepped(Fuzz *f, void *c, int expected, double point, double h)
     return CALLED(fmi2DoStep, of_step(unit_of(f, c), expected, point, h), c, point, h, (fmi2Boolean)below(f, 2));
 }
 
-/* Calls that FMI 2 has alone. */
+/* Make calls that only FMI 2 has. */
 static void others(Fuzz *f, Unit *u, int legal)
 {
     const int run = legal && (u->phase & RUN), none = run ? ONLY(DISCARD) : ONLY(ERROR_);
@@ -352,7 +352,7 @@ static void looked(fmi3InstanceEnvironment host, fmi3Float64 time, fmi3Boolean s
         if (f->units[k].phase < 0)
             u = f->units + k;
     if (!u || set || !get || !finished || !isfinite(time))
-        wrong(f, "a look that is none");
+        wrong(f, "an intermediate update with wrong arguments");
     if (!u)
         return;
     f->inside = 1;
@@ -385,7 +385,7 @@ static void looked(fmi3InstanceEnvironment host, fmi3Float64 time, fmi3Boolean s
     (void)can_return;
 }
 
-/* An instance of Model Exchange, if there is any: its functions in any order, and those of co-simulation never. */
+/* Call the functions of Model Exchange in any order, if the FMU has it; those of co-simulation are errors. */
 static void exchanged(Fuzz *f)
 {
     fmi3Instance c = fmi3InstantiateModelExchange("one", guid, resources, 0, 1, f, logged);
@@ -460,7 +460,7 @@ static int entered(Fuzz *f, void *c, int expected, double start)
     return begin(f, c, expected, 0, 0.0, start);
 }
 
-/* Learns the time of a run. */
+/* Read the time of a run. */
 static void ask_time(Fuzz *f, Unit *u)
 {
     if (u->phase & RUN)
@@ -484,7 +484,7 @@ static int stepped(Fuzz *f, void *c, int expected, double point, double h)
     } else {
         status = CALLED(fmi3DoStep, may, c, point, h, one_in(f, 2), &events, &terminate, &early, &reached);
         if (status < ERROR_ && (events || terminate))
-            wrong(f, "what is said of a step");
+            wrong(f, "a step with an event or an end");
         if (expected != ALL && status == OK && (early ? !(reached > u->time && reached < point + h) : reached != point + h))
             wrong(f, "the time reached");
         if (expected != ALL && status == DISCARD && (early || reached != u->time))
@@ -498,7 +498,7 @@ static int stepped(Fuzz *f, void *c, int expected, double point, double h)
     CALLED(fmi3Get##NAME, nothing, c, &reference, count, (void *)room, count); \
     CALLED(fmi3Set##NAME, nothing, c, &reference, count, (void *)room, count)
 
-/* Calls for what this FMU does not have. */
+/* Make calls for features that this FMU does not have. */
 static void others(Fuzz *f, Unit *u, int legal)
 {
     static const size_t sizes[1];
@@ -588,7 +588,7 @@ static int expect(int legal)
     return legal ? ONLY(OK) : ONLY(ERROR_);
 }
 
-/* All Real outputs, and how reading them went. */
+/* Read all Real outputs; return the status. */
 static int all_outputs(Fuzz *f, Unit *u, double *values)
 {
     unsigned *references = malloc((outputs + 1) * sizeof *references);
@@ -613,12 +613,12 @@ static void begin_again(Fuzz *f, Unit *u)
     u->handle = made(f, bad);
     u->stop = INFINITY;
     if (!u->handle != (bad != 0))
-        wrong(f, "an instance, or none");
+        wrong(f, "an instance is missing, or unexpected");
     u->phase = u->handle ? BORN : NONE;
     u->time = 0.0;
 }
 
-/* Begins an experiment, with a stop time or without; one before the start is refused. */
+/* Begin an experiment with or without a stop time; one before the start is refused. */
 static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start)
 {
     const int has_stop = one_in(f, 2);
@@ -630,7 +630,7 @@ static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double toler
     return status;
 }
 
-/* The next phase of life, or another. */
+/* Enter the next phase, or another one. */
 static void live(Fuzz *f, Unit *u, int legal)
 {
     const int phase = legal ? u->phase : NONE;
@@ -688,7 +688,7 @@ static void live(Fuzz *f, Unit *u, int legal)
     }
 }
 
-/* Gets and sets of any type, with references that are right or not. */
+/* Get and set values of any type, by valid and invalid references. */
 static void values(Fuzz *f, Unit *u, int legal)
 {
     unsigned references[MOST_VALUES];
@@ -730,11 +730,11 @@ static void values(Fuzz *f, Unit *u, int legal)
         if (status <= DISCARD && u->phase == STEPPING)
             for (unsigned k = 0; k < count; k++)
                 if (references[k] - first_input >= inputs)
-                    wrong(f, "something else than an input was set in a run");
+                    wrong(f, "a variable that is no input was set in a run");
         if (status == OK)
             for (unsigned k = 0; k < count; k++)
                 if (!isfinite(reals[k]))
-                    wrong(f, "a number was taken that is not finite");
+                    wrong(f, "a number that is not finite was accepted");
         break;
     }
     case 2:
@@ -753,7 +753,7 @@ static void values(Fuzz *f, Unit *u, int legal)
     }
 }
 
-/* A step, which is made whole and leaves finite outputs, or leaves all as it was. */
+/* Make a step, which either ends with finite outputs or changes nothing. */
 static void step(Fuzz *f, Unit *u, int legal)
 {
     const int can = legal && u->phase == STEPPING, sane = !one_in(f, 5) && isfinite(u->time);
@@ -764,7 +764,7 @@ static void step(Fuzz *f, Unit *u, int legal)
     const int known = watch ? all_outputs(f, u, before) : ERROR_;
     const int status = stepped(f, u->handle, can ? ONLY(OK) | ONLY(DISCARD) : ONLY(ERROR_), point, h);
     if (can && status == OK && !(isfinite(point) && isfinite(h) && h > 0.0))
-        wrong(f, "a step that is none was made");
+        wrong(f, "an invalid step was made");
     if (status == OK) {
         f->steps++;
         if (all_outputs(f, u, after) != OK)
@@ -813,7 +813,7 @@ static void derivatives(Fuzz *f, Unit *u, int legal)
         wrong(f, "a derivative that is not finite, and OK");
 }
 
-/* States in all ways: taken, given back, written, changed, read, and those of nobody. */
+/* Return the check sum of bytes, as in zip archives. */
 static uint32_t crc32(const unsigned char *bytes, size_t size)
 {
     uint32_t sum = ~0u;
@@ -825,6 +825,7 @@ static uint32_t crc32(const unsigned char *bytes, size_t size)
     return ~sum;
 }
 
+/* Save, restore, write, change and read states, and pass unknown ones. */
 static void states(Fuzz *f, Unit *u, int legal)
 {
     static uint64_t nobody[64];
@@ -840,7 +841,7 @@ static void states(Fuzz *f, Unit *u, int legal)
         if (CALLED(RESTORE, there ? ONLY(OK) | (f->state_phase[k] < 0 ? ONLY(ERROR_) : 0) : ONLY(ERROR_), u->handle,
                 f->states[k])
             == OK) {
-            if (f->state_phase[k] < 0) { /* Anything may follow, but for what the sanitizers see. */
+            if (f->state_phase[k] < 0) { /* Any status may follow; the sanitizers judge. */
                 double *y = malloc((outputs + 1) * sizeof *y);
                 u->phase = STEPPING;
                 for (int times = 0; times < 3; times++) {
@@ -900,7 +901,7 @@ static void states(Fuzz *f, Unit *u, int legal)
         free(copy);
         break;
     }
-    case 5: { /* A number of it is another one, and the check sum right. */
+    case 5: { /* Change a number, and correct the check sum. */
         const unsigned from = below(f, SLOTS);
         uint32_t sum = 0;
         double number = nonsense(f);
@@ -932,7 +933,7 @@ static void *fuzzed(void *given)
     while (f->made < f->calls && f->failures < 20) {
         Unit *u = f->units + below(f, SLOTS);
         int legal;
-        if (one_in(f, 50)) { /* no handle, or what is none */
+        if (one_in(f, 50)) { /* no handle, or an invalid one */
             u = &stranger;
             u->handle = one_in(f, 2) ? NULL : (void *)nobody;
         }
