@@ -53,4 +53,4 @@ def test_the_fuzzer_sees_what_is_wrong(fuzz, tmp_path, monkeypatch):
     monkeypatch.setattr(fuzz, "SOURCE", source)
     made, said = fuzz.fuzzed(fuzz.built("wrong", 2, tmp_path, "address"), 7, 2000, 1)
     assert made == 0
-    assert "status 0 is none of those" in said
+    assert "status 0 is not among those" in said
