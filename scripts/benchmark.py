@@ -7,6 +7,7 @@ oracle, or an empty FMU; costs of many loops are compared with those of ten.
 
 from __future__ import annotations
 
+import argparse
 import gc
 import math
 import os
@@ -30,7 +31,7 @@ from pathlib import Path
 import casadi as ca
 import fmpy
 import numpy as np
-from _study import Call, Laps, Report, Results, Target, clocked, in_turns, times
+from _study import Call, Laps, Results, Target, clocked, in_turns, judged, times
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pythonfmu import FmuBuilder
@@ -51,7 +52,7 @@ from alfmu.model.settings import Settings
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
 from alfmu.simulation import oracle, prepared, with_defaults
 from alfmu.studies.cost import cost, operations, parts
-from alfmu.studies.tables import Row
+from alfmu.studies.tables import Row, environment, markdown, paragraph, rounded, shown, write_csv
 
 KERNELS = ("vm", "compiled")
 """Kernels: functions of a scene interpreted by the runtime, or compiled."""
@@ -712,23 +713,101 @@ STUDIES = {
 }
 
 
+INTRODUCTION = """
+Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism. Ratios are of medians of
+what was timed in turns.
+"""
+
+PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib")
+
+WIDE = 12
+"""Number of columns of a CSV file from which its table in the report is transposed."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the studies selected on the command line."""
+    """Run the studies selected on the command line; return the exit code."""
     os.environ[VARIABLE] = "off"  # preparation is measured, too
-    return Report(
-        "benchmark",
-        "benchmark.py",
-        "What alfmu costs",
-        "Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism. Ratios are of "
-        "medians of what was timed in turns.",
-        STUDIES,
-        {"": USUAL, "quick": QUICK, "full": FULL},
-        CHAPTERS,
-        TARGETS,
-        {"scale": ("scale", scale_plot, "Cost against the number of loops")},
-        LIMITS,
-        ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib"),
-    ).main(arguments)
+    line = argparse.ArgumentParser(
+        description=f"{paragraph(INTRODUCTION)} Writes benchmark.md, CSV files and a picture.",
+        epilog="needs the extra alfmu[test]; takes some minutes; overwrites an earlier run in the same folder",
+    )
+    folder, some = Path("results") / "benchmark", f"some of: {', '.join(STUDIES)}"
+    line.add_argument("-o", "--output", type=Path, default=folder, help="folder (default: %(default)s)")
+    line.add_argument("--only", nargs="+", choices=STUDIES, metavar="STUDY", help=some)
+    size = line.add_mutually_exclusive_group()
+    efforts = {"": USUAL, "quick": QUICK, "full": FULL}
+    for option in filter(None, efforts):
+        size.add_argument(f"--{option}", action="store_const", const=option, dest="size", default="")
+    chosen = line.parse_args(arguments)
+    only = [name for name in STUDIES if name in (chosen.only or STUDIES)]
+    command = ["python", "scripts/benchmark.py", *[f"--{chosen.size}"] * bool(chosen.size)]
+    command += ["--only", *only] * (len(only) < len(STUDIES))
+    path = chosen.output / "benchmark.md"
+    try:
+        chosen.output.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    except OSError as error:
+        print(f"{path} cannot be written ({error.strerror}); give another folder with -o", file=sys.stderr)
+        return 1
+    try:
+        measure(path, efforts[chosen.size], only, " ".join(command))
+    except alfmu.AlfmuError as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(path)
+    return 0
+
+
+def measure(path: Path, effort: Effort, studies: Sequence[str], command: str) -> None:
+    """Run the studies and write their results."""
+    begin, without = time.perf_counter(), no_compiler()
+    kernels = ("vm",) if without else KERNELS
+    where: list[Row] = [{"what": what, "value": value} for what, value in environment(command, PACKAGES)]
+    results: Results = {"environment": where, "targets": []}
+    for name in studies:
+        results |= STUDIES[name](effort, kernels)
+    where += [{"what": "kernel", "value": kernels[-1]}, {"what": "without compiled code as", "value": without}]
+    where.append({"what": "it took", "value": f"{rounded(time.perf_counter() - begin)} s"})
+    results["targets"] = [judged(target, results) for target in TARGETS]
+    for name, rows in results.items():
+        write_csv(path.parent / f"{name}.csv", rows)
+    if "scale" in results:
+        scale_plot(results["scale"]).savefig(path.parent / "scale.png", dpi=120, metadata={"Software": None})
+    path.write_text(report(results), encoding="utf-8")
+
+
+def report(results: Results) -> str:
+    """Return the report in Markdown: each chapter with all columns of its CSV file, rounded."""
+    note = "Judged by the numbers of this run alone; what was left out is not measured."
+    parts = ["# Costs of alfmu", paragraph(INTRODUCTION), table("Machine and versions", "environment", results)]
+    parts += ["## Targets", note, table("Target against measured", "targets", results)]
+    for name, (heading, introduction) in CHAPTERS.items():
+        if name in results:
+            parts += [f"## {heading}", paragraph(introduction), table(heading, name, results)]
+            parts += ["![Cost against the number of loops](scale.png)"] * (name == "scale")
+    return "\n\n".join([*parts, "## Where the comparison stops being fair", LIMITS.strip()]) + "\n"
+
+
+def table(title: str, name: str, results: Results) -> str:
+    """Return the rows of a CSV file as a Markdown table, transposed if there are many columns."""
+    rows = results[name]
+    columns = [
+        x for x in dict.fromkeys(x for row in rows for x in row) if any(row.get(x) not in (None, "") for row in rows)
+    ]
+    if len(columns) <= WIDE or len(rows) >= len(columns):
+        return shown(title, name, columns, rows)
+    first, *others = columns
+    lines = [[column, *(row.get(column) for row in rows)] for column in others]
+    return f"**{title}** (`{name}.csv`)\n\n" + markdown([first, *(str(row[first]) for row in rows)], lines)
+
+
+def no_compiler() -> str | None:
+    """Return why kernels cannot be compiled here; None if they can."""
+    try:
+        prepared(alfmu.derive(alfmu.load("particle_on_circle")), "compiled")
+    except alfmu.ExportError as error:
+        return str(error)
+    return None
 
 
 if __name__ == "__main__":
