@@ -22,7 +22,7 @@ from .options import (
     name_list,
     pair,
 )
-from .says import once_written, progress_bar, say
+from .says import progress_bar, save_file
 
 _EQUILIBRIUM = """Inputs come from --input at the time of --at, or from --set, as start values do; `alfmu simulate
 --start equilibrium` begins in the nearest stable position found. Stability is that of small motions; where it cannot be
@@ -136,7 +136,7 @@ def _equilibrium(chosen: argparse.Namespace) -> None:
     starts, inputs = STARTS if chosen.starts is None else chosen.starts, inputs_of(chosen)
     found = equilibrium(chosen_recipe(chosen, chosen.mechanism), inputs=inputs, time=chosen.at, starts=starts)
     _analysed(chosen, [found], path, found.save)
-    _save(chosen, drawn, lambda path: found.nearest.draw().save(path))
+    save_file(drawn, lambda path: found.nearest.draw().save(path), chosen.json)
 
 
 def _linearize(chosen: argparse.Namespace) -> None:
@@ -151,8 +151,8 @@ def _linearize(chosen: argparse.Namespace) -> None:
     found = made if isinstance(made, list) else [made]
     _analysed(chosen, found, path, lambda path: save(found, path))
     amplitude = AMPLITUDE if chosen.amplitude is None else chosen.amplitude
-    _save(chosen, plot, lambda path: figure(found, path))
-    _save(chosen, film, lambda path: found[0].film(path, chosen.mode, amplitude=amplitude))
+    save_file(plot, lambda path: figure(found, path), chosen.json)
+    save_file(film, lambda path: found[0].film(path, chosen.mode, amplitude=amplitude), chosen.json)
 
 
 def _mobility(chosen: argparse.Namespace) -> None:
@@ -196,8 +196,8 @@ def _kinematics(chosen: argparse.Namespace) -> None:
         ends = ("advantage", "transmission_angle", "manipulability", "torque", "force")
         shown = [name for own in k.watched.values() for name in own]
         shown += [name for name in table.names if name.rpartition(".")[2] in ends]
-        _save(chosen, output, table.to_csv)
-        _save(chosen, plot, lambda path: draw(figure(table, shown), path, 150))
+        save_file(output, table.to_csv, chosen.json)
+        save_file(plot, lambda path: draw(figure(table, shown), path, 150), chosen.json)
 
 
 def _values(text: str) -> list[tuple[str, float]]:
@@ -218,15 +218,7 @@ def _analysed(
         print(json.dumps(data[0] if len(data) == 1 else data, indent=1))
     else:
         print("\n\n".join("\n".join(each.lines()) for each in found))
-    _save(chosen, path, save)
-
-
-def _save(chosen: argparse.Namespace, path: Path | None, write: Callable[[Path], object]) -> None:
-    """Write a requested file, and print its path."""
-    if path:
-        wrote = once_written(path)
-        write(path)
-        say(chosen, wrote)
+    save_file(path, save, chosen.json)
 
 
 def _at(text: str) -> str | float | list[float]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from .options import Command, add_each, add_name, add_names, add_option, add_set, chosen_recipe, file_of
-from .says import once_written
+from .says import save_file
 
 _FIT = """The table has a column `time` in s, which begins where the run does. Columns with names of outputs are
 measurements (`nan` if one is missing), those with names of inputs drive the run. Values of --set are the first guesses
@@ -77,13 +76,8 @@ def _fit(chosen: argparse.Namespace) -> None:
         print(file=sys.stderr)
     print(found)
     print(f"{found.runs} runs; {found.said}")
-    if chosen.output:
-        said = once_written(Path(chosen.output))
-        found.result.to_csv(chosen.output)
-        print(said)
+    save_file(chosen.output, found.result.to_csv)
     if chosen.plot:
         from ..view.plot import save
 
-        said = once_written(Path(chosen.plot))
-        save(found.plot(), Path(chosen.plot), 150)
-        print(said)
+        save_file(chosen.plot, lambda path: save(found.plot(), path, 150))

@@ -19,7 +19,7 @@ from .options import (
     changed_by,
     file_name,
 )
-from .says import checking, once_written, say
+from .says import checking, once_written, save_file
 
 _EXPORT = """A recipe is a Python file that describes an FMU: `recipe = alfmu.Recipe("five_bar",
 outputs=["*.angle"])`. Options of the command take precedence over it, --option and --set one by one."""
@@ -198,8 +198,5 @@ def _validate(chosen: argparse.Namespace) -> int:
             progress=progress,
         )
     print(as_json(report) if chosen.json else "\n".join(lines(report, chosen.every)))
-    if chosen.output:
-        wrote = once_written(Path(chosen.output))
-        save(report, chosen.output)
-        say(chosen, wrote)
+    save_file(chosen.output, lambda path: save(report, path), chosen.json)
     return 1 if report.problems else 0 if report.judged else NOT_JUDGED

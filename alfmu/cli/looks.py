@@ -25,7 +25,7 @@ from .options import (
     file_name,
     pair,
 )
-from .says import once_written
+from .says import once_written, save_file
 
 _DRAW = """Closing the loops keeps the values of --at exactly, and other start values if possible; otherwise these are
 guesses. Names of coordinates: `alfmu info NAME`."""
@@ -160,9 +160,7 @@ def _import(chosen: argparse.Namespace) -> None:
     path = Path(chosen.output or f"{file_name(found.mechanism.name)}.py")
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise InputError(f"{path} cannot be a Python file with a function of its name; say -o NAME.py")
-    said = once_written(path)
-    write(path, found.source(path.stem).encode())
-    print(said)
+    save_file(path, lambda path: write(path, found.source(path.stem).encode()))
     for title, lines in (
         ("left out, and may matter: ", found.warnings),
         ("left out: ", found.left_out if chosen.all else ()),
@@ -179,17 +177,13 @@ def _draw(chosen: argparse.Namespace) -> None:
     path = path_for("a drawing", chosen.output or f"{file_name(Path(chosen.mechanism).stem)}.png")
     recipe = chosen_recipe(chosen, chosen.mechanism)
     drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
-    said = once_written(path)
-    drawn.save(path)
-    print(said)
+    save_file(path, drawn.save)
 
 
 def _convert(chosen: argparse.Namespace) -> None:
     from ..api import convert
 
-    said = once_written(Path(chosen.output))
-    convert(chosen_recipe(chosen, chosen.mechanism), chosen.output)
-    print(said)
+    save_file(chosen.output, lambda path: convert(chosen_recipe(chosen, chosen.mechanism), path))
 
 
 def _live(chosen: argparse.Namespace) -> None:

@@ -31,7 +31,7 @@ from .options import (
     inputs_of,
     refuse_scene_of_fmu,
 )
-from .says import between_steps, failed, fall_silent, once_written, progress_bar
+from .says import between_steps, failed, fall_silent, once_written, progress_bar, save_file
 
 _SIMULATE = """A run that ends early, by an error or by Ctrl-C, keeps its rows and its picture up to then; the reason
 is printed last, and the exit code is 1 or 130. Beside the table, FILE.json describes the run and holds its drawing,
@@ -283,6 +283,4 @@ def _animate(chosen: argparse.Namespace) -> None:
             raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
     parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
     how = {"parameters": parameters, "fps": chosen.fps, "speed": chosen.speed, "progress": progress_bar("drawing")}
-    said = once_written(path)
-    animate(shown, result, path, **how)
-    print(said)
+    save_file(path, lambda path: animate(shown, result, path, **how))

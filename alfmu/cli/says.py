@@ -8,7 +8,6 @@ import signal
 import sys
 import threading
 import time
-from argparse import Namespace
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -43,9 +42,12 @@ def once_written(path: Path) -> str:
     return f"replaced {path}" if path.exists() else f"wrote {path}"
 
 
-def say(chosen: Namespace, text: str) -> None:
-    """Print a message, to stderr if stdout is used for JSON."""
-    print(text, file=sys.stderr if chosen.json else sys.stdout)
+def save_file(path: str | Path | None, write: Callable[[Path], object], json: bool = False) -> None:
+    """Write a file if one is requested, and print its path, to stderr if stdout is used for JSON."""
+    if path:
+        said = once_written(Path(path))
+        write(Path(path))
+        print(said, file=sys.stderr if json else sys.stdout)
 
 
 def progress_bar(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:

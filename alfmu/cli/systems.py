@@ -7,7 +7,7 @@ import argparse
 from ..systems.masters import MASTERS
 from .options import STEP, Command, add_names, add_set, file_of
 from .runs import add_table, given_inputs, run_and_keep
-from .says import once_written, progress_bar
+from .says import progress_bar, save_file
 
 _SYSTEM = """The file lists mechanisms, parts and FMUs, their connections, and the settings of the run; its
 form is in the documentation, howto/systems. Columns are called COMPONENT.VARIABLE. --set and --input give parameters
@@ -76,8 +76,5 @@ def _couple(chosen: argparse.Namespace) -> None:
     how = {name: value for name, value in asked.items() if value is not None}
     found = couple(chosen.system, **how, stability=not chosen.no_stability, progress=progress_bar("coupling", "run"))
     print("\n".join(found.lines()))
-    for path, write in ((table, found.save), (plot, found.plot)):
-        if path:
-            said = once_written(path)
-            write(path)
-            print(said)
+    save_file(table, found.save)
+    save_file(plot, found.plot)
