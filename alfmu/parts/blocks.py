@@ -23,8 +23,6 @@ from .declared import named
 from .load import load as loaded
 from .motor import dc_motor
 
-__all__ = ["BLOCKS", "controller", "gearbox", "load", "motor"]
-
 
 @explained
 def motor(
