@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,8 @@ import alfmu
 from alfmu.method import formulations as method
 from alfmu.model.settings import Settings
 from alfmu.simulation import instance, oracle, with_defaults
+
+Unit = TypeVar("Unit")
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""
@@ -169,6 +172,14 @@ def parameters(i: alfmu.Instance) -> np.ndarray:
     return i.memory["p"].copy()
 
 
+def initialized(unit: Unit, given: Mapping[str, Any] | None = None, **more: Any) -> Unit:
+    """The instance, batch or FMU itself, initialised with values by name; two underscores of a keyword are a point."""
+    for name, value in {**(given or {}), **{name.replace("__", "."): value for name, value in more.items()}}.items():
+        unit.set(name, value)
+    unit.initialize()
+    return unit
+
+
 def started(
     equations: alfmu.Equations,
     given: Mapping[str, float | str] | None = None,
@@ -176,11 +187,9 @@ def started(
     **settings,
 ) -> alfmu.Instance:
     """An initialised instance with parameters, start values, inputs and solver numbers by name."""
-    instance = kind(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
-    for name, value in (given or {}).items():
-        instance.set(name, value)
-    instance.initialize()
-    return instance
+    return initialized(
+        kind(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings})), given
+    )
 
 
 by_the_oracle = partial(started, kind=oracle.Instance)

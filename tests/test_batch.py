@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import double_pendulum
+from scenes import double_pendulum, initialized
 
 import alfmu
 from alfmu import AlfmuError, Batch, InputError, Instance
@@ -117,9 +117,7 @@ def test_interface_jacobians_are_those_of_instances():
     for _ in range(3):
         batch.step(0.02)
     for k, found in enumerate(batch.get(*names)):
-        single = Instance(batch.equations)
-        single.set("start.angle", np.linspace(0.5, 0.9, 5)[k])
-        single.initialize()
+        single = initialized(Instance(batch.equations), {"start.angle": np.linspace(0.5, 0.9, 5)[k]})
         for _ in range(3):
             single.step(0.02)
         assert found.tolist() == [single.get(name) for name in names]
@@ -151,8 +149,7 @@ def test_threads_change_nothing():
 
 
 def test_some_members_move_and_others_wait():
-    batch = Batch("four_bar", 6)
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 6))
     batch.step(0.1, [1, 4])
     batch.step(0.1, np.arange(6) == 4)
     np.testing.assert_allclose(batch.time, [0, 0.1, 0, 0, 0.2, 0], rtol=1e-15)
@@ -164,8 +161,7 @@ def test_some_members_move_and_others_wait():
 
 
 def test_a_reset_member_begins_again_and_a_restored_one_goes_on():
-    batch = Batch("four_bar", 5, {"m2": 1.5})
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 5, {"m2": 1.5}))
     batch.step(0.2)
     states = batch.save([0, 1])
     at_once = batch.get("link1.angle")
@@ -222,16 +218,14 @@ def test_boolean_inputs_are_true_or_false():
 
 
 def test_a_copy_owns_the_same_members():
-    batch = Batch("four_bar", 3)
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 3))
     copy.copy(batch)
     batch.step(0.1)
     assert set(batch.time) == {0.1}
 
 
 def test_one_thread_at_a_time_moves_a_batch():
-    batch = Batch("four_bar", 2 * COUNT, threads=2)
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 2 * COUNT, threads=2))
     with ThreadPoolExecutor(2) as pool:
         assert not any(failed.any() for failed in pool.map(lambda _: batch.step(0.02), range(10)))
     np.testing.assert_allclose(batch.time, 0.2, rtol=1e-14)
@@ -246,8 +240,7 @@ def run_interrupted(batch: Batch) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no such signal to a thread")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_interrupt_waits_for_all_members(threads):
-    batch = Batch("four_bar", 600, threads=threads)
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 600, threads=threads))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores interrupts
     try:
         with pytest.raises(KeyboardInterrupt):
@@ -280,9 +273,7 @@ def test_a_member_that_fails_is_told_and_the_others_go_on(caplog):
 
 def test_what_the_runtime_warns_of_is_told(caplog):
     given = {"solver.method": "rk4", "solver.tolerance": 1e-3, "start.angular_velocity": -60.0}
-    batch = Batch("five_bar", 2, given)
-    batch.set("solver.step_size", [0.001, 0.02])
-    batch.initialize()
+    batch = initialized(Batch("five_bar", 2, given), {"solver.step_size": [0.001, 0.02]})
     with caplog.at_level(logging.WARNING, "alfmu"):
         for _ in range(50):
             batch.step(0.02)
@@ -300,10 +291,7 @@ def test_a_step_that_one_member_refuses_is_one_of_the_others():
     m.distance("rod", one.end, two.end, length=1.0)
     m.gravity(0.0, -9.81)
     m.release("rod")
-    batch = Batch(m, 2)
-    batch.set("rod.released", True)
-    batch.set("start.b", [0.0, 1.0])
-    batch.initialize()
+    batch = initialized(Batch(m, 2), {"rod.released": True, "start.b": [0.0, 1.0]})
     batch.set("rod.released", False)
     assert batch.step(0.01).tolist() == [False, True]
     assert batch.time.tolist() == [0.01, 0.0]
@@ -311,8 +299,7 @@ def test_a_step_that_one_member_refuses_is_one_of_the_others():
 
 
 def test_a_failed_step_leaves_the_state_before_it(caplog):
-    batch = Batch("four_bar", 9)
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 9))
     batch.step(0.1)
     before = batch.save()
     torque = np.zeros(9)
@@ -476,9 +463,7 @@ def test_an_environment_is_a_batch():
     again, _ = many.reset(seed=1)
     np.testing.assert_array_equal(first, again)
     assert len({*first[:, 0]}) == 3
-    batch = Batch("four_bar", 3)
-    batch.set("start.angle", first[:, 0])
-    batch.initialize()
+    batch = initialized(Batch("four_bar", 3), {"start.angle": first[:, 0]})
     actions = np.array([[1.0], [-2.0], [7.0]])  # the last one is out of its bounds
     batch.set("A.torque", [1.0, -2.0, 5.0])
     seen, reward, done, late, infos = many.step(actions)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oracles import stiff_joints
-from scenes import by_the_oracle, made, parameters
+from scenes import by_the_oracle, initialized, made, parameters
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -28,9 +28,7 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     i = alfmu.Instance(prepared(e, "oracle"))
     for variable, x in zip(e.compliances, compliance, strict=True):
         i.set(variable.name, x * 1e-9)
-    i.set("solver.method", "rk4")
-    i.set("solver.step_size", 1e-3)
-    i.initialize()
+    initialized(i, {"solver.method": "rk4", "solver.step_size": 1e-3})
     p, q, v = i.memory["p"], i.q.copy(), i.v.copy()
     i.step(0.03)
     shares = multipliers(i)
@@ -39,10 +37,7 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     ]
     assert errors[1] < 1e-4 * np.abs(shares).max()
     assert errors[0] / errors[1] > 2.5
-    plain = alfmu.Instance(prepared(e, "oracle"))
-    plain.set("solver.method", "rk4")
-    plain.set("solver.step_size", 1e-3)
-    plain.initialize()
+    plain = initialized(alfmu.Instance(prepared(e, "oracle")), {"solver.method": "rk4", "solver.step_size": 1e-3})
     plain.step(0.03)
     assert np.abs(multipliers(plain) - shares).max() > 0.1 * np.abs(shares).max()  # else this would show nothing
     assert np.array_equal(plain.q, i.q)  # shares are read, the motion does not know them

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracles.adaptive import Adaptive, Control, by_method
 from oracles.parallelogram import Parallelogram
-from scenes import derived, made
+from scenes import derived, initialized, made
 
 import alfmu
 from alfmu import runtime
@@ -42,11 +42,7 @@ def scene(name: str, method: str, kernel: str, order: int) -> alfmu.Equations:
 
 def begun(name: str, method: str, kernel: str, order: int = 0, **given: float) -> alfmu.Instance:
     """An initialised instance with a method; names of variables with two underscores for the point."""
-    i = made(scene(name, method, kernel, order), kernel)
-    for key, value in given.items():
-        i.set(key.replace("__", "."), value)
-    i.initialize()
-    return i
+    return initialized(made(scene(name, method, kernel, order), kernel), **given)
 
 
 def by_the_oracle(name: str, method: str, order: int = 0, **given: float) -> Adaptive:

@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_the_oracle, cusp, derived, made
+from scenes import by_the_oracle, cusp, derived, initialized, made
 
 import alfmu
 from alfmu import simulate
@@ -25,10 +25,7 @@ def five_bar(coordinates: str) -> alfmu.Equations:
 
 def error(given: dict, step: float, steps: int, coordinates: str = "mixed") -> tuple[float, alfmu.Instance]:
     """Largest angle error [rad] of the five-bar under gravity."""
-    i = alfmu.Instance(five_bar(coordinates))
-    for name, value in {**given, "solver.method": "rk4", "solver.step_size": step}.items():
-        i.set(name, value)
-    i.initialize()
+    i = initialized(alfmu.Instance(five_bar(coordinates)), {**given, "solver.method": "rk4", "solver.step_size": step})
     sizes = {name: value for name, value in given.items() if name in ("l", "m1", "m2", "m3", "m4", "g")}
     linkage = Parallelogram(**sizes)
     inertia, weight = float(linkage.inertia), float(linkage.weight)
@@ -89,10 +86,7 @@ def test_ten_million_steps_do_not_drift():
 
 
 def test_steps_much_too_long_are_refused_and_keep_the_state():
-    i = alfmu.Instance(five_bar("mixed"))
-    i.set("solver.method", "rk4")
-    i.set("solver.step_size", 3.0)
-    i.initialize()
+    i = initialized(alfmu.Instance(five_bar("mixed")), {"solver.method": "rk4", "solver.step_size": 3.0})
     before = [i.save()]
 
     def further() -> None:
@@ -129,9 +123,7 @@ def test_extreme_scenes_are_the_same_through_an_fmu(exported, case):
 @pytest.mark.slow
 def test_refused_steps_and_bad_numbers_through_an_fmu(exported):
     with Fmu(exported("four_bar")) as fmu:
-        fmu.set("solver.method", "rk4")
-        fmu.set("start.angle", 0.5)
-        fmu.initialize()
+        initialized(fmu, {"solver.method": "rk4", "start.angle": 0.5})
         fmu.step(0.02, 0.0)
         before = fmu.read()
         for bad in (1e6, -1e6, np.nan, np.inf):
@@ -195,10 +187,7 @@ def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
 def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinates, torque):
     """Steps that turn a link by more than half a turn are refused; short ones give the exact motion."""
     equations = prepared(derived("four_bar", coordinates=coordinates), "vm")
-    i = alfmu.Instance(equations)
-    i.set("solver.method", "rk4")
-    i.set("start.angle", 0.5)
-    i.initialize()
+    i = initialized(alfmu.Instance(equations), {"solver.method": "rk4", "start.angle": 0.5})
     i.step(0.02)
     before = i.save()
     i.set("A.torque", torque)
@@ -225,10 +214,7 @@ def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinat
 def test_a_motion_that_ends_is_said_to_be_locked_up():
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
-        i = made(alfmu.derive(cusp()), kernel)
-        i.set("solver.method", "rk4")
-        i.set("solver.step_size", 0.005)
-        i.initialize()
+        i = initialized(made(alfmu.derive(cusp()), kernel), {"solver.method": "rk4", "solver.step_size": 0.005})
         with pytest.raises(
             alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no motion continues"
         ):

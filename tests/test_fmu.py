@@ -15,6 +15,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from scenes import initialized
 
 import alfmu
 from alfmu.fmi.checks.validation import validate
@@ -87,9 +88,7 @@ def test_communication_steps_of_any_length_keep_time_and_order(exported):
     for step_size in (0.01, 0.005, 0.0025):
         with Fmu(exported("slider_crank")) as fmu, Fmu(exported("slider_crank")) as even:
             for unit in (fmu, even):
-                unit.set("solver.method", "rk4")
-                unit.set("solver.step_size", step_size)
-                unit.initialize()
+                initialized(unit, {"solver.method": "rk4", "solver.step_size": step_size})
             time = 0.0
             for length in lengths:
                 fmu.step(length, time)
@@ -157,9 +156,7 @@ def test_state_is_saved_restored_and_serialised_bit_by_bit(fmu_of, kind, name, o
 
 def test_reset_gives_the_defaults_back(exported):
     with Fmu(exported("five_bar")) as fmu:
-        fmu.set("m2", 0.0)
-        fmu.set("solver.formulation", "classic")
-        fmu.initialize()
+        initialized(fmu, {"m2": 0.0, "solver.formulation": "classic"})
         fmu.step(0.1, 0.0)
         fmu.reset()
         fmu.initialize()

@@ -10,7 +10,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from scenes import derived
+from scenes import derived, initialized
 from test_native import summed
 
 import alfmu
@@ -113,9 +113,7 @@ def test_inputs_and_switched_constraints(built):
 @pytest.mark.parametrize("formulation", ["penalty", "stiffness", "baumgarte", "dae"])
 def test_directional_derivatives_are_those_of_the_formulation(built, formulation):
     with Fmu(built("slider_crank")) as fmu:
-        fmu.set("solver.formulation", formulation)
-        fmu.set("solver.penalty", 100.0)
-        fmu.initialize()
+        initialized(fmu, {"solver.formulation": formulation, "solver.penalty": 100.0})
         outputs = [v for v in fmu.description.modelVariables if v.causality == "output" and v.type == "Real"]
         torque = next(v.valueReference for v in fmu.description.modelVariables if v.name == "A.torque")
         references = [v.valueReference for v in outputs]
@@ -171,9 +169,7 @@ def test_stabilisation_and_projection_are_numbers_of_the_instance(built, formula
     library.initialize()
     layout = Layout(prepared(equations))
     with Fmu(built("five_bar")) as fmu:
-        for name, value in values.items():
-            fmu.set(name, value)
-        fmu.initialize()
+        initialized(fmu, values)
         assert numbers(fmu, layout)[COUNTED:].tolist() == [1.0, 10.0, -1.0]
         give(fmu, layout, [zeta, omega, projects])
         # The library closed the loops at the start where it projects, the FMU where the formulation does by itself.

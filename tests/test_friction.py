@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from oracles.rubbing import Crank
+from scenes import initialized
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -52,10 +53,7 @@ def test_a_block_feels_an_input_that_changes_within_a_step(incline, speed, growt
     at the push of that time. A slope tells how it changes, or its past values."""
     rubs = COULOMB * 2.0 * G
     turn = max(np.roots([growth / 4, rubs / 2, speed])) if speed else STATIC * 2.0 * G / growth
-    unit = alfmu.Instance(incline)
-    for name, value in {"tilt": 0.0, "start.speed": speed, "solver.input_order": order}.items():
-        unit.set(name, value)
-    unit.initialize()
+    unit = initialized(alfmu.Instance(incline), {"tilt": 0.0, "start.speed": speed, "solver.input_order": order})
     if order:  # Two values are known where the long step begins.
         unit.step(1e-3)
         unit.set("push", growth * 1e-3)
@@ -648,9 +646,7 @@ def test_what_is_switched_on_may_share_the_load_of_friction(caplog):
     """Only one guide of the sledge is closed at first: its friction is unique until the other one is closed, too."""
     m = sledge()
     m.release("smooth")
-    i = alfmu.Instance(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}))
-    i.set("smooth.released", True)
-    i.initialize()
+    i = initialized(alfmu.Instance(with_defaults(alfmu.derive(m), {"solver.method": "rk4"})), {"smooth.released": True})
     i.step(0.1)
     assert i.get("rough.friction_force") == pytest.approx(-0.3 * 3.0 * G, rel=1e-12)
     assert not caplog.records
@@ -708,10 +704,7 @@ def test_directional_derivatives_feel_friction(tmp_path):
 
 
 def test_a_state_is_kept_while_a_joint_sticks(incline):
-    i = alfmu.Instance(incline)
-    i.set("start.speed", -0.2)
-    i.set("coulomb", STATIC)
-    i.initialize()
+    i = initialized(alfmu.Instance(incline), {"start.speed": -0.2, "coulomb": STATIC})
     i.step(0.1)
     moving = i.save()
     i.step(1.0)
@@ -731,9 +724,7 @@ def test_a_lock_lets_friction_hold_after_it(incline):
     """A joint that is locked while it slides sticks where the lock lets it go."""
     m = block()
     m.lock("guide")
-    i = alfmu.Instance(m)
-    i.set("start.speed", 1.0)
-    i.initialize()
+    i = initialized(alfmu.Instance(m), {"start.speed": 1.0})
     i.step(0.05)
     i.set("guide.locked", True)
     i.step(0.05)
@@ -768,9 +759,7 @@ def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
     th = m.coordinate("th", "rad", start=-1.0, rate=3.0, independent=True)
     bar = m.bar("bar", mass=1.0, length=0.7)
     m.lock(m.revolute("knee", m.bodies[0].at(), bar.start, coordinate=th))
-    i = alfmu.Instance(m)
-    i.set("start.speed", 1.0)
-    i.initialize()
+    i = initialized(alfmu.Instance(m), {"start.speed": 1.0})
     i.step(0.05)
     assert not caplog.records
     i.set("knee.locked", True)
@@ -784,9 +773,7 @@ def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
 def test_a_lock_of_a_block_that_sticks_is_no_impact(caplog):
     m = block()
     m.lock("guide")
-    i = alfmu.Instance(m)
-    i.set("start.speed", 0.3)
-    i.initialize()
+    i = initialized(alfmu.Instance(m), {"start.speed": 0.3})
     i.step(0.5)
     assert i.get("guide.slip") == 0.0
     i.set("guide.locked", True)

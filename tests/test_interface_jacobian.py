@@ -14,7 +14,7 @@ import fmpy.fmi3
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import derived
+from scenes import derived, initialized
 
 import alfmu
 from alfmu.analysis.linearization import linearize
@@ -284,10 +284,7 @@ CASES = [
 def test_it_is_that_of_steps_that_are_taken_back(what, outputs, given, how):
     """Inputs that are extrapolated, that have a slope, that move something; implicit and explicit methods, redundant
     constraints whose rank is frozen, states of first-order equations."""
-    unit = Instance(what() if callable(what) else what, outputs=["*", *outputs])
-    for name, value in given.items():
-        unit.set(name, value)
-    unit.initialize()
+    unit = initialized(Instance(what() if callable(what) else what, outputs=["*", *outputs]), given)
     assert compared(unit, **{"h": 0.05, "steps": 8, **how}).max() <= 1e-8
 
 
@@ -340,8 +337,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     rod = m.bar("rod", mass=1.0, length=1.0)
     A = m.revolute("A", m.ground.at(), rod.start, coordinate=th)
     m.drive(A, ca.sqrt(m.input("u", "1", start=0.25)) * m.parameter("k", 2.0, "N.m"))
-    unit = Instance(m, outputs=["*", "rod.angle/u"])
-    unit.initialize()
+    unit = initialized(Instance(m, outputs=["*", "rod.angle/u"]))
     unit.step(0.02)
     state, derivative = unit.save(), unit.get("rod.angle/u")
     assert derivative > 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scenes import by_rk4 as derived
-from scenes import made
+from scenes import initialized, made
 
 import alfmu
 from alfmu.equations import Configuration, Mobility
@@ -33,9 +33,7 @@ def pair(name, options, parameters, kernel="vm") -> tuple[alfmu.Instance, alfmu.
     equations = derived(name, **options)
     both = made(equations, kernel), made(equations, "oracle")
     for i in both:
-        for key, value in parameters.items():
-            i.set(key, value)
-        i.initialize()
+        initialized(i, parameters)
     return both
 
 
@@ -116,10 +114,7 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
     one, many = alfmu.Instance(equations), alfmu.Instance(equations)
     dt = 1 / 256  # exact in binary, so that no step differs from another
     for i in (one, many):
-        i.set("start.angular_velocity", 4.0)
-        i.set("solver.method", "rk4")
-        i.set("solver.step_size", dt)
-        i.initialize()
+        initialized(i, {"start.angular_velocity": 4.0, "solver.method": "rk4", "solver.step_size": dt})
     many.step(steps * dt)
     for _ in range(steps):
         one.step(dt)
@@ -138,9 +133,7 @@ def test_what_is_read_at_a_communication_point_serves_the_next_step(way, h, stag
     plain, restored, again, other = (alfmu.Instance(e) for _ in range(4))
     name = plain.input_variables[0].name
     for instance in (plain, restored, again, other):
-        for variable, value in start.items():
-            instance.set(variable, value)
-        instance.initialize()
+        initialized(instance, start)
         instance.read()
     for k in range(60):
         restored.restore(restored.save())
@@ -165,9 +158,7 @@ def test_a_state_that_was_written_since_it_was_read_is_evaluated_anew(changed):
     e = prepared(derived("five_bar"))
     found = []
     for reads in (True, False):
-        instance = alfmu.Instance(e)
-        instance.set("start.angle", 1.2)
-        instance.initialize()
+        instance = initialized(alfmu.Instance(e), {"start.angle": 1.2})
         state = instance.save()
         if reads:
             instance.read()
@@ -221,9 +212,7 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     a, b = kernel.read()[kept], oracle.read()[kept]
     # A correction of 1e-7 (what one step leaves open) leaks its round-off, times penalty over mass, into the motion.
     assert np.abs(a - b).max() <= max(1e-12, 2.0**-52 * penalty * 1e-7) * np.abs(b).max()
-    default = alfmu.Instance(kernel.equations)
-    default.set("start.angle", 0.4)
-    default.initialize()
+    default = initialized(alfmu.Instance(kernel.equations), {"start.angle": 0.4})
     default.penalty = np.full(8, penalty)
     other = alfmu.Instance(kernel.equations)
     other.restore(default.save())

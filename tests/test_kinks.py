@@ -4,6 +4,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from scenes import initialized
 
 import alfmu
 from alfmu.kernel.kinks import kinks
@@ -113,9 +114,7 @@ PRESSED = {
 
 
 def pressed(unit: alfmu.Instance) -> alfmu.Instance:
-    for name, value in PRESSED.items():
-        unit.set(name, value)
-    unit.initialize()
+    initialized(unit, PRESSED)
     return unit
 
 
@@ -247,9 +246,7 @@ def test_implicit_steps_whose_multipliers_need_more_iterations_are_no_less_stabl
     values = {"l": 1.416, "width": 0.007067, "density": 958.8, "m_ball": 22.19, "m_slider": 5.828, "side": 0.02657}
     values |= {"pivot": 0.009101, "stiffness": 142500.0, "damping": 263200.0, "rest": 0.3204, "g": 42.88}
     values |= {"start.angle": 2.484, "start.rod_angle": -1.72, "start.position": 0.4065}
-    for name, value in values.items():
-        unit.set(name, value)
-    unit.initialize()
+    initialized(unit, values)
     for _ in range(3):
         unit.step(0.01)
     tally = dict(zip(TALLY, unit.memory["tally"], strict=True))

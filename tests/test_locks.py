@@ -7,7 +7,7 @@ one pendulum; momentum over each impact by hand.
 import fmpy
 import numpy as np
 import pytest
-from scenes import double_pendulum, made, readings
+from scenes import double_pendulum, initialized, made, readings
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -58,10 +58,7 @@ def test_a_double_pendulum_is_one_pendulum_while_its_elbow_is_locked(kernel):
     exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
     errors = []
     for h in (0.01, 0.005):
-        i = made(alfmu.derive(double_pendulum()), kernel)
-        i.set("solver.method", "rk4")
-        i.set("solver.step_size", h)
-        i.initialize()
+        i = initialized(made(alfmu.derive(double_pendulum()), kernel), {"solver.method": "rk4", "solver.step_size": h})
         for t in np.arange(0, END - 1e-9, 0.1):
             i.set("elbow.locked", LOCKED - 1e-9 < t < FREE - 1e-9)
             i.step(0.1)
@@ -79,8 +76,7 @@ def test_a_locked_elbow_by_default(communication_step):
     """By steps of either kind of the method `auto`: short ones do not know of constraints that are off."""
     y, _, _ = stopped(swung(np.array([0.3, 0.8, 1.0, -3.0]), 0.0, LOCKED))
     exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
-    i = alfmu.Instance(alfmu.derive(double_pendulum()))
-    i.initialize()
+    i = initialized(alfmu.Instance(alfmu.derive(double_pendulum())))
     for t in np.arange(0, END - 1e-9, communication_step):
         i.set("elbow.locked", LOCKED - 1e-9 < t < FREE - 1e-9)
         i.step(communication_step)
@@ -94,9 +90,7 @@ def test_every_coordinate_set_stops_alike(coordinates):
     """A slider-crank locked at B stands still: the lock takes all kinetic energy, and holds the weight from then on."""
     m = alfmu.load("slider_crank", coordinates=coordinates)
     m.lock("B")
-    i = alfmu.Instance(prepared(alfmu.derive(m)))
-    i.set("start.angle", 0.6)
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.6})
     kinetic = i.get("monitor.energy") - float(i.equations.potential_energy(i.q, i.memory["p"]))
     v, q = i.v.copy(), i.q.copy()
     i.set("B.locked", True)
@@ -126,9 +120,7 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
     equations = prepared(alfmu.derive(m))
     impulses, torques, places = [], [], []
     for locks in (["B.locked"], ["brake.locked"], ["B.locked", "brake.locked"]):
-        i = alfmu.Instance(equations)
-        i.set("start.angle", 0.6)
-        i.initialize()
+        i = initialized(alfmu.Instance(equations), {"start.angle": 0.6})
         momentum = np.array(equations.M(i.q, i.memory["p"])) @ i.v
         for name in locks:
             i.set(name, True)
@@ -166,10 +158,7 @@ def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
     m.release("E")
     m.release("F")
     equations = prepared(alfmu.derive(m))
-    i = alfmu.Instance(equations)
-    i.set("start.angle", 0.7)
-    i.set("B.locked", 1)
-    i.initialize()
+    i = initialized(alfmu.Instance(equations), {"start.angle": 0.7, "B.locked": 1})
     assert np.abs(i.v).max() < 1e-13
     assert i.get("monitor.energy_lost") > 1.0
     open_ = alfmu.Instance(equations)
@@ -219,9 +208,7 @@ def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
     m = alfmu.load("five_bar")
     m.release("E")
     m.release("F")
-    i = alfmu.Instance(prepared(alfmu.derive(m)))
-    i.set("start.angle", 0.7)
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.7})
     for name in ("E.released", "F.released"):
         i.set(name, True)
     i.step(0.2)
@@ -247,8 +234,7 @@ def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
 
 
 def test_a_step_that_is_refused_undoes_its_event():
-    i = alfmu.Instance(prepared(alfmu.derive(double_pendulum())))
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(double_pendulum()))))
     i.step(0.2)
     i.set("elbow.locked", True)
     before = i.save()
@@ -263,10 +249,7 @@ def test_a_step_that_is_refused_undoes_its_event():
 def test_a_massless_link_cannot_lose_what_holds_it():
     m = alfmu.load("five_bar")
     m.release("E")
-    i = alfmu.Instance(prepared(alfmu.derive(m)))
-    i.set("start.angle", 0.7)
-    i.set("m4", 0.0)
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.7, "m4": 0.0})
     i.set("E.released", True)
     with pytest.raises(alfmu.AssemblyError, match="no mass and no constraint"):
         i.step(0.1)
@@ -277,8 +260,7 @@ def test_a_massless_link_cannot_lose_what_holds_it():
 
 def test_the_switched_state_is_saved_to_the_last_bit():
     equations = prepared(alfmu.derive(double_pendulum()))
-    i = alfmu.Instance(equations)
-    i.initialize()
+    i = initialized(alfmu.Instance(equations))
     i.step(0.2)
     i.set("elbow.locked", True)
     i.step(0.2)
@@ -317,8 +299,7 @@ def test_any_displacement_can_be_locked():
     m = alfmu.load("bennett")
     hinge = m.coordinates[2].q
     m.lock_displacement("hinge3", hinge)
-    i = alfmu.Instance(prepared(alfmu.derive(m)))
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))))
     i.step(0.1)
     angle, energy = i.get("hinge3.angle"), i.get("monitor.energy")
     i.set("hinge3.locked", True)

@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from numpy.polynomial import chebyshev
 from oracles import ode
-from scenes import made
+from scenes import initialized, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -137,8 +137,7 @@ def test_a_slider_crank_at_constant_speed_has_the_reactions_of_the_textbook(kern
 
 
 def test_all_freedom_prescribed_leaves_none():
-    instance = made(turned(), "vm")
-    instance.initialize()
+    instance = initialized(made(turned(), "vm"))
     assert (instance.mobility().freedom, instance.mobility().redundant) == (0, 0)
     assert instance.undetermined() == []
     assert instance.equations.coordinates[-1].name == "time"
@@ -207,8 +206,7 @@ def test_two_motors_on_one_freedom_share_the_load_and_say_so():
     found = alfmu.simulate(e, 0.5, 0.02)
     expected = torque_of_swing(found.time, 4, 0.3)
     assert found["A.torque"] + found["D.torque"] == pytest.approx(expected, abs=1e-9)
-    instance = made(e, "vm")
-    instance.initialize()
+    instance = initialized(made(e, "vm"))
     assert (instance.mobility().freedom, instance.mobility().redundant) == (0, 1)
     assert {"A.torque", "D.torque"} <= set(instance.shared())
     assert "not unique" in next(v.description for v in instance.outputs if v.name == "A.torque")
@@ -536,9 +534,7 @@ def test_a_jump_is_seen_in_runs_of_any_length(given, size, time):
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_step_over_a_jump_changes_nothing(kernel):
-    instance = made(stepping_by("rk4"), kernel)
-    instance.set("late", 0.05)
-    instance.initialize()
+    instance = initialized(made(stepping_by("rk4"), kernel), {"late": 0.05})
     instance.step(0.04)
     before, read = instance.save(), instance.read()
     with pytest.raises(alfmu.StepError, match=JUMP_AT.format("0.25", "0.05")):
@@ -558,9 +554,7 @@ def test_a_jump_counts_while_its_motion_is_in_force():
     with pytest.raises(alfmu.StepError, match=JUMP_AT.format("0.25", "0.3")):
         alfmu.simulate(equations, 0.5, 0.02, parameters=given, inputs={"A.driven": lambda t: t > 0.29})
     instance = made(equations, "vm")  # Where the step is refused the motion is not in force.
-    for name, value in {**given, "late": 0.01}.items():
-        instance.set(name, value)
-    instance.initialize()
+    initialized(instance, {**given, "late": 0.01})
     instance.set("A.driven", True)
     before = instance.q.copy(), instance.v.copy()
     with pytest.raises(alfmu.StepError, match=r"jumps by 0.25 rad"):
@@ -680,9 +674,7 @@ def test_a_law_that_is_not_finite_is_named(part, law):
     ],
 )
 def test_laws_in_parts_and_steep_ones_run_in_long_steps(law, caplog):
-    instance = made(by_rk4(_hinged(law)), "vm")
-    instance.set("solver.step_size", 0.5)
-    instance.initialize()
+    instance = initialized(made(by_rk4(_hinged(law)), "vm"), {"solver.step_size": 0.5})
     for _ in range(4):
         instance.step(0.5)
         assert instance.get("bar.angle") == pytest.approx(float(ca.DM(law(ca.SX(instance.time)))), abs=1e-9)
@@ -712,9 +704,7 @@ def test_a_law_that_turns_too_often_to_be_looked_at_says_so(law, said):
     bar = m.bar("bar", mass=1.0, length=1.0)
     A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
     m.motion(A, law(1e-3 * ca.sin(m.parameter("w", 1.0, "rad/s") * m.time)))
-    instance = made(by_rk4(m), "vm")
-    instance.set("w", 1e9)
-    instance.initialize()
+    instance = initialized(made(by_rk4(m), "vm"), {"w": 1e9})
     with pytest.raises(
         alfmu.StepError, match=rf"buzz, t = .* s: {said} up to 0.02 s; take shorter communication steps"
     ):
@@ -769,8 +759,7 @@ def test_with_all_companions_the_torque_is_that_of_the_motion():
 @pytest.mark.parametrize(("derivatives", "smooth"), [(0, 2), (1, 2), (2, 3)])
 def test_places_and_rates_never_jump(derivatives, smooth):
     """A zigzag of values: where a communication step ends the next one begins, with the same rate."""
-    instance = made(by_signal(derivatives), "vm")
-    instance.initialize()
+    instance = initialized(made(by_signal(derivatives), "vm"))
 
     def reached() -> np.ndarray:
         since, *coefficients = instance.memory["p"][-7:]
@@ -791,8 +780,7 @@ def test_places_and_rates_never_jump(derivatives, smooth):
 
 
 def test_a_jump_is_refused_with_its_size_and_nothing_has_changed():
-    instance = made(by_signal(0), "vm")
-    instance.initialize()
+    instance = initialized(made(by_signal(0), "vm"))
     instance.step(0.01)
     before = instance.save()
     instance.set("A.angle", 0.3)
@@ -804,8 +792,7 @@ def test_a_jump_is_refused_with_its_size_and_nothing_has_changed():
     instance.restore(before)
     instance.set("A.angle", 0.05)
     instance.step(0.01)
-    tolerant = made(by_rk4(crank(None, jump=0.5)), "vm")
-    tolerant.initialize()
+    tolerant = initialized(made(by_rk4(crank(None, jump=0.5)), "vm"))
     tolerant.set("A.angle", 0.3)
     tolerant.step(0.01)
     assert tolerant.get("bar.angle") == pytest.approx(0.3, abs=1e-12)
@@ -883,8 +870,7 @@ def test_a_motion_is_switched_on_where_the_joint_is_and_off_again(kernel):
 def test_a_lock_against_a_motion_is_refused_and_the_motion_goes_on(switch, caplog):
     m = crank(lambda t: 2 * t, switch=switch)
     m.lock("A")
-    instance = made(by_rk4(m), "vm")
-    instance.initialize()
+    instance = initialized(made(by_rk4(m), "vm"))
     if switch:
         instance.set("A.driven", True)
     instance.step(0.1)
@@ -1057,7 +1043,6 @@ def test_a_motion_of_a_joint_in_space_begins_its_coordinate():
     angle = m.coordinate("angle", "rad", independent=True)
     table = m.spatial_body("table", mass=1.0, inertia=(1.0, 1.0, 1.0), relative=True)
     m.motion(m.spatial_revolute("J", m.spatial_ground.at(), table.at(), axis=(0, 0, 1), coordinate=angle), 0.3 + m.time)
-    i = alfmu.Instance(m)
-    i.initialize()
+    i = initialized(alfmu.Instance(m))
     assert (i.q[0], i.v[0]) == (pytest.approx(0.3), pytest.approx(1.0))
     assert not m.starts

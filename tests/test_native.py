@@ -17,7 +17,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import by_rk4, cusp, derived, double_pendulum, sampled
+from scenes import by_rk4, cusp, derived, double_pendulum, initialized, sampled
 
 import alfmu
 from alfmu.cli import main
@@ -78,8 +78,7 @@ def test_the_numbers_of_the_library(built, name, options):
     """To the last bit, as both are one: at the start, in all that evolves, and in every output."""
     equations = prepared(derived(name, **options))
     stop, step = (0.1 if name == "flyball_governor" else 3.0), max(equations.step_size, 0.02)
-    instance = alfmu.Instance(equations)
-    instance.initialize()
+    instance = initialized(alfmu.Instance(equations))
     with Fmu(built(name, options=options)) as fmu, Fmu(built(name, options=options)) as other:
         fmu.initialize()
         for part in ("z", "p", "k", "control", "tally", "pace"):
@@ -209,9 +208,7 @@ def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built
     instance = alfmu.Instance(prepared(by_rk4("four_bar")))
     with Fmu(built("four_bar")) as fmu:
         for unit in (instance, fmu):
-            unit.set("solver.method", "rk4")
-            unit.set("start.angle", 0.5)
-            unit.initialize()
+            initialized(unit, {"solver.method": "rk4", "start.angle": 0.5})
             unit.step(0.02, 0.0)
             unit.set("A.torque", 1e6)
         said, before = [], fmu.read()
@@ -354,8 +351,7 @@ def past(unit, layout: Layout) -> np.ndarray:
 def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     """Over 2.8 s."""
     given = {"solver.method": method, "solver.input_order": order}
-    library = alfmu.Instance(prepared(with_defaults(derived(name), given)))
-    library.initialize()
+    library = initialized(alfmu.Instance(prepared(with_defaults(derived(name), given))))
     with Fmu(built(name, parameters=given)) as fmu:
         fmu.initialize()
         got, wanted = driven(fmu, range(100)), driven(library, range(100))
@@ -371,9 +367,7 @@ def test_a_sampled_torque_keeps_the_order(built, order, least):
     errors = []
     for step in (0.04, 0.02):
         with Fmu(built("four_bar", parameters={"solver.input_order": order})) as fmu:
-            fmu.set("start.angle", -1.0)
-            fmu.set("start.angular_velocity", 0.0)
-            fmu.initialize()
+            initialized(fmu, {"start.angle": -1.0, "start.angular_velocity": 0.0})
             errors.append(sampled(fmu, step))
     assert np.log2(errors[0] / errors[1]) >= least
 

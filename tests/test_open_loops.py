@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from oracles.open_linkages import OPEN, opened
+from scenes import initialized
 
 import alfmu
 from alfmu.analysis.situation import situation, source
@@ -51,8 +52,7 @@ def test_a_matrix_that_vanishes_on_one_side_of_its_diagonal_alone() -> None:
     m = opened(311, True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        i = alfmu.Instance(m)
-        i.initialize()
+        i = initialized(alfmu.Instance(m))
     assert apart(m, i.q) < 1e-10
 
 
@@ -122,10 +122,7 @@ def test_one_guess_tells_the_assembly(side: float) -> None:
         aside = np.arccos((0.8**2 + abs(way) ** 2 - 0.7**2) / (2 * 0.8 * abs(way)))
         bend = np.angle(way * np.exp(1j * (side * aside - angle)))
         for off in (-0.3, 0.0, 0.3):
-            i = alfmu.Instance(e)
-            i.set("start.turn", angle)
-            i.set("guess", bend + off)
-            i.initialize()
+            i = initialized(alfmu.Instance(e), {"start.turn": angle, "guess": bend + off})
             assert np.exp(1j * i.q[1]) == pytest.approx(np.exp(1j * bend), abs=1e-9), (angle, off)
 
 
@@ -188,8 +185,7 @@ def test_a_file_whose_loop_is_open_at_zero(least: float | None, most: float | No
     if least is not None:
         # Zero is outside of the limits, which reach up to it.
         assert all(min(least, 0) <= q[f"e{k}_angle"] <= max(most, 0) for k in (1, 2))
-    i = alfmu.Instance(found.mechanism)
-    i.initialize()
+    i = initialized(alfmu.Instance(found.mechanism))
     assert (i.mobility().freedom, i.mobility().redundant) == (2, 3)
     if least is None:
         with pytest.warns(alfmu.AlfmuWarning, match=r"pair.urdf: its loops are open by up to 0\.4 m"):

@@ -10,6 +10,7 @@ import pytest
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from oracles.motors import linear
+from scenes import initialized
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -31,11 +32,7 @@ def wheel(name: str = "drive", inertia: float = WHEEL) -> tuple[Mechanism, alfmu
 
 
 def ran(m: Mechanism, end: float, steps: int = 10, **given: float) -> alfmu.Instance:
-    i = alfmu.Instance(m)
-    i.set("solver.relative_tolerance", 1e-9)
-    for key, value in given.items():
-        i.set(key.replace("__", "."), value)
-    i.initialize()
+    i = initialized(alfmu.Instance(m), {"solver.relative_tolerance": 1e-9}, **given)
     for _ in range(steps):
         i.step(end / steps)
     return i

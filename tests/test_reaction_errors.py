@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from oracles.exact_reactions import exact
-from scenes import derived, readings
+from scenes import derived, initialized, readings
 from scipy.spatial.transform import Rotation
 from turned import Linkage, four_bar, slider_crank
 
@@ -33,9 +33,7 @@ def run(equations, given, step, count, ratio, true=exact) -> np.ndarray:
     e = specialised(equations, ["*", "monitor.reaction_error"])
     M = np.array(e.M([0.3] * e.n, [x.start for x in e.parameters] + [0.0] * len(e.held)))
     i, found = alfmu.Instance(e), []
-    for name, value in {**given, "solver.penalty": ratio * M.diagonal().max()}.items():
-        i.set(name, value)
-    i.initialize()
+    initialized(i, {**given, "solver.penalty": ratio * M.diagonal().max()})
     try:
         for _ in range(count):
             i.step(step)
@@ -115,9 +113,7 @@ def of_the_aligned(build, linkage: Linkage, R: np.ndarray, i: alfmu.Instance) ->
         angle, rate = 2 * math.atan2(axis @ (ex, ey, ez), e), 2 * (e * (axis @ (dx, dy, dz)) - axis @ (ex, ey, ez) * d)
     j = alfmu.Instance(aligned(build))
     at = [c.name for c in j.equations.coordinates].index("a")
-    j.set("start.a", angle)
-    j.set(j.equations.start_rates[0].name, rate)
-    j.initialize()
+    initialized(j, {"start.a": angle, j.equations.start_rates[0].name: rate})
     j.q[at], j.v[at] = angle, rate
     known, turned = exact(j), {}
     for name in (n[:-2] for n in known if n.endswith(".x")):

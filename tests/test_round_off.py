@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from oracles import ode
-from scenes import derived
+from scenes import derived, initialized
 from scipy.integrate import quad
 from test_n_four_bar import Row
 
@@ -47,9 +47,7 @@ def coasting(masses, angle, speed):
 def controlled(name, tolerance, values, **options):
     """An instance that controls its error."""
     values = {"solver.method": "explicit", "solver.relative_tolerance": tolerance, **values}
-    unit = instance(with_defaults(derived(name, **options), values), "vm")
-    unit.initialize()
-    return unit
+    return initialized(instance(with_defaults(derived(name, **options), values), "vm"))
 
 
 @pytest.mark.slow
@@ -110,8 +108,7 @@ def test_forces_that_balance_each_other_leave_nothing_to_warn_of(method, caplog)
 @pytest.mark.parametrize("name", ["five_bar", "four_bar"])
 def test_short_fixed_steps_tell_how_far_a_singular_position_is(name, caplog):
     """At 1 ms places a quarter of a step apart are too close for that; nothing is patient, nothing is warned."""
-    unit = instance(with_defaults(derived(name), {"solver.method": "rk4", "solver.step_size": 1e-3}), "vm")
-    unit.initialize()
+    unit = initialized(instance(with_defaults(derived(name), {"solver.method": "rk4", "solver.step_size": 1e-3}), "vm"))
     nearest = 1.0
     for _ in range(2500):
         unit.step(1e-3)
@@ -166,9 +163,7 @@ def test_energy_that_the_procedure_of_the_paper_loses_is_no_matter_of_the_step_a
 def test_a_good_run_warns_of_nothing_and_a_restored_one_says_it_again(caplog):
     alfmu.simulate("four_bar", 2.0)
     assert not caplog.records
-    unit = alfmu.Instance("slider_crank")
-    unit.set("solver.method", "rk4")
-    unit.initialize()
+    unit = initialized(alfmu.Instance("slider_crank"), {"solver.method": "rk4"})
     begin = unit.save()
     for _ in range(2):
         unit.set("A.torque", 5.0)

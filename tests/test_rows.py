@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from fmpy import read_model_description
-from scenes import by_rk4, by_the_oracle, derived, made
+from scenes import by_rk4, by_the_oracle, derived, initialized, made
 
 import alfmu
 from alfmu.equations.evaluation import ARGUMENTS, evaluable, shared, symbols
@@ -40,10 +40,7 @@ STEPS = {"oracle": 50, "vm": 200}
 def motion(e: alfmu.Equations, kernel: str, start: dict) -> np.ndarray:
     """Coordinates and reactions over a time."""
     names = [o.name for o in e.outputs if ".force" in o.name]
-    i = made(e, kernel)
-    for name, value in start.items():
-        i.set(name, value)
-    i.initialize()
+    i = initialized(made(e, kernel), start)
     rows = []
     for _ in range(STEPS[kernel]):
         i.step(0.005)
@@ -124,9 +121,7 @@ def test_uniqueness_follows_what_is_in_force():
     m = alfmu.load("five_bar")
     m.release("E")
     m.lock("B")
-    i = alfmu.Instance(prepared(alfmu.derive(m)))
-    i.set("start.angle", 0.7)
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.7})
     assert "E.force.x" in i.shared()
     assert "E.force.y" not in i.shared()
     i.set("E.released", True)
@@ -137,8 +132,5 @@ def test_uniqueness_follows_what_is_in_force():
 @pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("angle", [-1.0, -0.82, -0.8])
 def test_a_circle_counts_over_its_radius_wherever_it_starts(angle: float, radius: float) -> None:
-    i = alfmu.Instance(prepared(derived("particle_on_circle")))
-    for name, x in {"start.angle": angle, "rho": radius}.items():
-        i.set(name, x)
-    i.initialize()
+    i = initialized(alfmu.Instance(prepared(derived("particle_on_circle"))), {"start.angle": angle, "rho": radius})
     assert row_units(i.equations, i.memory["k"]) == pytest.approx([radius], rel=0.2)

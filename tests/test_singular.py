@@ -13,7 +13,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_rk4, derived, made, readings, started
+from scenes import by_rk4, derived, initialized, made, readings, started
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -184,10 +184,7 @@ def test_masses_penalties_inputs_and_redundancy_change_nothing_in_an_fmu(exporte
                 angles.append(value_of(fmu, "link1.angle"))
         own, best = (np.abs(x - both[:, 0]).max() for x in (np.array(angles), both[:, 1]))
         assert own <= 2.0 * best
-    i = alfmu.Instance(scene(name, "vm"))
-    for variable, value in {**parameters, "solver.method": "rk4", "solver.step_size": h}.items():
-        i.set(variable, value)
-    i.initialize()
+    i = initialized(alfmu.Instance(scene(name, "vm")), {**parameters, "solver.method": "rk4", "solver.step_size": h})
     for k in range(n):
         for variable, torque in torques.items():
             i.set(variable, torque(k * h))
@@ -242,10 +239,7 @@ def test_random_starting_phases(coordinates):
     random, equations, ratios = np.random.default_rng(4), scene("four_bar", "compiled", coordinates), []
     for k in range(30):
         th, torque, w = random.uniform(-np.pi, np.pi), (4.0, 2.0, 1.0, -3.0)[k % 4], (2.0, 0.5)[k % 2]
-        i = alfmu.Instance(equations)
-        for name, value in {"A.torque": torque, "start.angle": th, "start.angular_velocity": w}.items():
-            i.set(name, value)
-        i.initialize()
+        i = initialized(alfmu.Instance(equations), {"A.torque": torque, "start.angle": th, "start.angular_velocity": w})
         both = exact_and_rk4(FOUR_BAR, th, w, lambda t, held=torque: held, 0.02, 125)
         angles = [th]
         for _ in range(125):
@@ -396,9 +390,7 @@ def test_the_oracle_tells_as_much(kernel, distance):
     equations = specialised(scene("four_bar", kernel), WITH_ERROR)
     read = [made(equations, k) for k in (kernel, "oracle")]
     for i in read:
-        for name, value in given.items():
-            i.set(name, value)
-        i.initialize()
+        initialized(i, given)
     one, other = (i.get("monitor.reaction_error") for i in read)
     assert one == pytest.approx(other, rel=0.3)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import initialized
 from test_left_out import WARNINGS, block, by_a_compiler, led
 
 import alfmu
@@ -295,10 +296,7 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
     assert tables < sizes(tmp_path / "five_bar.o") < 56_000
     assert memory < 16_000
     plain = Plain(path)
-    instance = alfmu.Instance("five_bar", outputs=SMALL["outputs"])
-    for name, value in {**RK4, **SMALL["parameters"]}.items():
-        instance.set(name, value)
-    instance.initialize()
+    instance = initialized(alfmu.Instance("five_bar", outputs=SMALL["outputs"]), {**RK4, **SMALL["parameters"]})
     assert plain("set", 0, 1.0) == 1  # parameters are constants, and so is the start
     assert plain("start", 0.5) == 0
     for k in range(100):
@@ -361,9 +359,7 @@ def test_options_without_effect_are_refused(tmp_path, what):
 @pytest.mark.parametrize("name", ["m", "instance", "rad"])
 def test_a_model_may_have_a_name_of_the_runtime(tmp_path, name):
     plain = Plain(alfmu.export(alfmu.Recipe("particle_on_circle", name=name, kind="source"), tmp_path / f"{name}.c"))
-    instance = alfmu.Instance("particle_on_circle")
-    instance.set("solver.method", "rk4")
-    instance.initialize()
+    instance = initialized(alfmu.Instance("particle_on_circle"), {"solver.method": "rk4"})
     assert plain("start", 0.0) == 0
     for _ in range(20):
         assert plain("step", 0.02) == 0

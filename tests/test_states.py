@@ -13,7 +13,7 @@ from fmpy.fmi2 import FMU2Slave
 from oracles.adaptive import by_method
 from oracles.motors import Circuit, crank, linear, parallelogram
 from oracles.parallelogram import Parallelogram
-from scenes import made
+from scenes import initialized, made
 
 import alfmu
 from alfmu import DeclarationError, Mechanism
@@ -95,11 +95,7 @@ def scene(name: str, method: str, kernel: str = "vm", order: int = 0) -> alfmu.E
 
 def begun(name: str, method: str, kernel: str = "vm", order: int = 0, **given: float | str) -> alfmu.Instance:
     """An initialised instance; names of variables with two underscores for the point."""
-    i = made(scene(name, method, kernel, order), kernel)
-    for key, value in given.items():
-        i.set(key.replace("__", "."), value)
-    i.initialize()
-    return i
+    return initialized(made(scene(name, method, kernel, order), kernel), **given)
 
 
 # Against closed forms and other methods ---------------------------------------------------------------------------

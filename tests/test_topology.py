@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from scenes import initialized
 
 import alfmu
 
 
 def test_a_particle_leaves_its_circle_on_a_straight_line_and_is_caught_again():
     """Without force: uniform motion on the circle, then on the tangent, both known in closed form."""
-    i = alfmu.Instance(alfmu.derive(alfmu.load("particle_on_circle")))
-    i.initialize()
+    i = initialized(alfmu.Instance(alfmu.derive(alfmu.load("particle_on_circle"))))
     on = i.penalty
     for _ in range(50):
         i.step(0.02)
@@ -44,8 +44,7 @@ def test_a_particle_leaves_its_circle_on_a_straight_line_and_is_caught_again():
 
 @pytest.mark.parametrize("bad", [[1.0, 1.0], [-1.0], [np.nan]])
 def test_a_bad_penalty_is_refused(bad):
-    i = alfmu.Instance(alfmu.derive(alfmu.load("particle_on_circle")))
-    i.initialize()
+    i = initialized(alfmu.Instance(alfmu.derive(alfmu.load("particle_on_circle"))))
     before = i.penalty
     with pytest.raises(alfmu.InputError, match=r"solver\.penalty"):
         i.penalty = bad
@@ -58,9 +57,7 @@ def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays(me
     """Rows E and F off: link 4 falls freely, links 1 to 3 are the four-bar from then on."""
     five, four = (alfmu.Instance(alfmu.derive(alfmu.load(name))) for name in ("five_bar", "four_bar"))
     for i in (five, four):
-        i.set("solver.method", method)
-        i.set("start.angle", 0.7)
-        i.initialize()
+        initialized(i, {"solver.method": method, "start.angle": 0.7})
     q0, v0 = five.q[5:7].copy(), five.v[5:7].copy()
     five.penalty = [*five.penalty[:4], 0.0, 0.0, 0.0, 0.0]
     for _ in range(20):
@@ -73,9 +70,7 @@ def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays(me
 
 
 def test_the_penalty_is_part_of_the_saved_state():
-    i = alfmu.Instance(alfmu.derive(alfmu.load("five_bar")))
-    i.set("start.angle", 0.7)
-    i.initialize()
+    i = initialized(alfmu.Instance(alfmu.derive(alfmu.load("five_bar"))), {"start.angle": 0.7})
     i.penalty = [*i.penalty[:4], 0.0, 0.0, 0.0, 0.0]
     state = i.save()
     i.step(0.1)
