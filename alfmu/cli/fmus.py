@@ -18,6 +18,7 @@ from .options import (
     add_start,
     changed_by,
     file_name,
+    file_of,
 )
 from .says import checking, once_written, save_file
 
@@ -177,7 +178,7 @@ def _export_system(chosen: argparse.Namespace) -> None:
 
 
 def _validate(chosen: argparse.Namespace) -> int:
-    from ..fmi.checks.pages import as_json, check_form, lines, save
+    from ..fmi.checks.pages import as_json, lines, save
     from ..fmi.checks.validation import TIMEOUT, examine, known_checks
 
     if chosen.list:
@@ -186,8 +187,7 @@ def _validate(chosen: argparse.Namespace) -> int:
         return 0
     if not chosen.fmu:
         raise InputError("validate takes an .fmu file")
-    if chosen.output:
-        check_form(chosen.output)
+    file_of("a report", chosen.output)
     with checking() as progress:
         report = examine(
             chosen.fmu,

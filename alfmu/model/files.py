@@ -43,6 +43,7 @@ ENDS = {
     "a drawing": (".png", ".svg"),
     "a film": (".gif", ".html"),
     "a page": (".html", ".htm"),
+    "a report": (".html", ".md", ".svg", ".json"),
     "positions of rest": (".json",),
     "degrees of freedom": (".json",),
     "linearisations": (".json", ".mat"),

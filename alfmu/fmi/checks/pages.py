@@ -8,8 +8,7 @@ from html import escape
 from pathlib import Path
 from textwrap import shorten
 
-from ...model.errors import InputError
-from ...model.files import write
+from ...model.files import path_for, write
 from ...model.words import counted
 from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Finding
 from .validation import Report
@@ -152,16 +151,10 @@ FORMS: dict[str, Callable[[Report], str]] = {".html": html, ".md": markdown, ".s
 """Formats of a report by the suffix of its file."""
 
 
-def check_form(path: str | Path) -> None:
-    """Raise InputError if a report has no format of this suffix."""
-    if Path(path).suffix.lower() not in FORMS:
-        raise InputError(f"{path} has to end in {', '.join(FORMS)}")
-
-
 def save(report: Report, path: str | Path) -> None:
     """Write a report in the format of the suffix; raise InputError for an unknown suffix, or WriteError."""
-    check_form(path)
-    write(path, FORMS[Path(path).suffix.lower()](report).encode())
+    path = path_for("a report", path)
+    write(path, FORMS[path.suffix.lower()](report).encode())
 
 
 def _facts(report: Report) -> str:
