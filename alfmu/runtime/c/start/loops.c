@@ -66,7 +66,7 @@ Loops loops_new(Instance *i, const unsigned char *held, double length)
         loops.units[c] = coordinate_is_length(s, c) ? length : 1.0;
         loops.columns[c] = s->readiness[c] * loops.units[c];
     }
-    if (s->timed) /* Time is not corrected, but its rate is part of the start rates of quantities that follow laws of time. */
+    if (s->timed) /* Time is not corrected, but its rate is part of the start rates of motions by laws of time. */
         loops.columns[s->n - 1] = STANDS_STILL;
     return loops;
 }
