@@ -57,11 +57,13 @@ API const char *alfmu_lane_flags(void)
 #if !defined(__GNUC__)
     return "";
 #else
-#if PART == 4
+#if PART == 8
+    if (__builtin_cpu_supports("avx512f"))
+        return LANE_FLAG(LANES) " -mavx512f";
     if (__builtin_cpu_supports("avx2"))
-        return LANE_FLAG(COMPILED_LANES) " -mavx2";
+        return LANE_FLAG(LANES) " -mavx2";
 #endif
-    return LANE_FLAG(COMPILED_LANES);
+    return LANE_FLAG(LANES);
 #endif
 }
 

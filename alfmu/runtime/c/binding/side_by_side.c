@@ -23,14 +23,13 @@ static int serves(const Group *g, const Function *f)
 /* Finds an argument or a result of a call, by lane and number. */
 typedef double *Place(const Group *g, const Function *f, const Word *places, int lane, int each);
 
-/* Copy argument j of COMPILED_LANES calls from `first` on to rows; lanes in excess repeat a call. */
-static inline void gather(
-    const Group *g, const Function *f, const Word *places, Place place, int first, int j, double *rows, int step)
+/* Copy argument j of the calls to rows; lanes in excess repeat a call. */
+static inline void gather(const Group *g, const Function *f, const Word *places, Place place, int j, Lanes *rows)
 {
-    double *numbers[COMPILED_LANES];
-    for (int lane = 0; lane < COMPILED_LANES; lane++)
-        numbers[lane] = place(g, f, places, first + lane < g->count ? first + lane : 0, j);
-    lanes_gather(rows, step, (const double *const *)numbers, f->lengths[j]);
+    const double *numbers[LANES];
+    for (int lane = 0; lane < LANES; lane++)
+        numbers[lane] = place(g, f, places, lane < g->count ? lane : 0, j);
+    lanes_gather(rows, numbers, f->lengths[j]);
 }
 
 static inline void interpret(const Group *g, const Function *f, const Word *places, Place place)
@@ -39,8 +38,7 @@ static inline void interpret(const Group *g, const Function *f, const Word *plac
     const uint16_t *from = f->narrow + f->words;
     double *numbers[LANES];
     for (int j = 0; j < f->inputs; d += f->lengths[j++])
-        for (int first = 0; first < LANES; first += COMPILED_LANES)
-            gather(g, f, places, place, first, j, d->lane + first, LANES);
+        gather(g, f, places, place, j, d);
     lanes_evaluate(f, g->registers);
     for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++]) {
         for (int lane = 0; lane < g->count; lane++)
@@ -53,22 +51,20 @@ static inline void run_compiled(const Group *g, const Function *f, const Word *p
 {
     const double *x[MOST_ARGUMENTS];
     double *y[MOST_ARGUMENTS];
-    for (int first = 0; first < g->count; first += COMPILED_LANES) {
-        double *rows = g->registers->lane;
-        for (int j = 0; j < f->inputs; rows += f->lengths[j++] * COMPILED_LANES) {
-            gather(g, f, places, place, first, j, rows, COMPILED_LANES);
-            x[j] = rows;
-        }
-        for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * COMPILED_LANES)
-            y[j] = rows;
-        f->in_lanes(x, y, rows);
-        for (int j = 0; j < f->outputs; j++)
-            for (int lane = first; lane < g->count && lane < first + COMPILED_LANES; lane++) {
-                double *to = place(g, f, places, lane, f->inputs + j);
-                for (int e = 0; e < f->lengths[f->inputs + j]; e++)
-                    to[e] = y[j][e * COMPILED_LANES + lane - first];
-            }
+    Lanes *rows = g->registers;
+    for (int j = 0; j < f->inputs; rows += f->lengths[j++]) {
+        gather(g, f, places, place, j, rows);
+        x[j] = rows->lane;
     }
+    for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++])
+        y[j] = rows->lane;
+    f->in_lanes(x, y, rows->lane);
+    for (int j = 0; j < f->outputs; j++)
+        for (int lane = 0; lane < g->count; lane++) {
+            double *to = place(g, f, places, lane, f->inputs + j);
+            for (int e = 0; e < f->lengths[f->inputs + j]; e++)
+                to[e] = y[j][e * LANES + lane];
+        }
 }
 
 static inline void evaluate(const Group *g, const Function *f, const Word *places, Place place)

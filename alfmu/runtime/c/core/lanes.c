@@ -73,11 +73,44 @@ static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, Lane
     }
 }
 
-BY_PROCESSOR void lanes_gather(double *rows, int step, const double *const *x, int length)
+/* Four numbers at any address. */
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+#if defined(__clang__)
+#define PICK(x, y, a, b, c, d) __builtin_shufflevector(x, y, a, b, c, d)
+#else
+typedef int64_t Four_places __attribute__((vector_size(32)));
+#define PICK(x, y, a, b, c, d) __builtin_shuffle(x, y, (Four_places){a, b, c, d})
+#endif
+
+/* Transpose four rows of four numbers. */
+static inline __attribute__((always_inline)) void transpose(Four *a, Four *b, Four *c, Four *d)
 {
-    const double *const a = x[0], *const b = x[1], *const c = x[2], *const d = x[3];
-    for (int each = 0; each < length; each++, rows += step)
-        *(LaneRow *)(void *)rows = (LaneRow){a[each], b[each], c[each], d[each]};
+    const Four ab = PICK(*a, *b, 0, 4, 2, 6), ba = PICK(*a, *b, 1, 5, 3, 7);
+    const Four cd = PICK(*c, *d, 0, 4, 2, 6), dc = PICK(*c, *d, 1, 5, 3, 7);
+    *a = PICK(ab, cd, 0, 1, 4, 5);
+    *b = PICK(ba, dc, 0, 1, 4, 5);
+    *c = PICK(ab, cd, 2, 3, 6, 7);
+    *d = PICK(ba, dc, 2, 3, 6, 7);
+}
+
+#define FOUR(address) (*(Four *)(void *)(address))
+
+BY_PROCESSOR void lanes_gather(Lanes *rows, const double *const *x, int length)
+{
+    int each = 0;
+    for (; each + 4 <= length; each += 4)
+        for (int half = 0; half < LANES; half += 4) {
+            Four a = *(const Four *)(const void *)(x[half] + each), b = *(const Four *)(const void *)(x[half + 1] + each);
+            Four c = *(const Four *)(const void *)(x[half + 2] + each), d = *(const Four *)(const void *)(x[half + 3] + each);
+            transpose(&a, &b, &c, &d);
+            FOUR(rows[each].lane + half) = a;
+            FOUR(rows[each + 1].lane + half) = b;
+            FOUR(rows[each + 2].lane + half) = c;
+            FOUR(rows[each + 3].lane + half) = d;
+        }
+    for (; each < length; each++)
+        for (int lane = 0; lane < LANES; lane++)
+            rows[each].lane[lane] = x[lane][each];
 }
 
 void lanes_evaluate(const Function *f, Lanes *r)
@@ -85,10 +118,26 @@ void lanes_evaluate(const Function *f, Lanes *r)
     lanes_run(f->narrow, f->narrow + f->words, r);
 }
 
-void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count)
+BY_PROCESSOR void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count)
 {
-    for (int lane = 0; lane < count; lane++)
-        for (int each = 0; each < length; each++)
+    int each = 0;
+    for (; each + 4 <= length; each += 4)
+        for (int half = 0; half < count; half += 4) {
+            Four a = *(const Four *)(const void *)(r[from[each]].lane + half);
+            Four b = *(const Four *)(const void *)(r[from[each + 1]].lane + half);
+            Four c = *(const Four *)(const void *)(r[from[each + 2]].lane + half);
+            Four d = *(const Four *)(const void *)(r[from[each + 3]].lane + half);
+            transpose(&a, &b, &c, &d);
+            FOUR(y[half] + each) = a;
+            if (count > half + 1)
+                FOUR(y[half + 1] + each) = b;
+            if (count > half + 2)
+                FOUR(y[half + 2] + each) = c;
+            if (count > half + 3)
+                FOUR(y[half + 3] + each) = d;
+        }
+    for (; each < length; each++)
+        for (int lane = 0; lane < count; lane++)
             y[lane][each] = r[from[each]].lane[lane];
 }
 
