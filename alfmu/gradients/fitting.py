@@ -343,9 +343,7 @@ class _Problem:
             gtol=_TOLERANCE,
         )
 
-    def others(
-        self, low: NDArray[np.float64], high: NDArray[np.float64], count: int
-    ) -> list[NDArray[np.float64]]:
+    def others(self, low: NDArray[np.float64], high: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
         """Return the nearest of other first guesses within the bounds; their runs are made side by side."""
         runs = self._runs
         if isinstance(count, bool) or not isinstance(count, int) or count < 0:
@@ -354,7 +352,9 @@ class _Problem:
             return []
         if (unbounded := ~np.isfinite(low) | ~np.isfinite(high)).any():
             name = runs.by[int(np.argmax(unbounded))]
-            raise InputError(f"{runs.unit.name}: other first guesses of {name} need bounds; give them, or leave out starts")
+            raise InputError(
+                f"{runs.unit.name}: other first guesses of {name} need bounds; give them, or leave out starts"
+            )
         guesses = low + (high - low) * np.array([*evenly(len(low), count)])
         with collected():  # a guess that fails is left out
             found = runs.side_by_side(guesses, self._measured)

@@ -84,7 +84,9 @@ class Batch:
         kernel: str = DEFAULT,
     ):
         unit = mechanism if isinstance(mechanism, Instance) else None
-        e: Equations = unit.equations if unit else mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        e: Equations = (
+            unit.equations if unit else mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        )
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
             if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
