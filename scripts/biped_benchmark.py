@@ -1,10 +1,11 @@
-"""Thousands of bipeds with six loops side by side: steps a second and errors, beside MuJoCo and MJX, whose loops are soft.
+"""Thousands of bipeds with six loops side by side: steps a second and errors, beside MuJoCo and MJX with soft loops.
 
     python scripts/biped_benchmark.py [--count 4096] [--seconds 0.5] [--threads 2] [--codes alfmu,mujoco,mjx]
 
 The bipeds of `tests/linkages/biped.xml` fall under constant torques, which are held over 0.02 s as by a trainer. Errors
-are the largest of the joints' angles at the end, relative to a solution by SciPy's DOP853 of the equations with MuJoCo's
-matrices and rigid loops; gaps are those of the loops. Needs `alfmu[mujoco]`, and for MJX the packages mujoco-mjx and jax.
+are the largest of the joints' angles at the end, relative to a solution by SciPy's DOP853 of the equations with
+MuJoCo's matrices and rigid loops; gaps are those of the loops. Needs `alfmu[mujoco]`, and for MJX the packages
+mujoco-mjx and jax.
 """
 
 from __future__ import annotations

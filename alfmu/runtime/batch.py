@@ -69,9 +69,10 @@ class Batch:
         batch.get("link1.angle")
 
     `mechanism` is a `Mechanism`, a name, a file, or equations; or an `Instance`, whose scene, parameters and inputs all
-    members get, and then `outputs` and `kernel` are those of the instance. `parameters` are common to all members, choices such as
-    `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster. `threads` share
-    the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without the oracle.
+    members get, and then `outputs` and `kernel` are those of the instance. `parameters` are common to all members,
+    choices such as `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster.
+    `threads` share the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without
+    the oracle.
     """
 
     def __init__(
@@ -84,9 +85,10 @@ class Batch:
         kernel: str = DEFAULT,
     ):
         unit = mechanism if isinstance(mechanism, Instance) else None
-        e: Equations = (
-            unit.equations if unit else mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-        )
+        if isinstance(mechanism, Instance):
+            e: Equations = mechanism.equations
+        else:
+            e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
             if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
