@@ -17,7 +17,7 @@ from alfmu.runtime.build import SOURCES
 
 CODE = """
 #include "sine_cosine.h"
-SINE_COSINE_IN_LANES(in_lanes, 4)
+SINE_COSINE_IN_LANES(static inline, in_lanes, 4)
 void alone(const double *x, double *s, double *c, int count)
 {
     for (int k = 0; k < count; k++)

@@ -7,6 +7,7 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
+from alfmu.gradients.run import Runs
 
 TRUE = {"m2": 0.7, "l": 1.1, "start.angle": 0.35}
 NOISE = {"link1.angle": 0.01, "link2.x": 0.02}
@@ -109,9 +110,46 @@ def test_as_many_measurements_as_numbers_tell_no_deviation():
         alfmu.fit("five_bar", one, ["m2", "g"], **how)
 
 
+def swung() -> alfmu.Mechanism:
+    """A bar with a moment of inertia of 1 kg.m^2 at a torsion spring."""
+    m = alfmu.Mechanism("swung")
+    bar = m.bar("bar", mass=3.0, length=1.0)
+    angle = m.coordinate("angle", "rad", start=0.5, independent=True)
+    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=angle)
+    m.spring_damper(hinge, stiffness=m.parameter("c", 1.0, "N.m/rad"))
+    m.gravity(0, 0)
+    return m
+
+
+def test_other_first_guesses_lead_out_of_a_local_minimum():
+    """The angle is a cosine of known frequency; a guess of another frequency is in a local minimum."""
+    time = np.linspace(2.0, 12.0, 101)
+    angle = 0.4 * np.cos(3.0 * (time - 2.0))
+    data = alfmu.Result("measured", time, ("bar.angle",), {"bar.angle": "rad"}, angle[:, None])
+    guess, bounds = {"c": 1.0, "start.angle": 0.1}, {"c": (0.5, 40.0), "start.angle": (-1.0, 1.0)}
+    assert alfmu.fit(swung(), data, guess, bounds=bounds).noise["bar.angle"] > 0.2
+    found = alfmu.fit(swung(), data, guess, bounds=bounds, starts=64)
+    assert found["c"] == pytest.approx(9.0, rel=1e-7)
+    assert found["start.angle"] == pytest.approx(0.4, rel=1e-7)
+    assert found.runs > 64
+
+
+def test_runs_side_by_side_are_those_one_after_the_other():
+    times, torque = np.array([1.0, 1.1, 1.15, 1.4, 2.0]), {"A.torque": lambda t: 2 * np.sin(3 * t)}
+    runs = Runs("slider_crank", ["m2", "l1"], None, None, torque, {"start.angle": 1.2}, times=times)
+    numbers, names = np.array([[1.0, 0.5], [0.7, 0.6], [1.0, 1.2]]), ["crank.angle", "A.force.x"]
+    found = runs.side_by_side(numbers, names)
+    for own, columns in zip(numbers[:2], found, strict=False):
+        runs.set(own)
+        np.testing.assert_array_equal(columns, runs.tangents(names)[0])
+    assert np.isnan(found[2]).all()  # this crank does not reach the guide
+
+
 @pytest.mark.parametrize(
     ("given", "why"),
     [
+        ({"starts": -1}, "starts is -1; it must be a whole number, 0 or above"),
+        ({"starts": 8}, "other first guesses of m2 need bounds; give them, or leave out starts"),
         ({"vary": "m2"}, "give a list of names"),
         ({"vary": ["m2", "m2"]}, "m2 is named twice"),
         ({"columns": "link1.angle"}, "give a list of names"),
@@ -142,6 +180,7 @@ def test_the_command_line_fits(tmp_path, capsys):
     measured().to_csv(tmp_path / "data.csv")
     table, picture = str(tmp_path / "run.csv"), str(tmp_path / "fit.png")
     words = ["fit", "five_bar", str(tmp_path / "data.csv"), "--vary", "m2,l,start.angle", "--bounds", "m2=0.1:3"]
+    words += ["--bounds", "l=0.9:1.3", "--bounds", "start.angle=0:1", "--starts", "8"]
     assert main([*words, "--deviation", "link1.angle=0.01", "-o", table, "--plot", picture]) == 0
     said = capsys.readouterr().out
     assert said.startswith("m2           0.")

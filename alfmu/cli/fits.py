@@ -29,6 +29,13 @@ def add(command: Command) -> None:
         _size,
         "standard deviation of a measured column, which sets its weight (default: the range of the column)",
     )
+    sub.add_argument(
+        "--starts",
+        type=int,
+        default=0,
+        metavar="N",
+        help="search also from the nearest of N other first guesses within the bounds",
+    )
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the fitted run")
     sub.add_argument("--plot", metavar="FILE.png", help="draw measurements, the fitted run and the residuals")
     add_option(sub)
@@ -70,6 +77,7 @@ def _fit(chosen: argparse.Namespace) -> None:
         bounds=dict(chosen.bounds),
         columns=chosen.columns,
         deviations=dict(chosen.deviation),
+        starts=chosen.starts,
         progress=show,
     )
     if sys.stderr.isatty():

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
+from ..analysis.loops import evenly
 from ..equations import Equations
-from ..model.errors import AlfmuError, InputError
+from ..model.errors import AlfmuError, InputError, collected
 from ..model.mechanism import Mechanism
 from ..model.words import counted, shown, there_is
 from ..simulation import by_name, names_in
@@ -38,6 +39,9 @@ that value."""
 
 _WORSE = 1e3
 """Residuals assigned to a run that fails, over those of the first guess [1], so that the step is rejected."""
+
+_NEAREST = 4
+"""Number of other first guesses from which the search begins [1]."""
 
 _TOLERANCE = 1e-12
 """Relative change of the sum of squares, and of the numbers, at which the fit ends [1]."""
@@ -113,6 +117,7 @@ def fit(
     deviations: Mapping[str, float] | None = None,
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
+    starts: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Find parameters and start values with which a run is closest to measurements, by least squares.
@@ -122,7 +127,9 @@ def fit(
     the measurements to use, None for all but monitors. `vary` names parameters and start values, or maps them to first
     guesses. `bounds` overrides bounds of the mechanism. Residuals of a column are divided by its standard deviation in
     `deviations`, by default by the range of the column, or if it is constant by the largest value in its unit.
-    `progress` is called with the number of the run and the root mean square of its weighted residuals.
+    `starts` is a number of other first guesses, evenly distributed within the bounds: one run is made with each, and
+    the search begins at the nearest of them, too, as a search from one guess may end in a local minimum. `progress` is
+    called with the number of the run and the root mean square of its weighted residuals.
 
     The covariance follows from the residuals, so it describes errors of measurement, not of the model. Combinations of
     numbers that the data do not determine cause a warning. Raises InputError if a name or number is invalid, if units
@@ -150,16 +157,7 @@ def fit(
         k = int(np.argmax(outside))
         raise InputError(f"{runs.by[k]} begins at {first[k]:g}, outside its bounds [{low[k]:g}, {high[k]:g}]")
     problem = _Problem(runs, measured, seen, known, sizes, progress)
-    ended = least_squares(
-        problem.residuals,
-        first,
-        problem.derivatives,
-        bounds=(low, high),
-        x_scale=scale,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-    )
+    ended = min((problem.ended(x, low, high, scale) for x in [first, *problem.others(low, high, starts)]), key=_cost)
     covariance = _covariance(runs, problem, ended.x, np.array(scale), ended.active_mask == 0)
     result = problem.result(ended.x)
     left = np.where(known, seen - np.column_stack([result[name] for name in measured]), 0.0)
@@ -176,6 +174,10 @@ def fit(
         runs=problem.made,
         said=str(ended.message),
     )
+
+
+def _cost(ended: OptimizeResult) -> float:
+    return float(ended.cost)
 
 
 def _runs(
@@ -323,6 +325,42 @@ class _Problem:
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         self._make(x)
         return (self._slopes / self._sizes[:, None])[self._known]
+
+    def ended(
+        self, first: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], scale: list[float]
+    ) -> OptimizeResult:
+        """Search from a first guess."""
+        return least_squares(
+            self.residuals,
+            first,
+            self.derivatives,
+            bounds=(low, high),
+            x_scale=scale,
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            gtol=_TOLERANCE,
+        )
+
+    def others(self, low: NDArray[np.float64], high: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
+        """Return the nearest of other first guesses within the bounds; their runs are made side by side."""
+        runs = self._runs
+        if isinstance(count, bool) or not isinstance(count, int) or count < 0:
+            raise InputError(f"{runs.unit.name}: starts is {count!r}; it must be a whole number, 0 or above")
+        if not count:
+            return []
+        if (unbounded := ~np.isfinite(low) | ~np.isfinite(high)).any():
+            name = runs.by[int(np.argmax(unbounded))]
+            raise InputError(
+                f"{runs.unit.name}: other first guesses of {name} need bounds; give them, or leave out starts"
+            )
+        guesses = low + (high - low) * np.array([*evenly(len(low), count)])
+        with collected():  # a guess that fails is left out
+            found = runs.side_by_side(guesses, self._measured)
+        self.made += count
+        left = ((found - self._seen) / self._sizes)[:, self._known]
+        sizes = np.sqrt((left**2).mean(axis=1))
+        nearest = np.argsort(sizes)[:_NEAREST]
+        return [guesses[k] for k in nearest if np.isfinite(sizes[k])]
 
     def result(self, x: NDArray[np.float64]) -> Result:
         self._make(x)

@@ -15,6 +15,7 @@ from ..equations import Equations
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
+from ..runtime.batch import Batch
 from ..runtime.instance import Instance, tell_of_jumps
 from ..runtime.sweeps import Sweeps
 from ..simulation import Progress, by_name, communication_points, names_in, oracle, table_of, values_of
@@ -150,6 +151,22 @@ class Runs:
         self.unit._unit.run_on(False)
         for name, value in zip(self.by, values, strict=True):
             self.unit.set(name, float(value))
+
+    def side_by_side(self, values: NDArray[np.float64], wanted: Sequence[str]) -> NDArray[np.float64]:
+        """Return outputs (runs, k, wanted) of runs with these numbers (runs, by), which are made in the vector lanes of
+        the processor; NaN after a run fails."""
+        batch = Batch(self.unit, len(values))
+        found = np.full((len(values), len(self.times), len(wanted)), np.nan)
+        batch.time = float(self.times[0])
+        batch.set_many(self.by, values)
+        batch.set_many(self.inputs, self.table[0])
+        going = ~batch.initialize()
+        for k, row in enumerate(self.table):
+            if k and going.any():
+                going &= ~batch.step(self.times[k] - self.times[k - 1], going)
+                batch.set_many(self.inputs, row)
+            found[going, k] = batch.get(*wanted).reshape(len(values), -1)[going]
+        return found
 
     def sweeps(self, wanted: Sequence[str], directions: int, progress: Callable[[int], bool] | None) -> Sweeps:
         return Sweeps(self.unit, self.times, self.inputs, self.table, wanted, progress, directions)

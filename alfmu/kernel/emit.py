@@ -51,7 +51,7 @@ typedef double Real __attribute__((vector_size(8 * LANES)));
 #define REAL(x) ((x) - (Real){0.0})
 #define EACH for (int lane = 0; lane < LANES; lane++)
 #define OF(x) x[lane]
-SINE_COSINE_IN_LANES(sine_cosine_of, LANES)
+SINE_COSINE_IN_LANES(static inline, sine_cosine_of, LANES)
 #else
 typedef double Real;
 static inline void sine_cosine_of(const Real *x, Real *s, Real *c) { sine_cosine(*x, s, c); }

@@ -23,6 +23,7 @@ from ..kernel.memory import Layout
 from ..model.errors import AssemblyError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
+from .instance import Instance
 from .library import BRAKES, DONE, Scene
 from .pipeline import derive, loaded_in_lanes, ready, with_brakes, with_defaults
 
@@ -67,21 +68,27 @@ class Batch:
         batch.step(0.01)
         batch.get("link1.angle")
 
-    `mechanism` is a `Mechanism`, a name, a file, or equations; `parameters` are common to all members, choices such as
-    `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster. `threads` share
-    the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without the oracle.
+    `mechanism` is a `Mechanism`, a name, a file, or equations; or an `Instance`, whose scene, parameters and inputs all
+    members get, and then `outputs` and `kernel` are those of the instance. `parameters` are common to all members,
+    choices such as `solver.method` among them. `outputs` is the argument of `alfmu.simulate`; fewer outputs are faster.
+    `threads` share the members, one for each processor by default. `kernel` is one of `alfmu.kernel.KERNELS`, without
+    the oracle.
     """
 
     def __init__(
         self,
-        mechanism: str | Path | Mechanism | Equations,
+        mechanism: str | Path | Mechanism | Equations | Instance,
         count: int,
         parameters: Mapping[str, float | str] | None = None,
         outputs: Sequence[str] | None = None,
         threads: int | None = None,
         kernel: str = DEFAULT,
     ):
-        e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        unit = mechanism if isinstance(mechanism, Instance) else None
+        if isinstance(mechanism, Instance):
+            e: Equations = mechanism.equations
+        else:
+            e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
         for what, given in (("members", count), ("threads", 1 if threads is None else threads)):
             if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 1 <= given < 2**31:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
@@ -95,8 +102,14 @@ class Batch:
                 raise InputError(
                     f"{e.name}: {name} is {value!r}, but common to all members; give one number, or set it"
                 )
-        order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # an option of the scene
-        traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
+        traced: Traced
+        if unit:
+            variables = (*unit.parameters, *unit.input_variables)
+            values = {v.name: unit.get(v.name) for v in variables if unit.get(v.name) != v.start}
+            traced, self._common = unit.equations, {**unit.choices, **values, **own}
+        else:
+            order = {name: own.pop(name) for name in ("solver.input_order",) if name in own}  # an option of the scene
+            traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
         self.name: str = e.name
         self.count: int = count
         wanted = threads or max(1, min(_processors(), count // LEAST))
@@ -208,8 +221,13 @@ class Batch:
 
     @property
     def time(self) -> _Numbers:
-        """Time of each member (count,) [s]."""
+        """Time of each member (count,) [s]; that of the start can be set before `initialize`."""
         return np.array([time.value for time in self._times])
+
+    @time.setter
+    def time(self, value: float) -> None:
+        for time in self._times:
+            time.value = value
 
     @property
     def initialized(self) -> _Mask:

@@ -82,9 +82,9 @@ way, and as fast. Vectorised loops are explicit in the sources."""
 _SMALLEST = ("-fno-schedule-insns2", "-fno-caller-saves", "-fno-inline-functions-called-once", "-fno-if-conversion")
 """Code of GCC that is no shorter, but repeats itself more: compressed, the library is 4 % smaller."""
 
-_LANES = ("-O2", "-fno-trapping-math")
+_LANES = ("-O2", "-fno-trapping-math", "-DWHOLE_LANES")
 """Optimisation of files that work in lanes: their loops have one pass per lane, and the compiler replaces them by
-vectors."""
+vectors; on processors with long ones, one for all lanes."""
 
 _SMALLER = ("-mllvm", "-inline-threshold=0")
 """Prevents inlining in Clang, as used by zig: the library is 2 % smaller."""

@@ -167,7 +167,7 @@ API void alfmu_batch_free(Batch *b)
 static int has_memory(Batch *b, size_t kept, size_t lent)
 {
     const Scene *s = b->scene;
-    const size_t numbers = LANES * ((size_t)s->registers + 1) + COMPILED_LANES * (size_t)s->lane_rows;
+    const size_t numbers = LANES * ((size_t)s->registers + 1 + (size_t)s->lane_rows);
     b->members = calloc(b->count, sizeof *b->members);
     b->numbers = calloc(b->count, kept * sizeof *b->numbers);
     b->lent = calloc((size_t)(b->end - b->places), lent * sizeof *b->lent);

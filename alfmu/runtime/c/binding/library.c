@@ -52,16 +52,16 @@ API int alfmu_scene_compiled(
 /* Return the flags with which functions are compiled in lanes for this processor; empty if it cannot be. */
 API const char *alfmu_lane_flags(void)
 {
-#define TEXT(x) #x
-#define LANE_FLAG(count) "-DLANES=" TEXT(count)
 #if !defined(__GNUC__)
     return "";
 #else
 #if PART == 4
+    if (lanes_compiled() == LANES)
+        return "-DLANES=8 -mavx512f";
     if (__builtin_cpu_supports("avx2"))
-        return LANE_FLAG(COMPILED_LANES) " -mavx2";
+        return "-DLANES=4 -mavx2";
 #endif
-    return LANE_FLAG(COMPILED_LANES);
+    return "-DLANES=4";
 #endif
 }
 

@@ -23,51 +23,54 @@ static int serves(const Group *g, const Function *f)
 /* Finds an argument or a result of a call, by lane and number. */
 typedef double *Place(const Group *g, const Function *f, const Word *places, int lane, int each);
 
-/* Copy argument j of COMPILED_LANES calls from `first` on to rows; lanes in excess repeat a call. */
-static inline void gather(
-    const Group *g, const Function *f, const Word *places, Place place, int first, int j, double *rows, int step)
+/* Copy argument j of calls from `first` on to rows of `lanes` numbers; lanes in excess repeat a call. */
+static inline void gather(const Group *g, const Function *f, const Word *places, Place place, int first, int j,
+    double *rows, int lanes)
 {
-    double *numbers[COMPILED_LANES];
-    for (int lane = 0; lane < COMPILED_LANES; lane++)
+    double *numbers[LANES];
+    for (int lane = 0; lane < lanes; lane++)
         numbers[lane] = place(g, f, places, first + lane < g->count ? first + lane : 0, j);
-    lanes_gather(rows, step, (const double *const *)numbers, f->lengths[j]);
+    lanes_gather(rows, lanes, (const double *const *)numbers, f->lengths[j]);
+}
+
+/* Copy rows, or those in `from`, to result j of these calls. */
+static inline void scatter(const Group *g, const Function *f, const Word *places, Place place, int first, int j,
+    const double *rows, int lanes, const uint16_t *from)
+{
+    const int count = g->count - first < lanes ? g->count - first : lanes;
+    double *numbers[LANES];
+    for (int lane = 0; lane < count; lane++)
+        numbers[lane] = place(g, f, places, first + lane, j);
+    lanes_scatter(rows, lanes, from, numbers, f->lengths[j], count);
 }
 
 static inline void interpret(const Group *g, const Function *f, const Word *places, Place place)
 {
     Lanes *d = g->registers + g->instances[0]->scene->constant_count;
     const uint16_t *from = f->narrow + f->words;
-    double *numbers[LANES];
     for (int j = 0; j < f->inputs; d += f->lengths[j++])
-        for (int first = 0; first < LANES; first += COMPILED_LANES)
-            gather(g, f, places, place, first, j, d->lane + first, LANES);
+        gather(g, f, places, place, 0, j, d->lane, LANES);
     lanes_evaluate(f, g->registers);
-    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++]) {
-        for (int lane = 0; lane < g->count; lane++)
-            numbers[lane] = place(g, f, places, lane, j);
-        lanes_scatter(g->registers, from, numbers, f->lengths[j], g->count);
-    }
+    for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
+        scatter(g, f, places, place, 0, j, g->registers->lane, LANES, from);
 }
 
 static inline void run_compiled(const Group *g, const Function *f, const Word *places, Place place)
 {
+    const int lanes = lanes_compiled();
     const double *x[MOST_ARGUMENTS];
     double *y[MOST_ARGUMENTS];
-    for (int first = 0; first < g->count; first += COMPILED_LANES) {
+    for (int first = 0; first < g->count; first += lanes) {
         double *rows = g->registers->lane;
-        for (int j = 0; j < f->inputs; rows += f->lengths[j++] * COMPILED_LANES) {
-            gather(g, f, places, place, first, j, rows, COMPILED_LANES);
+        for (int j = 0; j < f->inputs; rows += f->lengths[j++] * lanes) {
+            gather(g, f, places, place, first, j, rows, lanes);
             x[j] = rows;
         }
-        for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * COMPILED_LANES)
+        for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * lanes)
             y[j] = rows;
         f->in_lanes(x, y, rows);
         for (int j = 0; j < f->outputs; j++)
-            for (int lane = first; lane < g->count && lane < first + COMPILED_LANES; lane++) {
-                double *to = place(g, f, places, lane, f->inputs + j);
-                for (int e = 0; e < f->lengths[f->inputs + j]; e++)
-                    to[e] = y[j][e * COMPILED_LANES + lane - first];
-            }
+            scatter(g, f, places, place, first, f->inputs + j, y[j], lanes, NULL);
     }
 }
 

@@ -334,14 +334,13 @@ static void call_lanes(Instance *i, const Function *f, int count, const Word *at
     for (int j = 0; j < f->inputs; d += f->lengths[j++], at++) {
         for (int lane = 0; lane < LANES; lane++)
             places[lane] = i->m + at[lane < count ? lane * each : 0];
-        for (int first = 0; first < LANES; first += COMPILED_LANES)
-            lanes_gather(d->lane + first, LANES, (const double *const *)places + first, f->lengths[j]);
+        lanes_gather(d->lane, LANES, (const double *const *)places, f->lengths[j]);
     }
     lanes_evaluate(f, r);
     for (int j = f->inputs; j < each; from += f->lengths[j++], at++) {
         for (int lane = 0; lane < count; lane++)
             places[lane] = i->m + at[lane * each];
-        lanes_scatter(r, from, places, f->lengths[j], count);
+        lanes_scatter(r->lane, LANES, from, places, f->lengths[j], count);
     }
 }
 

@@ -8,7 +8,6 @@
 #include "internal_begin.h"
 
 #define LANES 8 /* argument sets of a function evaluated at once; directions of derivatives in a block */
-#define COMPILED_LANES 4 /* instances that a compiled function evaluates at once */
 
 #if defined(__GNUC__)
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
@@ -23,7 +22,6 @@
 #define PART 2
 #endif
 typedef double Vector __attribute__((vector_size(8 * PART)));
-typedef double LaneRow __attribute__((vector_size(8 * COMPILED_LANES), may_alias));
 #define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
 #else /* Compilers without vectors. */
 #define BY_PROCESSOR
@@ -38,14 +36,17 @@ typedef union {
 } Lanes;
 
 #if defined(__GNUC__)
-/* Copy `length` numbers at each of x[COMPILED_LANES] to rows, which are `step` numbers apart. */
-void lanes_gather(double *rows, int step, const double *const *x, int length);
+/* Return how many instances a function compiled for this processor evaluates at once: 4 or LANES. */
+int lanes_compiled(void);
+
+/* Copy `length` numbers at each of x[lanes] to rows of `lanes` numbers: 4 or LANES. */
+void lanes_gather(double *rows, int lanes, const double *const *x, int length);
 
 /* Evaluate a function with narrow places in all lanes; its arguments are in the registers before its values. */
 void lanes_evaluate(const Function *f, Lanes *r);
 
-/* Copy `length` numbers at r[from[each]] to y[lane] for the first `count` lanes. */
-void lanes_scatter(const Lanes *r, const uint16_t *from, double *const *y, int length, int count);
+/* Copy numbers of these rows, of the first `length` ones if `from` is NULL, to y[lane] for the first `count` lanes. */
+void lanes_scatter(const double *rows, int lanes, const uint16_t *from, double *const *y, int length, int count);
 #endif
 
 /* Return the first address from `place` on at which lanes are aligned with cache lines. */

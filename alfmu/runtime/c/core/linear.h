@@ -21,6 +21,11 @@ typedef struct {
    times s; v is columns x columns. */
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s);
 
+/* Replace the first `rank` columns of a matrix (rows, columns), stored by columns, by ones of length one that are
+   orthogonal to each other and span it, the largest first; `sizes` (columns) are the lengths that they had after those
+   before them were taken out (Gram and Schmidt, with pivots). */
+void linear_span(int rows, int columns, int rank, double *a, double *sizes);
+
 size_t linear_least_norm_work(int rows, int columns);
 
 /* Find x (columns) of least norm that minimises |a x - r|, without singular values below `least` of the largest. `work`

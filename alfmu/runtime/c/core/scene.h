@@ -100,7 +100,7 @@ typedef struct {
     size_t words;
     int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
-    Compiled *in_lanes; /* the same for a row of COMPILED_LANES instances in place of each number, or NULL */
+    Compiled *in_lanes; /* the same for a row of `lanes_compiled` instances in place of each number, or NULL */
 } Function;
 
 /* A program: calls of functions on the memory of an instance, choices and loops, as places and lengths. */

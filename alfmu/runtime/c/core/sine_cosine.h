@@ -13,8 +13,8 @@
 
 /* Reduce an angle to the nearest multiple of pi / 2 (Cody and Waite 1980), where pi / 2 has four parts, of which the
    first three have exact products; then polynomials of least relative error up to pi / 4 in its square z. */
-#define SINE_COSINE(name, Real, Integer) \
-    static inline void name(const Real *angle, Real *sine, Real *cosine) \
+#define SINE_COSINE(inlined, name, Real, Integer) \
+    inlined void name(const Real *angle, Real *sine, Real *cosine) \
     { \
         const Real sum = *angle * 0.6366197723675814 + QUARTERS, quarters = sum - QUARTERS; \
         const Real second = quarters * 6.077100506303966e-11, third = quarters * 2.0222662487111665e-21; \
@@ -41,7 +41,7 @@
         memcpy(cosine, &b, sizeof b); \
     }
 
-SINE_COSINE(sine_cosine_near, double, uint64_t)
+SINE_COSINE(static inline, sine_cosine_near, double, uint64_t)
 
 static inline void sine_cosine(double angle, double *sine, double *cosine)
 {
@@ -54,11 +54,11 @@ static inline void sine_cosine(double angle, double *sine, double *cosine)
 }
 
 /* The same for vectors. */
-#define SINE_COSINE_IN_LANES(name, count) \
+#define SINE_COSINE_IN_LANES(inlined, name, count) \
     typedef double name##_real __attribute__((vector_size(8 * (count)))); \
     typedef uint64_t name##_integer __attribute__((vector_size(8 * (count)))); \
-    SINE_COSINE(name##_near, name##_real, name##_integer) \
-    static inline void name(const name##_real *angle, name##_real *sine, name##_real *cosine) \
+    SINE_COSINE(inlined, name##_near, name##_real, name##_integer) \
+    inlined void name(const name##_real *angle, name##_real *sine, name##_real *cosine) \
     { \
         const name##_real angles = *angle; \
         int near = 1; \
