@@ -1,10 +1,11 @@
 """The runtime's sine and cosine, compiled from its header, and functions of CasADi with them."""
 
 import ctypes
+import operator
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -56,8 +57,21 @@ def sine_cosine(angles: ArrayLike, how: str = "alone") -> NDArray[np.float64]:
     return made
 
 
+PLAIN: dict[int, Callable[..., float]] = {
+    ca.OP_ADD: operator.add,
+    ca.OP_SUB: operator.sub,
+    ca.OP_MUL: operator.mul,
+    ca.OP_NEG: operator.neg,
+    ca.OP_SQ: lambda x: x * x,
+    ca.OP_TWICE: lambda x: 2.0 * x,
+}
+"""Arithmetic, of which Python and CasADi give the same bits, Python in a twentieth of the time."""
+
+
 def by_instructions(f: ca.Function, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Nonzeros of the results of a function: each instruction by CasADi, but sines and cosines by the runtime."""
+    """Nonzeros of the results of a function: each instruction by CasADi, but sums and products by Python, and sines and
+    cosines by the runtime."""
+    x = [each.tolist() for each in x]
     numbers, results = [0.0] * f.sz_w(), [np.zeros(f.nnz_out(i)) for i in range(f.n_out())]
     for k in range(f.n_instructions()):
         operation, made, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
@@ -68,7 +82,9 @@ def by_instructions(f: ca.Function, x: Sequence[NDArray[np.float64]]) -> list[ND
         elif operation == ca.OP_INPUT:
             numbers[made[0]] = x[given[0]][given[1]]
         elif operation in (ca.OP_SIN, ca.OP_COS):
-            numbers[made[0]] = sine_cosine([numbers[given[0]]])[int(operation == ca.OP_COS)][0]
+            numbers[made[0]] = float(sine_cosine([numbers[given[0]]])[int(operation == ca.OP_COS)][0])
+        elif operation in PLAIN:
+            numbers[made[0]] = PLAIN[operation](*(numbers[i] for i in given))
         else:
             by = ca.DM.unary if len(given) == 1 else ca.DM.binary
             numbers[made[0]] = float(by(operation, *(numbers[i] for i in given)))

@@ -20,6 +20,8 @@ from alfmu.kernel.form import called
 from alfmu.simulation import prepared, run
 from alfmu.studies.cost import cost, described, operations
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 WANTED = ["link*.angle", "A.force.x"]
 BOTH = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 

@@ -194,6 +194,7 @@ def test_numbers_are_those_of_single_runs(workers, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_compiler")
 def test_compiled_runs_have_the_same_numbers():
     how = {"keep": KEEP, "stop_time": 0.3, "workers": 1}
     one, other = (alfmu.sweep("five_bar", {"m2": "0:1:3"}, kernel=kernel, **how) for kernel in ("vm", "auto"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from html import escape
 from typing import Any, Protocol
 
@@ -26,6 +26,9 @@ COLORS = ("#6b9bc7", "#e3b05f", "#76b18f", "#d0826f", "#9d8fc6", "#58a9ae", "#c9
 
 SAMPLES = 3
 """Pixels painted for each pixel shown, along either axis."""
+
+MASKS = 200
+"""Number of cached texts of a font, some kilobytes each."""
 
 PASSES = 60
 """Largest number of passes in which labels push each other apart."""
@@ -96,7 +99,8 @@ class Raster:
             self._pen.ellipse((x - r, y - r, x + r, y + r), color)
 
     def text(self, text: Text) -> None:
-        place = SAMPLES * text.x, SAMPLES * (self.size[1] - text.y)
+        # At whole pixels, so that the masks of moving labels are the same in all frames.
+        place = round(SAMPLES * text.x), round(SAMPLES * (self.size[1] - text.y))
         halo, font = round(SAMPLES * text.size / 7), _font(SAMPLES * text.size)
         anchor = f"{text.anchor}m"
         self._pen.text(place, text.text, text.color, font, anchor, stroke_width=halo, stroke_fill=BACKGROUND)
@@ -211,7 +215,11 @@ def cell_of(pixels: float, scale: float) -> float:
 
 @cache
 def _font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
+    """Return the font of a size, which caches its texts as masks: frames of a film repeat most of them."""
+    font = ImageFont.load_default(size)
+    if isinstance(font, ImageFont.FreeTypeFont):
+        font.getmask2 = lru_cache(MASKS)(font.getmask2)  # type: ignore[assignment]
+    return font
 
 
 def width_of(text: str, size: float) -> float:

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "diagnosis.h"
 #include "fixed.h"
 #include "instance.h"
 #include "interpret.h"
@@ -18,6 +19,9 @@
 /* Most jumps that steps of the least length cross in sequence, which a step AWAY_FROM_IT times as long ends. */
 #define CROSSINGS 4
 #define AWAY_FROM_IT 1e3
+
+/* Number of steps over which their mean length is judged: some 0.15 s of a plane loop. */
+#define CRAWL 1000
 
 /* Return whether constraints that are usually independent may depend on each other at this position. */
 static int is_irregular(Instance *i)
@@ -268,18 +272,33 @@ static int cross_jump_by_rk4(Instance *i)
     return 1;
 }
 
+/* Return whether steps of the mean length of the last CRAWL, taken since a time, would reach the work limit before
+   `end`, because laws lead to a dead position: steps become ever shorter there. */
+static int crawls_to_dead_position(Instance *i, double since, double end)
+{
+    const double t = i->m[i->scene->z + i->scene->time];
+    return (t - since) * (double)i->left < (end - t) * CRAWL && diagnose_laws(i, end) != DONE;
+}
+
 /* Take steps of the integrator up to `end`, at most `tries` attempts. Return 0 if a step could not be judged. */
 int step_adaptive(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double judged = 0.0; /* length of the first step that could not be judged since the last judged one */
-    double until = -INFINITY;
-    int stuck = 0;
+    double until = -INFINITY, since = m[s->z + s->time];
+    int stuck = 0, made = 0;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0 && i->left > 0; tries--, i->left--) {
         if (run_is_ended(i))
             return 0;
+        if (++made % CRAWL == 0) {
+            if (crawls_to_dead_position(i, since, end)) {
+                i->left = 0;
+                return 0;
+            }
+            since = m[s->z + s->time];
+        }
         try_any_step(i);
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];
