@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles.linkages import by_mujoco, moving
+from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu.cli import main
@@ -21,6 +22,18 @@ ARM = """<mujoco><compiler angle="radian"{compiler}/><option><flag contact="disa
 """A chain of two hinges and a slide."""
 
 TENDON = '<tendon><fixed name="t"{}><joint joint="jb" coef="2"/><joint joint="jc" coef="-3"/></fixed></tendon>'
+
+
+REPLICAS = """<mujoco><compiler eulerseq="ZYx"/><option><flag contact="disable"/></option><worldbody>
+<replicate count="3" offset="0.1 0.02 0" euler="20 5 3" sep="_"><body name="a" pos="0.2 0 0">
+<joint name="ja" axis="0 1 0" armature="0.02"/><geom type="box" size="0.1 0.02 0.03" pos="0.1 0 0"/>
+<replicate count="2" offset="0 0.05 0" euler="0 10 0"><body name="b" pos="0.2 0 0.01"><joint name="jb" axis="0 1 0.2"/>
+<geom size="0.04" pos="0.1 0 0.02"/></body></replicate></body></replicate>
+<body name="w" pos="1 0 0"><joint name="jw" axis="1 0 0"/><geom size="0.1" pos="0 0.1 0"/></body></worldbody>
+<tendon><fixed name="t" stiffness="3"><joint joint="jb" coef="2"/></fixed>
+<fixed name="u" damping="3"><joint joint="jb0_2" coef="1"/><joint joint="jw" coef="2"/></fixed></tendon>
+<actuator><motor joint="ja" name="m"/></actuator></mujoco>"""
+"""Replicas in replicas, with tendons and actuators that name them before and after they are numbered."""
 
 
 def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
@@ -48,6 +61,7 @@ def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
         (arm(b=' range="-0.3 1.1"', after='<actuator><position joint="jb" inheritrange="0.9"/></actuator>'), ""),
         (arm(after=TENDON.format("") + '<equality><tendon tendon1="t" polycoef="0.1"/></equality>'), "coupled"),
         (arm(after='<equality><weld body1="a" body2="c" torquescale="0" anchor="0.1 0 0"/></equality>'), "connect"),
+        (REPLICAS, ""),
     ],
 )  # fmt: skip
 def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
@@ -464,6 +478,70 @@ def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "n.sdf").write_text(f"<sdf version='1.9'>{INNER}</sdf>")
     path.write_text(sdf(LINK.format("l", "") + "<include><uri>../n.sdf</uri></include>"))
     assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
+
+
+def test_replicas_name_what_is_wrong(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    for old, new, said in (
+        ('count="3"', 'count="0"', "count is 0; give a number from 1 to"),
+        ('count="3"', 'count="1000000"', "count is 1000000"),
+        ('sep="_"', 'sep="_" pos="1 0 0"', "does not know pos of <replicate>"),
+        ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
+    ):
+        path.write_text(REPLICAS.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
+    """Bodies on the ground by a screw, a planar, a universal and a ball joint, each with a damper."""
+    m, inertia, arm, d, p = 0.7, 0.02, 0.3, 0.4, 0.05 / (2 * np.pi)
+    link = "<link name='{0}'><inertial><origin xyz='0 0 {1}'/><mass value='0.7'/><inertia {2}/></inertial></link>"
+    moments = "ixx='0.02' iyy='0.02' izz='0.02'"
+    joint = "<{0} name='{1}' type='{2}'><parent link='base'/><child link='{3}'/>{4}</{0}>"
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'><link name='base'/>"
+        + "".join(link.format(name, -arm if name == "b" else 0, moments) for name in "abcd")
+        + joint.format("drake:joint", "s", "screw", "a", "<axis xyz='0 0 1'/><dynamics damping='0.4'/>"
+                       "<drake:screw_thread_pitch value='0.05'/>")
+        + joint.format("drake:joint", "u", "universal", "b", "<dynamics damping='0.4'/>")
+        + joint.format("joint", "p", "planar", "c", "<axis xyz='0 2 0'/><dynamics damping='0.3 0.3 0.4'/>")
+        + joint.format("drake:joint", "o", "ball", "d", "<dynamics damping='0.4'/>")
+        + "</robot>"
+    )  # fmt: skip
+    mechanism = alfmu.imported(path).mechanism
+    given = {"start.u_angle1": 0.6, "start.p_angle_angle_rate": 2.0, "start.o_e1_rate": 1.0}
+    run = alfmu.simulate(mechanism, 0.5, 0.1, parameters=given | {"solver.relative_tolerance": 1e-11})
+    t = run.time
+    carried = inertia + m * p**2
+    screw = -m * 9.81 * p / d * (t - carried / d * (1 - np.exp(-d * t / carried)))
+    np.testing.assert_allclose(run["a.z"], p * screw, atol=1e-10)
+    fall = -m * 9.81 / 0.3 * (t - m / 0.3 * (1 - np.exp(-0.3 * t / m)))
+    np.testing.assert_allclose(run["c.z"], fall, atol=1e-10)
+    np.testing.assert_allclose(run["c.angular_velocity.y"], 2 * np.exp(-d * t / inertia), atol=1e-9)
+    np.testing.assert_allclose(run["d.angular_velocity.x"], 2 * np.exp(-d * t / inertia), atol=1e-9)
+
+    def pendulum(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], -(m * 9.81 * arm * np.sin(y[0]) + d * y[1]) / (inertia + m * arm**2)]
+
+    swings = solve_ivp(pendulum, (0, 0.5), [0.6, 0.0], "DOP853", t, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(run["u.angle1"], swings, atol=1e-9)
+    np.testing.assert_allclose(run["u.angle2"], 0, atol=1e-12)
+    turned = alfmu.simulate(mechanism, 0.5, 0.1, parameters={"start.u_angle2": 0.6, "solver.relative_tolerance": 1e-11})
+    np.testing.assert_allclose(turned["u.angle2"], swings, atol=1e-9)
+    text = path.read_text()
+    for old, new, said in (
+        ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0.3 0.2 0.4'/>", "damping differs along x and y"),
+        ("<drake:screw_thread_pitch value='0.05'/>", "", "it has no <drake:screw_thread_pitch>"),
+        ("type='ball'", "type='revolute'", "a joint of type 'revolute' does not map"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match="has no option 'folders'; URDF takes base, loops"):
+        alfmu.imported(path, folders=".")
 
 
 def test_what_exporters_write_is_read_over(tmp_path: Path):

@@ -21,6 +21,7 @@ from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
+from .replicas import replicated
 from .solids import Inertial
 
 __all__ = ["File"]
@@ -137,6 +138,8 @@ class File:
         every(root.all("option"), self._option)
         self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         every(root.all("default"), self._default)
+        with self.linkage.trying():
+            replicated(root, self._euler)
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
@@ -356,10 +359,13 @@ class File:
         turn = self._turn(given, ways[0]) if ways else np.eye(3)
         return Pose(vector(given.numbers("pos", 3, (0.0, 0.0, 0.0))), turn)
 
+    def _euler(self, angles: Sequence[float]) -> Array:
+        return turned(self.settings.euler, [self.settings.angle(a) for a in angles])
+
     def _turn(self, given: Reading, how: str) -> Array:
         x = vector(given.numbers(how, _ATTITUDES[how]))
         if how == "euler":
-            return turned(self.settings.euler, [self.settings.angle(a) for a in x])
+            return self._euler(x.tolist())
         if (not np.linalg.norm(x[:3]) > 0 and how != "quat") or not np.linalg.norm(x) > 0:
             given.fail(how, f"{how} has no direction")
         if how == "quat":

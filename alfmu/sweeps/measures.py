@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..model.errors import InputError
 from ..model.words import some_like, there_is
 
-__all__ = ["FUNCTIONS", "USUAL", "Measure", "matching", "measured", "measures"]
+__all__ = ["FUNCTIONS", "USUAL", "Measure", "inside", "matching", "measured", "measures"]
 
 Table = NDArray[np.float64]
 
@@ -75,6 +75,12 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
             'keep, such as --keep "max(*.force.*)"'
         )
     return list(found)
+
+
+def inside(pattern: str) -> str:
+    """Return the pattern of outputs in a pattern to keep: `A.force.*` in `max(A.force.*)`."""
+    called = _CALL.fullmatch(pattern)
+    return called[2] if called else pattern
 
 
 def _fitting(pattern: str, outputs: Sequence[str]) -> list[str]:
