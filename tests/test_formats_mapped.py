@@ -480,6 +480,22 @@ def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
 
 
+def test_springs_and_friction_of_balls_are_left_out_on_request(tmp_path: Path):
+    """As defaults of all joints in files of exporters: a damper alone slows a sphere."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        "<mujoco><option gravity='0 0 0'/><default><joint frictionloss='0.5' stiffness='2' damping='0.1'/></default>"
+        "<worldbody><body name='b'><joint name='j' type='ball'/><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
+        "</body></worldbody></mujoco>"
+    )
+    with pytest.raises(alfmu.InputError, match=r"the spring of a ball joint .* leave=balls leaves it out"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="balls")
+    assert found.warnings == ("balls, left out by option (2 from line 1, j, j)",)
+    run = alfmu.simulate(found.mechanism, 1.0, 0.1, parameters={"start.j_e1_rate": 0.5})
+    np.testing.assert_allclose(run["b.angular_velocity.x"], np.exp(-0.1 * run.time), atol=1e-7)
+
+
 def test_replicas_name_what_is_wrong(tmp_path: Path):
     path = tmp_path / "arm.xml"
     for old, new, said in (

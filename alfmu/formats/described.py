@@ -20,7 +20,7 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Constraint, Friction, Rigidity, key_of, stack, symbolic
 from ..model.relations import Pair, Rack
 from ..model.spatial import SpatialJoint
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, rank
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Tendon, rank
 from .markup import Node
 from .poses import Array, Pose, cleaned, quaternion, vector
 from .solids import Inertial
@@ -28,11 +28,15 @@ from .solids import Inertial
 __all__ = ["Form", "described"]
 
 
+_SAME = 1e-12
+"""Relative difference [1] up to which factors of sums, and efforts of springs, are equal."""
+
+
 @dataclass(frozen=True)
 class Form:
     """The abilities of a format: joint kinds that can close a loop, and whether it has springs; if `full`, it also has
-    scaled and constant efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than
-    two joints."""
+    scaled and constant efforts, inertia of motors, dampers of balls, springs, dampers and limits along sums of
+    coordinates, and couplings that are polynomials or of more than two joints."""
 
     name: str
     closures: Collection[str]
@@ -249,9 +253,15 @@ class _Describing:
             k, d, rest = self.constant(joint.name, "spring", spring.stiffness, spring.damping, spring.rest)
             self._spring(joint, k, d, k * rest)
         for stop in m.end_stops:
-            joint = self._motion(stop.of, "an end stop")
             ends = (-1e16 if stop.lower is None else stop.lower, 1e16 if stop.upper is None else stop.upper)
             low, high = self.constant(stop.name, "limit", *ends)
+            terms = self._linear(stop.of) if self.form.full and isinstance(stop.of, ca.SX) else None
+            if terms and all(kind == "q" or not size for (kind, _), size in terms.items()):
+                along = tuple((joint, size) for (kind, joint), size in terms.items() if kind == "q")
+                self._along_sum(stop.name, Tendon(stop.name, self.node, along, limits=(low, high)))
+                self.linkage.warn("stiffness and damping of end stops", self.node)
+                continue
+            joint = self._motion(stop.of, "an end stop")
             old = joint.limits[0] if joint.limits else (low, high)
             joint.limits = ((max(low, old[0]), min(high, old[1])),)
             self.linkage.warn("stiffness and damping of end stops", self.node)
@@ -271,32 +281,103 @@ class _Describing:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
 
     def _rated(self) -> None:
-        """Convert kinetic energies of rates to motor inertia, and forces along Euler parameters to dampers."""
+        """Convert quadratic energies and linear dampers, of joints, of sums of their coordinates, and of balls."""
         balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
-        for along, given in (*((None, x) for x in (*self.m.potential, *self.m.kinetic)), *self.m.generalized):
+        dampers: dict[tuple[Any, Any], float] = {}
+        for given in self.m.potential:
+            self._energy(given, "q")
+        forces: list[tuple[Any, Any]] = [*((None, x) for x in self.m.kinetic), *self.m.generalized]
+        for along, given in forces:
             x = self.fixed(given)
             v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
+            kind, joint = self.along.get(key_of(v), ("", None))
+            if kind != "w" and along is None:
+                self._energy(given, "v")
+                continue
+            terms = self._linear(x) or {("", None): 1.0}
+            moved, ball = self.along.get(key_of(along), ("", None)) if along is not None else ("e", joint)
+            if moved == "q" and all(key[0] == "v" or not factor for key, factor in terms.items()):
+                for (_, other), factor in terms.items():
+                    dampers[ball, other] = dampers.get((ball, other), 0.0) - factor
+                continue
             slopes = [x, ca.gradient(x, v)]
             slopes += [ca.gradient(slopes[1], v)] if along is None else []
             size, rests = slopes.pop(), all(ca.substitute(each, v, 0).is_zero() for each in slopes)
-            kind, joint = self.along.get(key_of(v), ("", None))
-            own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
+            own = kind == "w" and (along is None or key_of(self.m.rate(along)) == key_of(v))
             if not (size.is_constant() and rests and own and (float(size) > 0) == (along is None)):
-                what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
-                self.refuse(str(given)[:60], what)
-            elif kind == "v":
-                joint.armature += float(size)
-            else:
-                shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
-                shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
+                self._refuse_force(given)
+                continue
+            shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
+            shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
         for (ball, what), shares in balls.items():
             if len(shares) < 4 or len(set(shares.values())) > 1:
                 self.refuse(ball.name, f"its {what} differs about its axes")
             value = next(iter(shares.values()))
             setattr(ball, what, value if what == "armature" else (value,))
+        self._damped({key: size for key, size in dampers.items() if key[1] is not None})
         every = [joint for edge in self.edges for joint in edge.joints]
         for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
             self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
+
+    def _refuse_force(self, given: Any) -> None:
+        what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+        self.refuse(str(given)[:60], what)
+
+    def _energy(self, given: Any, kind: str) -> None:
+        """Convert a quadratic energy of displacements ("q") to springs, of rates ("v") to inertia of motors."""
+        x = self._unlimited(self.fixed(given))
+        if not (symbols := ca.symvar(x)):
+            return
+        at = stack(symbols)
+        keys = [self.along.get(key_of(each), ("", None)) for each in symbols]
+        curved, slope = ca.hessian(x, at)
+        squares = _squares(np.array(ca.DM(curved))) if curved.is_constant() else None
+        slack = next((of for which, of in keys if which == "l"), None)
+        if squares is None or any(which not in (kind, "l") for which, _ in keys):
+            self._refuse_force(given)
+            return
+        pull = np.array(ca.DM(ca.substitute(slope, at, 0 * at))).ravel()
+        whole = np.array([size * factors for size, factors in squares]).reshape(-1, len(keys)).T
+        rests = np.linalg.lstsq(whole, -pull, rcond=None)[0]
+        if np.abs(whole @ rests + pull).max() > _SAME * np.abs(pull).max() or (kind == "v" and pull.any()):
+            self._refuse_force(given)
+            return
+        for (size, factors), rest in zip(squares, rests.tolist(), strict=True):
+            terms = {key: factor for key, factor in zip(keys, factors.tolist(), strict=True) if factor}
+            ends = (rest, rest)
+            if slack is not None:  # a spring along a sum less the same sum within limits
+                share = -terms.pop(("l", slack), 0.0)
+                apart = [terms.get(key, 0.0) - share * factor for key, factor in slack.terms.items()]
+                if len(squares) > 1 or not share or np.abs(apart).max() > _SAME or pull.any():
+                    self._refuse_force(given)
+                    return
+                size, ends, terms = size * share**2, slack.limits, {k: f for k, f in slack.terms.items() if f}
+            along = [(joint, factor) for (_, joint), factor in terms.items()]
+            which = {"stiffness": size, "rest": ends} if kind == "q" else {"armature": size}
+            self._along_sum(given, Tendon(self.fresh("tendon"), self.node, tuple(along), **which))
+
+    def _damped(self, dampers: Mapping[tuple[Any, Any], float]) -> None:
+        """Convert forces of dampers along joints, per rates of joints."""
+        joints = list(dict.fromkeys(joint for pair in dampers for joint in pair))
+        squares = _squares(np.array([[dampers.get((one, two), 0.0) for two in joints] for one in joints]))
+        if squares is None:
+            self.refuse(joints[0].name, "forces by rates act along it that no dampers of joints or of their sums have")
+        for size, factors in squares or ():
+            along = tuple((joint, x) for joint, x in zip(joints, factors.tolist(), strict=True) if x)
+            self._along_sum("dampers", Tendon(self.fresh("tendon"), self.node, along, damping=size))
+
+    def _along_sum(self, given: Any, tendon: Tendon) -> None:
+        """Add a spring, a damper, motor inertia or limits along a joint, or along a sum of coordinates."""
+        (joint, factor), low, high = tendon.along[0], *tendon.rest
+        if len(tendon.along) == 1 and low == high and not tendon.limits:
+            k, d = tendon.stiffness * factor**2, tendon.damping * factor**2
+            joint.armature += tendon.armature * factor**2
+            self._spring(joint, k, d, k * low / factor)
+        elif self.form.full:
+            self.linkage.tendons.append(tendon)
+            self.coupled |= {joint for joint, _ in tendon.along}
+        else:
+            self._refuse_force(given)
 
     def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
         """Add a stiffness, a damping and an effort at zero to those of a joint."""
@@ -558,3 +639,15 @@ class _Describing:
             waiting += [each for each in links if each.parent is link][::-1]
             link.pose = Pose(cleaned(link.pose.place), link.pose.turn)
         self.linkage.links = found
+
+
+def _squares(matrix: Array) -> list[tuple[float, Array]] | None:
+    """Return sizes and factors of sums whose squares make up a symmetric matrix, by Cholesky's method with pivots; None
+    if they would not all be positive."""
+    found, left, tiny = list[tuple[float, Array]](), matrix, _SAME * np.abs(matrix).max(initial=0.0)
+    while left.size and left.diagonal().max() > tiny:
+        i = int(left.diagonal().argmax())
+        size, factors = float(left[i, i]), left[i] / left[i, i]
+        found.append((size, np.where(np.abs(factors) > _SAME, factors, 0.0)))
+        left = left - size * np.outer(factors, factors)
+    return found if np.abs(left).max(initial=0.0) <= tiny else None

@@ -25,9 +25,10 @@ __all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkag
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
-"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints;
-`gaps`: directions of loops that other joints suppress already, but where points are apart."""
+LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
+"""Kinds of elements that a user may leave out although they affect the motion; `balls`: springs and friction in ball
+joints; `free`: resistance in free joints; `gaps`: directions of loops that other joints suppress already, but where
+points are apart."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""

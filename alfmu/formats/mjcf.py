@@ -66,7 +66,7 @@ _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN
 _FLAGS = {
     "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
     "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
-    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
+    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sensornoise", "sleep", "spring", "warmstart",
 }  # fmt: skip
 
 
@@ -428,12 +428,13 @@ class File:
                     what = f"{each} of a free joint does not map; use <freejoint/>, or three slides and a ball"
                     self.linkage.without("free", node, what)
         if kind == "ball" and stiffness:
-            given.fail("stiffness", "the spring of a ball joint does not map; use three hinges")
+            self.linkage.without("balls", node, "the spring of a ball joint does not map; use three hinges")
+            joint.stiffness = (0.0,)
         loss = given.positive("frictionloss", 0.0)
         if loss and scalar and not self.settings.off & {"frictionloss", "constraint"}:
             joint.friction = (loss,)
         elif loss and kind == "ball":
-            given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
+            self.linkage.without("balls", node, "frictionloss of a ball joint does not map; use three hinges")
         given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
         given.refuse({"align": "it moves frames, not bodies; leave it out"})
         joint.effort = self._range(given, "actuatorfrc")

@@ -54,7 +54,7 @@ def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
     ends = [f"{between}{i:0{len(str(count))}}" for i in range(count)]
     made = []
     for i, end in enumerate(ends):
-        own = turn(i * angles)  # MuJoCo multiplies the angles; only about one axis is this a product of rotations
+        own = turn((i * angles).tolist())  # MuJoCo multiplies the angles, which is no product of rotations
         posed = {"pos": at, "quat": quaternion(own)}
         numbers = {name: " ".join(repr(float(x)) for x in value) for name, value in posed.items()}
         frame = Node("frame", numbers, node.file, node.line, node.parent)

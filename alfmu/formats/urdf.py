@@ -34,7 +34,7 @@ _LOOPS = {
 }  # fmt: skip
 _SECTIONS = {"material": "materials", "sensor": "sensors"} | {
     tag: f"settings for other programs (<{tag}>)"
-    for tag in ("mujoco", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
+    for tag in ("mujoco", "physics", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
 }
 _LEFT = {
     "visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors", "contact": "settings of contacts",
@@ -116,7 +116,8 @@ class File:
         if child.tag.startswith("xacro:"):
             child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
         if child.tag not in ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission"):
-            child.fail(f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions")
+            what = f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions"
+            self.linkage.skip("unknown", child, what)
 
     # The tree ---------------------------------------------------------------------------------------------------
 
