@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import casadi as ca
 import numpy as np
 import pytest
 from oracles.converted import BUILT, floating, robot, shaper
@@ -285,7 +286,7 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
         block = m.spatial_body(f"b{i}", mass=float(masses[i]), inertia=(0.1, 0.1, 0.1), relative=True)
         m.spatial_prismatic(f"way{i}", m.spatial_ground.at(0, i, 0), block.at(), axis=(1, 0, 0), coordinate=x[i])
     length, rate = c[0] * x[0] + c[1] * x[1], c[0] * m.rate(x[0]) + c[1] * m.rate(x[1])
-    stretch = length - (length.limited(*ends) if slack else ends[0])
+    stretch = length - (ca.fmin(ca.fmax(length, ends[0]), ends[1]) if slack else ends[0])
     m.potential_energy(k / 2 * stretch**2)
     m.kinetic_energy(more / 2 * rate**2)
     for i in range(2):
@@ -311,6 +312,29 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
     m.generalized_force(x[0], -2.0 * m.rate(x[1]))
     with pytest.raises(alfmu.InputError, match="forces by rates act along it that no dampers"):
         alfmu.convert(m, path)
+
+
+@pytest.mark.parametrize("suffix", FORMS)
+def test_the_inertia_of_a_welded_body_without_mass_goes_to_its_neighbour(suffix: str, tmp_path: Path):
+    """A pendulum with a flange, a flywheel and a frame welded to it falls as one body (DOP853)."""
+    m, mass, length, own, more = Mechanism("flange"), 0.8, 0.3, 0.01, (0.02, 0.05)
+    arm = m.spatial_body("arm", mass=mass, inertia=(own,) * 3, center=(length, 0, 0), relative=True)
+    q = m.coordinate("q", "rad", start=0.4, independent=True)
+    m.spatial_revolute("A", m.spatial_ground.at(), arm.at(), axis=(0, 1, 0), coordinate=q)
+    before = arm
+    for i, x in enumerate((*more, 0.0)):
+        flange = m.spatial_body(f"flange{i}", mass=0.0, inertia=(x, x, x), relative=True)
+        m.spatial_weld(f"weld{i}", before.at(0.1, 0.2, 0.3), flange.at())
+        before = flange
+    m.gravity(0, 0, -9.81)
+
+    def falls(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], mass * 9.81 * length * np.cos(y[0]) / (own + sum(more) + mass * length**2)]
+
+    path = alfmu.convert(m, tmp_path / f"flange{suffix}")
+    run = alfmu.simulate(alfmu.imported(path).mechanism, 0.5, 0.1, parameters=EXACT)
+    swings = solve_ivp(falls, (0, 0.5), (0.4, 0.0), "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(run["A.angle"] - run["A.angle"][0], swings - 0.4, atol=1e-9)
 
 
 def alone(what: str) -> Mechanism:

@@ -321,6 +321,20 @@ def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.2, 0.52]), rtol=1e-13)
 
 
+def test_shapes_without_an_inertia_matter_only_where_they_move(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    mesh = "<collision name='c'><geometry><mesh><uri>a.stl</uri></mesh></geometry></collision>"
+    base = f"<link name='base'><inertial auto='true'/>{mesh}</link>"
+    held = "<joint name='held' type='fixed'><parent>world</parent><child>base</child></joint>"
+    path.write_text(sdf(base + held + LINK.format("l", "") + HINGE.format("h", "base", "l")))
+    found = alfmu.imported(path)
+    assert any("these shapes of fixed bodies have no mass here" in note for note in found.notes)
+    assert len(found.mechanism.coordinates) == 1
+    path.write_text(sdf(base + HINGE.format("h", "world", "base")))
+    with pytest.raises(alfmu.InputError, match="this shape gives no inertia here"):
+        alfmu.imported(path)
+
+
 BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"
 URDF = "<robot name='r'><link name='base'/>{}{}</robot>"
 

@@ -619,9 +619,12 @@ class _Describing:
             children = [each for each in links if each.parent is link]
             closed = any(x[0] is link for c in self.linkage.closures for x in (c.first, c.second))
             free = any(joint.kind == "free" for joint in link.joints)
-            needed = bool(link.joints) and (closed or len(children) != 1 or free)
-            if link.inertial.mass or link.inertial.inertia.any() or needed:
+            needed = bool(link.joints) and (closed or len(children) != 1 or free or link.inertial.inertia.any())
+            if link.inertial.mass or needed:
                 continue
+            if link.parent is not None and link.inertial.inertia.any():  # welded: its parent has its inertia, too
+                turn, x = link.pose.turn, link.parent.inertial
+                link.parent.inertial = replace(x, inertia=x.inertia + turn @ link.inertial.inertia @ turn.T)
             for child in children:
                 for joint in link.joints:
                     joint.seen_from(child.pose, 1.0)
