@@ -278,13 +278,15 @@ def test_links_without_mass_or_inertia_are_refused_where_the_other_program_refus
 
 @pytest.mark.parametrize("slack", [False, True])
 def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool, tmp_path: Path):
-    """Two sliders, by the equations of two masses (DOP853); read back from MJCF."""
+    """Two sliders, one actuator with feedback on both, by the equations of two masses (DOP853); read back from MJCF."""
     m, k, d, more, ends = Mechanism("sums"), 40.0, 3.0, 0.4, (-0.1, 0.05 if slack else -0.1)
     c, masses, starts = np.array([1.0, -2.0]), np.array([0.7, 0.3]), (0.2, -0.1)
     x = [m.coordinate(f"x{i}", "m", start=starts[i], independent=True) for i in range(2)]
+    ways = []
     for i in range(2):
         block = m.spatial_body(f"b{i}", mass=float(masses[i]), inertia=(0.1, 0.1, 0.1), relative=True)
-        m.spatial_prismatic(f"way{i}", m.spatial_ground.at(0, i, 0), block.at(), axis=(1, 0, 0), coordinate=x[i])
+        at = m.spatial_ground.at(0, i, 0)
+        ways.append(m.spatial_prismatic(f"way{i}", at, block.at(), axis=(1, 0, 0), coordinate=x[i]))
     length, rate = c[0] * x[0] + c[1] * x[1], c[0] * m.rate(x[0]) + c[1] * m.rate(x[1])
     stretch = length - (ca.fmin(ca.fmax(length, ends[0]), ends[1]) if slack else ends[0])
     m.potential_energy(k / 2 * stretch**2)
@@ -292,15 +294,20 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
     for i in range(2):
         m.generalized_force(x[i], -d * c[i] * rate)
     m.end_stop("stop", length, upper=9.0, stiffness=1e3, unit="m")
+    effort = 2 * m.input("u", "N", start=0.3) + 0.1 - 5 * length - 0.4 * rate
+    effort = ca.fmin(ca.fmax(effort, -0.4), 0.5) if slack else effort
+    for i in range(2):
+        m.drive(ways[i], float(c[i]) * effort)
     m.gravity(0, 0, -9.81)
 
     def forces(_: float, y: np.ndarray) -> np.ndarray:
         apart = c @ y[:2]
         pull = k * (apart - np.clip(apart, *ends)) + d * c @ y[2:]
+        pull -= np.clip(0.7 - 5 * apart - 0.4 * c @ y[2:], *((-0.4, 0.5) if slack else (-9, 9)))
         return np.append(y[2:], np.linalg.solve(np.diag(masses) + more * np.outer(c, c), -c * pull))
 
     path = alfmu.convert(m, tmp_path / "sums.xml")
-    run = alfmu.simulate(alfmu.imported(path).mechanism, 1.0, 0.1, parameters=EXACT)
+    run = alfmu.simulate(alfmu.imported(path, key="start").mechanism, 1.0, 0.1, parameters=EXACT)
     wanted = solve_ivp(forces, (0, 1), (*starts, 0, 0), "DOP853", run.time, rtol=1e-12, atol=1e-13, max_step=1e-3).y
     for i in range(2):
         np.testing.assert_allclose(run[f"b{i}.x"], wanted[i], atol=1e-9)

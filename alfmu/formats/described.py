@@ -66,6 +66,28 @@ class _Limited:
     terms: Mapping[tuple[str, Any], float] = field(default_factory=dict)
 
 
+@dataclass(eq=False)
+class _Pull:
+    """An actuator whose effort depends on its input and on displacements and rates of several joints."""
+
+    control: _Limited
+    limits: tuple[float, float]
+    terms: Mapping[tuple[str, Any], float]
+    gain: float = 1.0
+    along: list[tuple[Joint, float]] = field(default_factory=list)
+    """Joints, and their efforts over that of the actuator."""
+
+    def is_like(self, other: _Pull) -> bool:
+        """Whether both are one actuator."""
+        keys = {*self.terms, *other.terms}
+        apart = max((abs(self.terms.get(k, 0.0) - other.terms.get(k, 0.0)) for k in keys), default=0.0)
+        alike = [(x.control.name, x.control.limits, x.limits, x.gain) for x in (self, other)]
+        return alike[0] == alike[1] and apart <= _SAME * max(map(abs, self.terms.values()), default=0.0)
+
+
+_NO_SUM = "its effort is not a sum of inputs, its displacement and its rate"
+
+
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
     """Return a mechanism as a linkage; its causes name everything that the format cannot represent.
 
@@ -93,6 +115,7 @@ class _Describing:
         self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
         """Expressions, each with its form without limits, by the key of the expression."""
         self.coupled: set[Joint] = set()
+        self.pulls: list[_Pull] = []
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
         self.poses: dict[Any, Pose] = dict.fromkeys(grounds, Pose())
@@ -276,6 +299,7 @@ class _Describing:
         self._rated()
         for joint in dict.fromkeys(joint for joint, _ in given):
             self._drive(joint, self.fixed(sum((effort for moved, effort in given if moved is joint), ca.SX(0))))
+        self._pulled()
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
@@ -409,7 +433,8 @@ class _Describing:
         terms = self._linear(self._unlimited(effort))
         inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
         if terms is None or any(key not in own and key[0] != "u" for key in inside):
-            self.refuse(joint.name, "its effort is not a sum of inputs, its displacement and its rate")
+            if not (self.form.full and self._pulls(joint, terms or {})):
+                self.refuse(joint.name, _NO_SUM)
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
         for (kind, given), gain in terms.items():
@@ -426,6 +451,44 @@ class _Describing:
             for (_, control), factor in inner.items():
                 self._motor(joint, control, factor, feedback, force)
         self._spring(joint, -k, -d, bias)
+
+    def _pulls(self, joint: Joint, terms: Mapping[tuple[str, Any], float]) -> bool:
+        """Keep an effort by one input and other joints, as of an actuator along a sum; return whether it is one."""
+        inner = {key: size for key, size in terms.items() if size}
+        first: tuple[tuple[str, Any], float] = next(iter(inner.items()), (("", None), 0.0))
+        (kind, given), share = first
+        controls = [(of, size) for (which, of), size in inner.items() if which == "u"]
+        limits = (-math.inf, math.inf)
+        if kind == "l" and len(inner) == 1:
+            inner, limits = {key: size for key, size in given.terms.items() if size}, given.limits
+            controls = [(of, size) for (which, of), size in inner.items() if which == "u"]
+        elif controls:
+            share = controls[0][1]
+            inner = {key: size / share for key, size in inner.items()}
+        if len(controls) != 1 or any(which not in ("u", "q", "v", "1") for which, _ in inner):
+            return False
+        found = _Pull(controls[0][0], limits, {k: x for k, x in inner.items() if k[0] != "u"})
+        found.gain = next(x for (which, _), x in inner.items() if which == "u")
+        same = next((each for each in self.pulls if each.is_like(found)), found)
+        self.pulls += [found] * (same is found)
+        same.along.append((joint, share))
+        return True
+
+    def _pulled(self) -> None:
+        """Convert efforts of actuators along sums of coordinates; their feedback must be that of these sums."""
+        for pull in self.pulls:
+            slopes = [[pull.terms.get((kind, joint), 0.0) / share for joint, share in pull.along] for kind in "qv"]
+            others = {joint for (kind, joint) in pull.terms if kind != "1"} - {joint for joint, _ in pull.along}
+            taken = pull.control.name in (motor.name for motor in self.linkage.motors)
+            if others or taken or any(np.ptp(x) > _SAME * np.abs(x).max() for x in slopes):
+                self.refuse(pull.along[0][0].name, _NO_SUM)
+                continue
+            bias = pull.terms.get(("1", None), 0.0), slopes[0][0], slopes[1][0]
+            control = None if pull.control.limits == (-math.inf, math.inf) else pull.control.limits
+            force = None if pull.limits == (-math.inf, math.inf) else pull.limits
+            along, name, start = tuple(pull.along), pull.control.name, pull.control.start
+            motor = Motor(name, self.node, along, "", 1.0, pull.gain, bias, 0.0, 0.0, control, force, start)
+            self.linkage.motors.append(motor)
 
     def _unlimited(self, x: ca.SX) -> ca.SX:
         """Return an expression in which a new symbol replaces each limited input and each limited linear part."""
