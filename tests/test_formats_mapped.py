@@ -514,7 +514,8 @@ def test_replicas_name_what_is_wrong(tmp_path: Path):
     path = tmp_path / "arm.xml"
     for old, new, said in (
         ('count="3"', 'count="0"', "count is 0; give a number from 1 to"),
-        ('count="3"', 'count="1000000"', "count is 1000000"),
+        ('count="3"', 'count="1000000"', r"count is 1e\+06"),
+        ('count="2"', 'count="1.5"', r"count is 1\.5; give a number from 1 to"),
         ('sep="_"', 'sep="_" pos="1 0 0"', "does not know pos of <replicate>"),
         ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
     ):
@@ -572,6 +573,17 @@ def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
     path.write_text(text)
     with pytest.raises(alfmu.InputError, match="has no option 'folders'; URDF takes base, loops"):
         alfmu.imported(path, folders=".")
+
+
+def test_messages_at_run_time_name_the_line_of_the_file(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'>\n<link name='base'/>\n<link name='l'/>\n<link name='k'/><joint name='j' type='continuous'>"
+        "<parent link='base'/><child link='l'/><axis xyz='0 0 1'/></joint><joint name='f' type='fixed'>"
+        "<parent link='l'/><child link='k'/><origin xyz='0.1 0 0'/></joint></robot>"
+    )
+    with pytest.raises(alfmu.AlfmuError, match=r"no mass and no constraint .* it moves k \(.*r\.urdf, line 4\)"):
+        alfmu.simulate(alfmu.imported(path).mechanism, 0.1)
 
 
 def test_what_exporters_write_is_read_over(tmp_path: Path):

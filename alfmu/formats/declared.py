@@ -176,10 +176,14 @@ class _Declaring:
 
     @contextmanager
     def _of(self, node: Node) -> Iterator[None]:
+        """Declare parts of the mechanism for an element of the file, which messages then name."""
+        lines = self.script.mechanism._lines
+        count = len(lines)
         try:
             yield
         except DeclarationError as error:
             raise InputError(f"{node.where}: {error}") from error
+        lines |= dict.fromkeys(list(lines)[count:], (str(node.file), node.line))
 
     def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
         """Return an unused name: the wanted one, with `otherwise` appended, or with a number."""

@@ -42,14 +42,15 @@ def _within(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
 def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) -> list[Node]:
     """Return a frame for each copy; names that refer to copies alone are replaced in all sections."""
     given = Reading(node)
-    count, between = int(given.number("count")), given.text("sep", "")
+    number, between = given.number("count"), given.text("sep", "")
+    count = int(number)
     step, angles = vector(given.numbers("offset", 3, (0, 0, 0))), vector(given.numbers("euler", 3, (0, 0, 0)))
     at = np.zeros(3)
     for name in set(node.attributes) - {"count", "sep", "offset", "euler"}:
         given.fail(name, f"alfmu does not know {name} of <replicate>; leave it out")
     size = sum(1 for _ in node.below())
-    if not 1 <= count <= MOST // size:
-        given.fail("count", f"count is {count}; give a number from 1 to {MOST // size}")
+    if not 1 <= count <= MOST // size or count != number:
+        given.fail("count", f"count is {number:g}; give a number from 1 to {MOST // size}")
     names = {(_KINDS.get(x.tag, x.tag), x.attributes["name"]) for x in node.below() if "name" in x.attributes}
     ends = [f"{between}{i:0{len(str(count))}}" for i in range(count)]
     made = []
