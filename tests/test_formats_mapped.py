@@ -475,6 +475,14 @@ def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Pa
     assert "limits of ball joints" in alfmu.imported(path).warnings[0]
 
 
+def test_limits_that_hold_a_joint_are_told(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    for width in (0.02, 1e-5):
+        path.write_text(arm(b=f' range="0 {width}"').replace('ref="0.4"', ""))
+        told = [note for note in alfmu.imported(path).notes if "limits hold nearly still" in note]
+        assert [note[-15:] for note in told] == ["re (line 3, jb)"] * (width < 0.01)
+
+
 def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "inner").mkdir()
     path = tmp_path / "inner" / "m.sdf"

@@ -379,6 +379,9 @@ class _Declaring:
             inside = "" if self.linkage.inside else "; --option limits=inside starts within them"
             self.linkage.warn(f"limits that the start exceeds{inside}", node)
         elif given:
+            if limits[1] - limits[0] < onset:
+                what = "joints that their limits hold nearly still, so that runs take long; make them fixed in the file"
+                self.linkage.note(f"{what}, or leave limits out by --option limits=ignore", node)
             self.script.do(
                 "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,
                 restitution=_RESTITUTION, creep=_CREEP, unit=unit,
