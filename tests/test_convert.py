@@ -316,6 +316,10 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
     for suffix in (".urdf", ".sdf"):
         with pytest.raises(alfmu.InputError, match="this energy or force is an expression"):
             alfmu.convert(m, tmp_path / f"sums{suffix}")
+    if slack:  # of another sum than the one within limits
+        m.potential_energy((length + 2.0 * x[0] - ca.fmin(length, 1.0)) ** 2)
+        with pytest.raises(alfmu.InputError, match="this energy or force is an expression"):
+            alfmu.convert(m, path)
     m.generalized_force(x[0], -2.0 * m.rate(x[1]))
     with pytest.raises(alfmu.InputError, match="forces by rates act along it that no dampers"):
         alfmu.convert(m, path)

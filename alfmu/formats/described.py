@@ -371,8 +371,9 @@ class _Describing:
             ends = (rest, rest)
             if slack is not None:  # a spring along a sum less the same sum within limits
                 share = -terms.pop(("l", slack), 0.0)
-                apart = [terms.get(key, 0.0) - share * factor for key, factor in slack.terms.items()]
-                if len(squares) > 1 or not share or np.abs(apart).max() > _SAME or pull.any():
+                both = {*terms, *slack.terms}
+                apart = [terms.get(key, 0.0) - share * slack.terms.get(key, 0.0) for key in both]
+                if len(squares) > 1 or not share or kind == "v" or np.abs(apart).max() > _SAME or pull.any():
                     self._refuse_force(given)
                     return
                 size, ends, terms = size * share**2, slack.limits, {k: f for k, f in slack.terms.items() if f}
