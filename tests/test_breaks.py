@@ -204,7 +204,7 @@ def test_what_chatters_still_ends_a_run():
         alfmu.simulate(m, 1.0, 0.1, parameters=settings)
     m = bar(lambda m: ca.if_else(m.coordinates[0].v > 0.0, -5.0, 5.0))
     m.end_stop("stop", m.coordinates[0].q, upper=9.0, stiffness=1e3, unit="rad")
-    with pytest.raises(StepError, match="or leave out end stops, those of a file by its option limits=ignore"):
+    with pytest.raises(StepError, match="by its option limits=ignore, or start within them, by limits=inside"):
         alfmu.simulate(m, 1.0, 0.1, parameters=settings)
 
 

@@ -8,10 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import casadi as ca
 import numpy as np
 import pytest
 from oracles.converted import BUILT, floating, robot, shaper
 from oracles.linkages import by_pinocchio, mujoco_accelerations
+from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu import Mechanism
@@ -274,6 +276,78 @@ def test_links_without_mass_or_inertia_are_refused_where_the_other_program_refus
     assert same(motions(m, 0.2), motions(alfmu.imported(tmp_path / "file.urdf").mechanism, 0.2), shift=True) == 3
 
 
+@pytest.mark.parametrize("slack", [False, True])
+def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool, tmp_path: Path):
+    """Two sliders, one actuator with feedback on both, by the equations of two masses (DOP853); read back from MJCF."""
+    m, k, d, more, ends = Mechanism("sums"), 40.0, 3.0, 0.4, (-0.1, 0.05 if slack else -0.1)
+    c, masses, starts = np.array([1.0, -2.0]), np.array([0.7, 0.3]), (0.2, -0.1)
+    x = [m.coordinate(f"x{i}", "m", start=starts[i], independent=True) for i in range(2)]
+    ways = []
+    for i in range(2):
+        block = m.spatial_body(f"b{i}", mass=float(masses[i]), inertia=(0.1, 0.1, 0.1), relative=True)
+        at = m.spatial_ground.at(0, i, 0)
+        ways.append(m.spatial_prismatic(f"way{i}", at, block.at(), axis=(1, 0, 0), coordinate=x[i]))
+    length, rate = c[0] * x[0] + c[1] * x[1], c[0] * m.rate(x[0]) + c[1] * m.rate(x[1])
+    stretch = length - (ca.fmin(ca.fmax(length, ends[0]), ends[1]) if slack else ends[0])
+    m.potential_energy(k / 2 * stretch**2)
+    m.kinetic_energy(more / 2 * rate**2)
+    for i in range(2):
+        m.generalized_force(x[i], -d * c[i] * rate)
+    m.end_stop("stop", length, upper=9.0, stiffness=1e3, unit="m")
+    effort = 2 * m.input("u", "N", start=0.3) + 0.1 - 5 * length - 0.4 * rate
+    effort = ca.fmin(ca.fmax(effort, -0.4), 0.5) if slack else effort
+    for i in range(2):
+        m.drive(ways[i], float(c[i]) * effort)
+    m.gravity(0, 0, -9.81)
+
+    def forces(_: float, y: np.ndarray) -> np.ndarray:
+        apart = c @ y[:2]
+        pull = k * (apart - np.clip(apart, *ends)) + d * c @ y[2:]
+        pull -= np.clip(0.7 - 5 * apart - 0.4 * c @ y[2:], *((-0.4, 0.5) if slack else (-9, 9)))
+        return np.append(y[2:], np.linalg.solve(np.diag(masses) + more * np.outer(c, c), -c * pull))
+
+    path = alfmu.convert(m, tmp_path / "sums.xml")
+    run = alfmu.simulate(alfmu.imported(path, key="start").mechanism, 1.0, 0.1, parameters=EXACT)
+    wanted = solve_ivp(forces, (0, 1), (*starts, 0, 0), "DOP853", run.time, rtol=1e-12, atol=1e-13, max_step=1e-3).y
+    for i in range(2):
+        np.testing.assert_allclose(run[f"b{i}.x"], wanted[i], atol=1e-9)
+    fixed = ElementTree.parse(path).getroot().findall("tendon/fixed")
+    assert any(each.get("range") for each in fixed)
+    for suffix in (".urdf", ".sdf"):
+        with pytest.raises(alfmu.InputError, match="this energy or force is an expression"):
+            alfmu.convert(m, tmp_path / f"sums{suffix}")
+    if slack:  # of another sum than the one within limits
+        m.potential_energy((length + 2.0 * x[0] - ca.fmin(length, 1.0)) ** 2)
+        with pytest.raises(alfmu.InputError, match="this energy or force is an expression"):
+            alfmu.convert(m, path)
+    m.generalized_force(x[0], -2.0 * m.rate(x[1]))
+    with pytest.raises(alfmu.InputError, match="forces by rates act along it that no dampers"):
+        alfmu.convert(m, path)
+
+
+@pytest.mark.parametrize("suffix", FORMS)
+def test_the_inertia_of_a_welded_body_without_mass_goes_to_its_neighbour(suffix: str, tmp_path: Path):
+    """A pendulum with a flange, a flywheel and a frame welded to it falls as one body (DOP853)."""
+    m, mass, length, own, more = Mechanism("flange"), 0.8, 0.3, 0.01, (0.02, 0.05)
+    arm = m.spatial_body("arm", mass=mass, inertia=(own,) * 3, center=(length, 0, 0), relative=True)
+    q = m.coordinate("q", "rad", start=0.4, independent=True)
+    m.spatial_revolute("A", m.spatial_ground.at(), arm.at(), axis=(0, 1, 0), coordinate=q)
+    before = arm
+    for i, x in enumerate((*more, 0.0)):
+        flange = m.spatial_body(f"flange{i}", mass=0.0, inertia=(x, x, x), relative=True)
+        m.spatial_weld(f"weld{i}", before.at(0.1, 0.2, 0.3), flange.at())
+        before = flange
+    m.gravity(0, 0, -9.81)
+
+    def falls(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], mass * 9.81 * length * np.cos(y[0]) / (own + sum(more) + mass * length**2)]
+
+    path = alfmu.convert(m, tmp_path / f"flange{suffix}")
+    run = alfmu.simulate(alfmu.imported(path).mechanism, 0.5, 0.1, parameters=EXACT)
+    swings = solve_ivp(falls, (0, 0.5), (0.4, 0.0), "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(run["A.angle"] - run["A.angle"][0], swings - 0.4, atol=1e-9)
+
+
 def alone(what: str) -> Mechanism:
     """A pendulum with one part that no file holds."""
     m = Mechanism("pendulum")
@@ -296,6 +370,7 @@ def alone(what: str) -> Mechanism:
         "force": lambda: m.force(bar.end, 1.0, 0.0),
         "rod": lambda: m.distance("rod", m.ground.at(0, 1), bar.end, length=float(np.sqrt(2 - 2 * np.sin(0.3)))),
         "energy": lambda: m.potential_energy(th**2),
+        "power": lambda: m.potential_energy(th**4),
         "armature": lambda: m.kinetic_energy(0.1 * m.rate(th) ** 2),
         "rotor": lambda: m.kinetic_energy(0.1 * m.rate(th) ** 2 * th),
         "blade": lambda: m.blade("blade", bar.end),
@@ -311,7 +386,8 @@ def alone(what: str) -> Mechanism:
 REFUSED = {
     "spring": "a spring acts between points", "friction": "in proportion to the reaction", "static": "static friction",
     "lock": "it is a lock", "law": "depend on time", "effort": "not a sum of inputs",
-    "force": "a force from the ground", "rod": "a rod without mass", "energy": "is an expression",
+    "force": "a force from the ground", "rod": "a rod without mass",
+    "energy": "holds no springs", "power": "is an expression",
     "armature": "holds no inertia of motors", "rotor": "is an expression", "blade": "it is a blade",
     "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",

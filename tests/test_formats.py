@@ -181,8 +181,8 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
          r"joint\[j\]: it has no <gearbox_reference_body>; give one"),
         ("<sdf version='1.9'><model name='m'><link name='l'><pose relative_to='f'/></link><frame name='f'><pose "
          "relative_to='l'/></frame></model></sdf>", "in a circle"),
-        ("<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='planar'><parent link='a'/>"
-         "<child link='b'/></joint></robot>", "a joint of type 'planar' does not map"),
+        ("<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='curvilinear'><parent link='a'/>"
+         "<child link='b'/></joint></robot>", "a joint of type 'curvilinear' does not map"),
         ("<robot name='r'><link name='a'/><link name='b'/></robot>", "2 links without a parent"),
         ("<robot name='r'><link name='a'/><xacro:arm/></robot>", "expand it first"),
         (mjcf(before='<default class="top"/>'), "its name is main"),

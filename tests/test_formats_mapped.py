@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles.linkages import by_mujoco, moving
+from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu.cli import main
@@ -21,6 +22,18 @@ ARM = """<mujoco><compiler angle="radian"{compiler}/><option><flag contact="disa
 """A chain of two hinges and a slide."""
 
 TENDON = '<tendon><fixed name="t"{}><joint joint="jb" coef="2"/><joint joint="jc" coef="-3"/></fixed></tendon>'
+
+
+REPLICAS = """<mujoco><compiler eulerseq="ZYx"/><option><flag contact="disable"/></option><worldbody>
+<replicate count="3" offset="0.1 0.02 0" euler="20 5 3" sep="_"><body name="a" pos="0.2 0 0">
+<joint name="ja" axis="0 1 0" armature="0.02"/><geom type="box" size="0.1 0.02 0.03" pos="0.1 0 0"/>
+<replicate count="2" offset="0 0.05 0" euler="0 10 0"><body name="b" pos="0.2 0 0.01"><joint name="jb" axis="0 1 0.2"/>
+<geom size="0.04" pos="0.1 0 0.02"/></body></replicate></body></replicate>
+<body name="w" pos="1 0 0"><joint name="jw" axis="1 0 0"/><geom size="0.1" pos="0 0.1 0"/></body></worldbody>
+<tendon><fixed name="t" stiffness="3"><joint joint="jb" coef="2"/></fixed>
+<fixed name="u" damping="3"><joint joint="jb0_2" coef="1"/><joint joint="jw" coef="2"/></fixed></tendon>
+<actuator><motor joint="ja" name="m"/></actuator></mujoco>"""
+"""Replicas in replicas, with tendons and actuators that name them before and after they are numbered."""
 
 
 def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
@@ -48,6 +61,7 @@ def arm(compiler: str = "", a: str = "", b: str = "", after: str = "") -> str:
         (arm(b=' range="-0.3 1.1"', after='<actuator><position joint="jb" inheritrange="0.9"/></actuator>'), ""),
         (arm(after=TENDON.format("") + '<equality><tendon tendon1="t" polycoef="0.1"/></equality>'), "coupled"),
         (arm(after='<equality><weld body1="a" body2="c" torquescale="0" anchor="0.1 0 0"/></equality>'), "connect"),
+        (REPLICAS, ""),
     ],
 )  # fmt: skip
 def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
@@ -307,6 +321,20 @@ def test_shapes_give_inertia_in_sdf(tmp_path: Path):
     np.testing.assert_allclose(body.inertia, mass / 12 * np.array([0.4, 0.2, 0.52]), rtol=1e-13)
 
 
+def test_shapes_without_an_inertia_matter_only_where_they_move(tmp_path: Path):
+    path = tmp_path / "m.sdf"
+    mesh = "<collision name='c'><geometry><mesh><uri>a.stl</uri></mesh></geometry></collision>"
+    base = f"<link name='base'><inertial auto='true'/>{mesh}</link>"
+    held = "<joint name='held' type='fixed'><parent>world</parent><child>base</child></joint>"
+    path.write_text(sdf(base + held + LINK.format("l", "") + HINGE.format("h", "base", "l")))
+    found = alfmu.imported(path)
+    assert any("these shapes of fixed bodies have no mass here" in note for note in found.notes)
+    assert len(found.mechanism.coordinates) == 1
+    path.write_text(sdf(base + HINGE.format("h", "world", "base")))
+    with pytest.raises(alfmu.InputError, match="this shape gives no inertia here"):
+        alfmu.imported(path)
+
+
 BAR = "<inertial><origin xyz='0.1 0 0'/><mass value='1'/><inertia ixx='1e-3' iyy='1e-2' izz='1e-2'/></inertial>"
 URDF = "<robot name='r'><link name='base'/>{}{}</robot>"
 
@@ -447,6 +475,14 @@ def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Pa
     assert "limits of ball joints" in alfmu.imported(path).warnings[0]
 
 
+def test_limits_that_hold_a_joint_are_told(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    for width in (0.02, 1e-5):
+        path.write_text(arm(b=f' range="0 {width}"').replace('ref="0.4"', ""))
+        told = [note for note in alfmu.imported(path).notes if "limits hold nearly still" in note]
+        assert [note[-15:] for note in told] == ["re (line 3, jb)"] * (width < 0.01)
+
+
 def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "inner").mkdir()
     path = tmp_path / "inner" / "m.sdf"
@@ -464,6 +500,98 @@ def test_includes_that_lead_in_a_circle_or_out_are_refused(tmp_path: Path):
     (tmp_path / "n.sdf").write_text(f"<sdf version='1.9'>{INNER}</sdf>")
     path.write_text(sdf(LINK.format("l", "") + "<include><uri>../n.sdf</uri></include>"))
     assert len(alfmu.imported(path, folders="..").mechanism.coordinates) == 15
+
+
+def test_springs_and_friction_of_balls_are_left_out_on_request(tmp_path: Path):
+    """As defaults of all joints in files of exporters: a damper alone slows a sphere."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        "<mujoco><option gravity='0 0 0'/><default><joint frictionloss='0.5' stiffness='2' damping='0.1'/></default>"
+        "<worldbody><body name='b'><joint name='j' type='ball'/><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
+        "</body></worldbody></mujoco>"
+    )
+    with pytest.raises(alfmu.InputError, match=r"the spring of a ball joint .* leave=balls leaves it out"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="balls")
+    assert found.warnings == ("balls, left out by option (2 from line 1, j, j)",)
+    run = alfmu.simulate(found.mechanism, 1.0, 0.1, parameters={"start.j_e1_rate": 0.5})
+    np.testing.assert_allclose(run["b.angular_velocity.x"], np.exp(-0.1 * run.time), atol=1e-7)
+
+
+def test_replicas_name_what_is_wrong(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    for old, new, said in (
+        ('count="3"', 'count="0"', "count is 0; give a number from 1 to"),
+        ('count="3"', 'count="1000000"', r"count is 1e\+06"),
+        ('count="2"', 'count="1.5"', r"count is 1\.5; give a number from 1 to"),
+        ('sep="_"', 'sep="_" pos="1 0 0"', "does not know pos of <replicate>"),
+        ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
+    ):
+        path.write_text(REPLICAS.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
+    """Bodies on the ground by a screw, a planar, a universal and a ball joint, each with a damper."""
+    m, inertia, arm, d, p = 0.7, 0.02, 0.3, 0.4, 0.05 / (2 * np.pi)
+    link = "<link name='{0}'><inertial><origin xyz='0 0 {1}'/><mass value='0.7'/><inertia {2}/></inertial></link>"
+    moments = "ixx='0.02' iyy='0.02' izz='0.02'"
+    joint = "<{0} name='{1}' type='{2}'><parent link='base'/><child link='{3}'/>{4}</{0}>"
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'><link name='base'/>"
+        + "".join(link.format(name, -arm if name == "b" else 0, moments) for name in "abcd")
+        + joint.format("drake:joint", "s", "screw", "a", "<axis xyz='0 0 1'/><dynamics damping='0.4'/>"
+                       "<drake:screw_thread_pitch value='0.05'/>")
+        + joint.format("drake:joint", "u", "universal", "b", "<dynamics damping='0.4'/>")
+        + joint.format("joint", "p", "planar", "c", "<axis xyz='0 2 0'/><dynamics damping='0.3 0.3 0.4'/>")
+        + joint.format("drake:joint", "o", "ball", "d", "<dynamics damping='0.4'/>")
+        + "</robot>"
+    )  # fmt: skip
+    mechanism = alfmu.imported(path).mechanism
+    given = {"start.u_angle1": 0.6, "start.p_angle_angle_rate": 2.0, "start.o_e1_rate": 1.0}
+    run = alfmu.simulate(mechanism, 0.5, 0.1, parameters=given | {"solver.relative_tolerance": 1e-11})
+    t = run.time
+    carried = inertia + m * p**2
+    screw = -m * 9.81 * p / d * (t - carried / d * (1 - np.exp(-d * t / carried)))
+    np.testing.assert_allclose(run["a.z"], p * screw, atol=1e-10)
+    fall = -m * 9.81 / 0.3 * (t - m / 0.3 * (1 - np.exp(-0.3 * t / m)))
+    np.testing.assert_allclose(run["c.z"], fall, atol=1e-10)
+    np.testing.assert_allclose(run["c.angular_velocity.y"], 2 * np.exp(-d * t / inertia), atol=1e-9)
+    np.testing.assert_allclose(run["d.angular_velocity.x"], 2 * np.exp(-d * t / inertia), atol=1e-9)
+
+    def pendulum(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], -(m * 9.81 * arm * np.sin(y[0]) + d * y[1]) / (inertia + m * arm**2)]
+
+    swings = solve_ivp(pendulum, (0, 0.5), [0.6, 0.0], "DOP853", t, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(run["u.angle1"], swings, atol=1e-9)
+    np.testing.assert_allclose(run["u.angle2"], 0, atol=1e-12)
+    turned = alfmu.simulate(mechanism, 0.5, 0.1, parameters={"start.u_angle2": 0.6, "solver.relative_tolerance": 1e-11})
+    np.testing.assert_allclose(turned["u.angle2"], swings, atol=1e-9)
+    text = path.read_text()
+    for old, new, said in (
+        ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0.3 0.2 0.4'/>", "damping differs along x and y"),
+        ("<drake:screw_thread_pitch value='0.05'/>", "", "it has no <drake:screw_thread_pitch>"),
+        ("type='ball'", "type='revolute'", "a joint of type 'revolute' does not map"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match="has no option 'folders'; URDF takes base, loops"):
+        alfmu.imported(path, folders=".")
+
+
+def test_messages_at_run_time_name_the_line_of_the_file(tmp_path: Path):
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'>\n<link name='base'/>\n<link name='l'/>\n<link name='k'/><joint name='j' type='continuous'>"
+        "<parent link='base'/><child link='l'/><axis xyz='0 0 1'/></joint><joint name='f' type='fixed'>"
+        "<parent link='l'/><child link='k'/><origin xyz='0.1 0 0'/></joint></robot>"
+    )
+    with pytest.raises(alfmu.AlfmuError, match=r"no mass and no constraint .* it moves k \(.*r\.urdf, line 4\)"):
+        alfmu.simulate(alfmu.imported(path).mechanism, 0.1)
 
 
 def test_what_exporters_write_is_read_over(tmp_path: Path):

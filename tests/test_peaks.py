@@ -188,6 +188,20 @@ def test_they_are_asked_for_by_name_alone():
         alfmu.simulate(pendulum(), 0.1, 0.1, outputs=ASKED, kernel="oracle")
 
 
+def test_sweeps_keep_those_that_are_asked_for():
+    """The pendulum falls through its lowest position within the only step: the peak of its speed is there."""
+    kept = ["max(bar.v?.peak)", "final(bar.vx)"]
+    swept = alfmu.sweep(pendulum(), {"start.th": [-0.4, 0.3]}, stop_time=0.4, communication_step=0.4, keep=kept)
+    for k, angle in enumerate((-0.4, 0.3)):
+        run = alfmu.simulate(pendulum(), 0.4, 0.4, parameters={"start.th": angle}, outputs=["bar.v?.peak"])
+        for name in ("bar.vx.peak", "bar.vy.peak"):
+            assert swept[f"max({name})"][k] == run[name].max()
+        assert swept["final(bar.vx)"][k] == run["bar.vx"][-1]
+    assert "max(bar.vx.peak)" not in alfmu.sweep(pendulum(), {"start.th": [0.1]}, stop_time=0.1).units
+    with pytest.raises(alfmu.InputError, match=r"has no output 'A.moment.peak'"):
+        alfmu.sweep(pendulum(), {"start.th": [0.1]}, keep=["max(A.moment.peak)"])
+
+
 def watt() -> Mechanism:
     """Watt's linkage with a load at the middle of its coupler, which falls from 0.2 rad and passes a dead centre."""
     m = Mechanism("watt")

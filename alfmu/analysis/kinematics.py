@@ -579,7 +579,8 @@ class Kinematics:
         """Return the efforts of the actuators [N.m or N] at a position for rates and accelerations of their joints.
 
         Rates and accelerations are zero by default, so that efforts compensate gravity and springs. Loads, springs,
-        dampers and inputs act as declared. Dry friction, and drives and motions of the actuated joints, are left out.
+        dampers and inputs act as declared, and end stops that the position violates (`position.beyond`). Dry friction,
+        and drives and motions of the actuated joints, are left out.
         Redundant actuators share the load with the least norm of moments and forces times `size`. Raises InputError at
         a singular position.
         """
@@ -684,7 +685,8 @@ class Kinematics:
             tau = self.efforts(position, *motion) if held else {}
             data.append(_plain(position) | {"efforts": tau, "singular": seen.singular, "transmission": _plain(seen)})
             lines += [", ".join(f"{k} = {plain(x, units[k])}" for k, x in position.actuated.items())]
-            lines += [f"beyond {name} by {x:.4g}" for name, x in position.beyond.items()]
+            pushed = ", which pushes against the efforts" * held
+            lines += [f"beyond {name} by {x:.4g}{pushed}" for name, x in position.beyond.items()]
             lines += [f"  {k} = {position.values[k] + 0.0:.6g} {units[k]}" for k in watched]
             texts = (f"{k} {x + 0.0:.6g} {EFFORTS.get(units[k], '1')}" for k, x in tau.items())
             lines += [*seen.lines(), *["efforts: " + ", ".join(texts)] * held]

@@ -176,10 +176,14 @@ class _Declaring:
 
     @contextmanager
     def _of(self, node: Node) -> Iterator[None]:
+        """Declare parts of the mechanism for an element of the file, which messages then name."""
+        lines = self.script.mechanism._lines
+        count = len(lines)
         try:
             yield
         except DeclarationError as error:
             raise InputError(f"{node.where}: {error}") from error
+        lines |= dict.fromkeys(list(lines)[count:], (str(node.file), node.line))
 
     def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
         """Return an unused name: the wanted one, with `otherwise` appended, or with a number."""
@@ -375,6 +379,9 @@ class _Declaring:
             inside = "" if self.linkage.inside else "; --option limits=inside starts within them"
             self.linkage.warn(f"limits that the start exceeds{inside}", node)
         elif given:
+            if limits[1] - limits[0] < onset:
+                what = "joints that their limits hold nearly still, so that runs take long; make them fixed in the file"
+                self.linkage.note(f"{what}, or leave limits out by --option limits=ignore", node)
             self.script.do(
                 "end_stop", self._name(name, "stop", (".penetration",)), of, **given, stiffness=stiffness, onset=onset,
                 restitution=_RESTITUTION, creep=_CREEP, unit=unit,

@@ -20,7 +20,7 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Constraint, Friction, Rigidity, key_of, stack, symbolic
 from ..model.relations import Pair, Rack
 from ..model.spatial import SpatialJoint
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, rank
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Tendon, rank
 from .markup import Node
 from .poses import Array, Pose, cleaned, quaternion, vector
 from .solids import Inertial
@@ -28,11 +28,15 @@ from .solids import Inertial
 __all__ = ["Form", "described"]
 
 
+_SAME = 1e-12
+"""Relative difference [1] up to which factors of sums, and efforts of springs, are equal."""
+
+
 @dataclass(frozen=True)
 class Form:
     """The abilities of a format: joint kinds that can close a loop, and whether it has springs; if `full`, it also has
-    scaled and constant efforts, inertia of motors, dampers of balls, and couplings that are polynomials or of more than
-    two joints."""
+    scaled and constant efforts, inertia of motors, dampers of balls, springs, dampers and limits along sums of
+    coordinates, and couplings that are polynomials or of more than two joints."""
 
     name: str
     closures: Collection[str]
@@ -62,6 +66,28 @@ class _Limited:
     terms: Mapping[tuple[str, Any], float] = field(default_factory=dict)
 
 
+@dataclass(eq=False)
+class _Pull:
+    """An actuator whose effort depends on its input and on displacements and rates of several joints."""
+
+    control: _Limited
+    limits: tuple[float, float]
+    terms: Mapping[tuple[str, Any], float]
+    gain: float = 1.0
+    along: list[tuple[Joint, float]] = field(default_factory=list)
+    """Joints, and their efforts over that of the actuator."""
+
+    def is_like(self, other: _Pull) -> bool:
+        """Whether both are one actuator."""
+        keys = {*self.terms, *other.terms}
+        apart = max((abs(self.terms.get(k, 0.0) - other.terms.get(k, 0.0)) for k in keys), default=0.0)
+        alike = [(x.control.name, x.control.limits, x.limits, x.gain) for x in (self, other)]
+        return alike[0] == alike[1] and apart <= _SAME * max(map(abs, self.terms.values()), default=0.0)
+
+
+_NO_SUM = "its effort is not a sum of inputs, its displacement and its rate"
+
+
 def described(mechanism: Mechanism, numbers: Sequence[Mapping[str, float]], constraints: Array, form: Form) -> Linkage:
     """Return a mechanism as a linkage; its causes name everything that the format cannot represent.
 
@@ -89,6 +115,7 @@ class _Describing:
         self.known: dict[int | None, tuple[ca.SX, ca.SX]] = {}
         """Expressions, each with its form without limits, by the key of the expression."""
         self.coupled: set[Joint] = set()
+        self.pulls: list[_Pull] = []
         self.edges: list[_Edge] = []
         grounds = (mechanism.ground, mechanism.spatial_ground)
         self.poses: dict[Any, Pose] = dict.fromkeys(grounds, Pose())
@@ -249,9 +276,15 @@ class _Describing:
             k, d, rest = self.constant(joint.name, "spring", spring.stiffness, spring.damping, spring.rest)
             self._spring(joint, k, d, k * rest)
         for stop in m.end_stops:
-            joint = self._motion(stop.of, "an end stop")
             ends = (-1e16 if stop.lower is None else stop.lower, 1e16 if stop.upper is None else stop.upper)
             low, high = self.constant(stop.name, "limit", *ends)
+            terms = self._linear(stop.of) if self.form.full and isinstance(stop.of, ca.SX) else None
+            if terms and all(kind == "q" or not size for (kind, _), size in terms.items()):
+                along = tuple((joint, size) for (kind, joint), size in terms.items() if kind == "q")
+                self._along_sum(stop.name, Tendon(stop.name, self.node, along, limits=(low, high)))
+                self.linkage.warn("stiffness and damping of end stops", self.node)
+                continue
+            joint = self._motion(stop.of, "an end stop")
             old = joint.limits[0] if joint.limits else (low, high)
             joint.limits = ((max(low, old[0]), min(high, old[1])),)
             self.linkage.warn("stiffness and damping of end stops", self.node)
@@ -266,37 +299,110 @@ class _Describing:
         self._rated()
         for joint in dict.fromkeys(joint for joint, _ in given):
             self._drive(joint, self.fixed(sum((effort for moved, effort in given if moved is joint), ca.SX(0))))
+        self._pulled()
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
 
     def _rated(self) -> None:
-        """Convert kinetic energies of rates to motor inertia, and forces along Euler parameters to dampers."""
+        """Convert quadratic energies and linear dampers, of joints, of sums of their coordinates, and of balls."""
         balls: dict[tuple[Joint, str], dict[int | None, float]] = {}
-        for along, given in (*((None, x) for x in (*self.m.potential, *self.m.kinetic)), *self.m.generalized):
+        dampers: dict[tuple[Any, Any], float] = {}
+        for given in self.m.potential:
+            self._energy(given, "q")
+        forces: list[tuple[Any, Any]] = [*((None, x) for x in self.m.kinetic), *self.m.generalized]
+        for along, given in forces:
             x = self.fixed(given)
             v = (ca.symvar(x) or [ca.SX.sym("none")])[0]
+            kind, joint = self.along.get(key_of(v), ("", None))
+            if kind != "w" and along is None:
+                self._energy(given, "v")
+                continue
+            terms = self._linear(x) or {("", None): 1.0}
+            moved, ball = self.along.get(key_of(along), ("", None)) if along is not None else ("e", joint)
+            if moved == "q" and all(key[0] == "v" or not factor for key, factor in terms.items()):
+                for (_, other), factor in terms.items():
+                    dampers[ball, other] = dampers.get((ball, other), 0.0) - factor
+                continue
             slopes = [x, ca.gradient(x, v)]
             slopes += [ca.gradient(slopes[1], v)] if along is None else []
             size, rests = slopes.pop(), all(ca.substitute(each, v, 0).is_zero() for each in slopes)
-            kind, joint = self.along.get(key_of(v), ("", None))
-            own = kind in ("v", "w") if along is None else kind == "w" and key_of(self.m.rate(along)) == key_of(v)
+            own = kind == "w" and (along is None or key_of(self.m.rate(along)) == key_of(v))
             if not (size.is_constant() and rests and own and (float(size) > 0) == (along is None)):
-                what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
-                self.refuse(str(given)[:60], what)
-            elif kind == "v":
-                joint.armature += float(size)
-            else:
-                shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
-                shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
+                self._refuse_force(given)
+                continue
+            shares = balls.setdefault((joint, "armature" if along is None else "damping"), {})
+            shares[key_of(v)] = shares.get(key_of(v), 0.0) + abs(float(size)) / 4
         for (ball, what), shares in balls.items():
             if len(shares) < 4 or len(set(shares.values())) > 1:
                 self.refuse(ball.name, f"its {what} differs about its axes")
             value = next(iter(shares.values()))
             setattr(ball, what, value if what == "armature" else (value,))
+        self._damped({key: size for key, size in dampers.items() if key[1] is not None})
         every = [joint for edge in self.edges for joint in edge.joints]
         for joint in (x for x in every if not self.form.full and (x.armature or (not x.axes and x.damping[0]))):
             self.refuse(joint.name, f"{self.form.name} holds no inertia of motors, and no dampers of balls")
+
+    def _refuse_force(self, given: Any) -> None:
+        what = f"this energy or force is an expression; {self.form.name} holds those of bodies and joints"
+        self.refuse(str(given)[:60], what)
+
+    def _energy(self, given: Any, kind: str) -> None:
+        """Convert a quadratic energy of displacements ("q") to springs, of rates ("v") to inertia of motors."""
+        x = self._unlimited(self.fixed(given))
+        if not (symbols := ca.symvar(x)):
+            return
+        at = stack(symbols)
+        keys = [self.along.get(key_of(each), ("", None)) for each in symbols]
+        curved, slope = ca.hessian(x, at)
+        squares = _squares(np.array(ca.DM(curved))) if curved.is_constant() else None
+        slack = next((of for which, of in keys if which == "l"), None)
+        if squares is None or any(which not in (kind, "l") for which, _ in keys):
+            self._refuse_force(given)
+            return
+        pull = np.array(ca.DM(ca.substitute(slope, at, 0 * at))).ravel()
+        whole = np.array([size * factors for size, factors in squares]).reshape(-1, len(keys)).T
+        rests = np.linalg.lstsq(whole, -pull, rcond=None)[0]
+        if np.abs(whole @ rests + pull).max() > _SAME * np.abs(pull).max() or (kind == "v" and pull.any()):
+            self._refuse_force(given)
+            return
+        for (size, factors), rest in zip(squares, rests.tolist(), strict=True):
+            terms = {key: factor for key, factor in zip(keys, factors.tolist(), strict=True) if factor}
+            ends = (rest, rest)
+            if slack is not None:  # a spring along a sum less the same sum within limits
+                share = -terms.pop(("l", slack), 0.0)
+                both = {*terms, *slack.terms}
+                apart = [terms.get(key, 0.0) - share * slack.terms.get(key, 0.0) for key in both]
+                if len(squares) > 1 or not share or kind == "v" or np.abs(apart).max() > _SAME or pull.any():
+                    self._refuse_force(given)
+                    return
+                size, ends, terms = size * share**2, slack.limits, {k: f for k, f in slack.terms.items() if f}
+            along = [(joint, factor) for (_, joint), factor in terms.items()]
+            which = {"stiffness": size, "rest": ends} if kind == "q" else {"armature": size}
+            self._along_sum(given, Tendon(self.fresh("tendon"), self.node, tuple(along), **which))
+
+    def _damped(self, dampers: Mapping[tuple[Any, Any], float]) -> None:
+        """Convert forces of dampers along joints, per rates of joints."""
+        joints = list(dict.fromkeys(joint for pair in dampers for joint in pair))
+        squares = _squares(np.array([[dampers.get((one, two), 0.0) for two in joints] for one in joints]))
+        if squares is None:
+            self.refuse(joints[0].name, "forces by rates act along it that no dampers of joints or of their sums have")
+        for size, factors in squares or ():
+            along = tuple((joint, x) for joint, x in zip(joints, factors.tolist(), strict=True) if x)
+            self._along_sum("dampers", Tendon(self.fresh("tendon"), self.node, along, damping=size))
+
+    def _along_sum(self, given: Any, tendon: Tendon) -> None:
+        """Add a spring, a damper, motor inertia or limits along a joint, or along a sum of coordinates."""
+        (joint, factor), low, high = tendon.along[0], *tendon.rest
+        if len(tendon.along) == 1 and low == high and not tendon.limits:
+            k, d = tendon.stiffness * factor**2, tendon.damping * factor**2
+            joint.armature += tendon.armature * factor**2
+            self._spring(joint, k, d, k * low / factor)
+        elif self.form.full:
+            self.linkage.tendons.append(tendon)
+            self.coupled |= {joint for joint, _ in tendon.along}
+        else:
+            self._refuse_force(given)
 
     def _spring(self, joint: Joint, k: float, d: float, pull: float) -> None:
         """Add a stiffness, a damping and an effort at zero to those of a joint."""
@@ -328,7 +434,8 @@ class _Describing:
         terms = self._linear(self._unlimited(effort))
         inside = [key for kind, given in terms or () for key in (given.terms if kind == "l" else [(kind, given)])]
         if terms is None or any(key not in own and key[0] != "u" for key in inside):
-            self.refuse(joint.name, "its effort is not a sum of inputs, its displacement and its rate")
+            if not (self.form.full and self._pulls(joint, terms or {})):
+                self.refuse(joint.name, _NO_SUM)
             return
         bias, k, d = (terms.pop(key, 0.0) for key in own)
         for (kind, given), gain in terms.items():
@@ -345,6 +452,44 @@ class _Describing:
             for (_, control), factor in inner.items():
                 self._motor(joint, control, factor, feedback, force)
         self._spring(joint, -k, -d, bias)
+
+    def _pulls(self, joint: Joint, terms: Mapping[tuple[str, Any], float]) -> bool:
+        """Keep an effort by one input and other joints, as of an actuator along a sum; return whether it is one."""
+        inner = {key: size for key, size in terms.items() if size}
+        first: tuple[tuple[str, Any], float] = next(iter(inner.items()), (("", None), 0.0))
+        (kind, given), share = first
+        controls = [(of, size) for (which, of), size in inner.items() if which == "u"]
+        limits = (-math.inf, math.inf)
+        if kind == "l" and len(inner) == 1:
+            inner, limits = {key: size for key, size in given.terms.items() if size}, given.limits
+            controls = [(of, size) for (which, of), size in inner.items() if which == "u"]
+        elif controls:
+            share = controls[0][1]
+            inner = {key: size / share for key, size in inner.items()}
+        if len(controls) != 1 or any(which not in ("u", "q", "v", "1") for which, _ in inner):
+            return False
+        found = _Pull(controls[0][0], limits, {k: x for k, x in inner.items() if k[0] != "u"})
+        found.gain = next(x for (which, _), x in inner.items() if which == "u")
+        same = next((each for each in self.pulls if each.is_like(found)), found)
+        self.pulls += [found] * (same is found)
+        same.along.append((joint, share))
+        return True
+
+    def _pulled(self) -> None:
+        """Convert efforts of actuators along sums of coordinates; their feedback must be that of these sums."""
+        for pull in self.pulls:
+            slopes = [[pull.terms.get((kind, joint), 0.0) / share for joint, share in pull.along] for kind in "qv"]
+            others = {joint for (kind, joint) in pull.terms if kind != "1"} - {joint for joint, _ in pull.along}
+            taken = pull.control.name in (motor.name for motor in self.linkage.motors)
+            if others or taken or any(np.ptp(x) > _SAME * np.abs(x).max() for x in slopes):
+                self.refuse(pull.along[0][0].name, _NO_SUM)
+                continue
+            bias = pull.terms.get(("1", None), 0.0), slopes[0][0], slopes[1][0]
+            control = None if pull.control.limits == (-math.inf, math.inf) else pull.control.limits
+            force = None if pull.limits == (-math.inf, math.inf) else pull.limits
+            along, name, start = tuple(pull.along), pull.control.name, pull.control.start
+            motor = Motor(name, self.node, along, "", 1.0, pull.gain, bias, 0.0, 0.0, control, force, start)
+            self.linkage.motors.append(motor)
 
     def _unlimited(self, x: ca.SX) -> ca.SX:
         """Return an expression in which a new symbol replaces each limited input and each limited linear part."""
@@ -538,9 +683,12 @@ class _Describing:
             children = [each for each in links if each.parent is link]
             closed = any(x[0] is link for c in self.linkage.closures for x in (c.first, c.second))
             free = any(joint.kind == "free" for joint in link.joints)
-            needed = bool(link.joints) and (closed or len(children) != 1 or free)
-            if link.inertial.mass or link.inertial.inertia.any() or needed:
+            needed = bool(link.joints) and (closed or len(children) != 1 or free or link.inertial.inertia.any())
+            if link.inertial.mass or needed:
                 continue
+            if link.parent is not None and link.inertial.inertia.any():  # welded: its parent has its inertia, too
+                turn, x = link.pose.turn, link.parent.inertial
+                link.parent.inertial = replace(x, inertia=x.inertia + turn @ link.inertial.inertia @ turn.T)
             for child in children:
                 for joint in link.joints:
                     joint.seen_from(child.pose, 1.0)
@@ -558,3 +706,15 @@ class _Describing:
             waiting += [each for each in links if each.parent is link][::-1]
             link.pose = Pose(cleaned(link.pose.place), link.pose.turn)
         self.linkage.links = found
+
+
+def _squares(matrix: Array) -> list[tuple[float, Array]] | None:
+    """Return sizes and factors of sums whose squares make up a symmetric matrix, by Cholesky's method with pivots; None
+    if they would not all be positive."""
+    found, left, tiny = list[tuple[float, Array]](), matrix, _SAME * np.abs(matrix).max(initial=0.0)
+    while left.size and left.diagonal().max() > tiny:
+        i = int(left.diagonal().argmax())
+        size, factors = float(left[i, i]), left[i] / left[i, i]
+        found.append((size, np.where(np.abs(factors) > _SAME, factors, 0.0)))
+        left = left - size * np.outer(factors, factors)
+    return found if np.abs(left).max(initial=0.0) <= tiny else None

@@ -29,13 +29,13 @@ _NAMED = 4
 
 _COMMON = {
     "contacts": Literal["refuse", "leave"], "limits": Literal["stop", "inside", "ignore"],
-    "inertia": Literal["refuse", "mean"], "leave": str, "folders": str, "drives": str,
+    "inertia": Literal["refuse", "mean"], "leave": str, "drives": str,
 }  # fmt: skip
 """Options of all formats with their values; the first value is the default, or the empty text."""
 
 _OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "mujoco": ("MJCF", {"key": str} | _COMMON),
-    "sdf": ("SDF", {"model": str} | _COMMON),
+    "mujoco": ("MJCF", {"key": str, "folders": str} | _COMMON),
+    "sdf": ("SDF", {"model": str, "folders": str} | _COMMON),
     "robot": ("URDF", {"base": Literal["fixed", "floating"], "loops": str} | _COMMON),
 }
 """Formats by the first element of a file: name and options."""
@@ -70,9 +70,9 @@ def imported(path: str | Path, **options: Any) -> Imported:
     and slider); `limits`, whether limits of joints become end stops (`stop`, the default), within which joints
     start (`inside`), or are ignored (`ignore`); `contacts="leave"` leaves contacts out; `inertia="mean"` replaces
     moments of inertia that no body has by their mean; `leave`, kinds of other elements to leave out, although they
-    affect the motion; `folders` with included files, beside that of the file. MJCF: `key`, the keyframe at the start.
-    SDF: `model`, one of several. URDF: `base`, fixed (default) or floating; `loops`, a file of loops beside it. Raises
-    InputError with file, line and element of all that cannot be mapped.
+    affect the motion. MJCF: `key`, the keyframe at the start. SDF: `model`, one of several. Both: `folders` with
+    included files and meshes, beside that of the file. URDF: `base`, fixed (default) or floating; `loops`, a file of
+    loops beside it. Raises InputError with file, line and element of all that cannot be mapped.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -121,13 +121,14 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
         if (known := get_args(takes[name])) and value not in known:
             raise InputError(f"{path}: option {name} is {shown(value)}; give {' or '.join(known)}")
-    folders = [(path.parent / each).resolve() for each in given.pop("folders").split(os.pathsep) if each]
+    if "folders" in given:
+        given["folders"] = [(path.parent / each).resolve() for each in given["folders"].split(os.pathsep) if each]
     leaves = [each.strip() for each in given.pop("leave").split(",") if each.strip()]
     if unknown := [each for each in leaves if each not in LEAVES]:
         raise InputError(f"{path}: option leave is {shown(unknown[0])}; alfmu can leave out {', '.join(LEAVES)}")
     limits, drives, inertia = (given.pop(each) for each in ("limits", "drives", "inertia"))
     readers: dict[str, Callable[..., Any]] = {"mujoco": mjcf.File, "sdf": sdf.File, "robot": urdf.File}
-    linkage: Linkage = readers[root.tag](root, **given, leaves=leaves, folders=folders).linkage
+    linkage: Linkage = readers[root.tag](root, **given, leaves=leaves).linkage
     linkage.stops, linkage.inside = limits != "ignore", limits == "inside"
     if not linkage.stops and linkage.limited:
         linkage.warn("limits of joints", *linkage.limited)

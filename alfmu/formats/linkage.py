@@ -20,14 +20,15 @@ from .markup import Node, UnknownName, known
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
 
-__all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon"]
+__all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon", "moving"]
 
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
-"""Kinds of elements that a user may leave out although they affect the motion; `free`: resistance in free joints;
-`gaps`: directions of loops that other joints suppress already, but where points are apart."""
+LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
+"""Kinds of elements that a user may leave out although they affect the motion; `balls`: springs and friction in ball
+joints; `free`: resistance in free joints; `gaps`: directions of loops that other joints suppress already, but where
+points are apart."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -119,6 +120,13 @@ class Link:
                 return Pose(np.array(values[joint][:3]), of_quaternion(values[joint][3:])) if joint in values else pose
             pose = pose @ joint.moved(values.get(joint, joint.zero))
         return pose
+
+
+def moving(link: Link | None) -> Link | None:
+    """Return the link itself or, if it has no joints, the moving link that carries it; None for the world."""
+    while link is not None and not link.joints:
+        link = link.parent
+    return link
 
 
 def rank(matrix: Array) -> int:
@@ -239,6 +247,8 @@ class Linkage:
     warned: dict[str, list[Node]] = field(default_factory=dict)
     """Ignored elements that may affect the motion, by kind."""
 
+    doubts: list[tuple[Link, Node, InputError]] = field(default_factory=list)
+    """Shapes with an unknown inertia, which is an error only if their link moves."""
     posed: bool = False
     """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
@@ -287,7 +297,13 @@ class Linkage:
         self.causes.append(f"{self.name}: {part}: {why}")
 
     def weigh(self) -> None:
-        """Replace moments of inertia that no body has by their mean, or refuse them; then tune springs by inertia."""
+        """Refuse unknown inertias of moving links; refuse moments of inertia that no body has, or replace them by their
+        mean; tune springs by inertia."""
+        for link, node, doubt in self.doubts:
+            if moving(link) is None:
+                self.note("these shapes of fixed bodies have no mass here, as it is not known", node)
+            elif str(doubt) not in self.causes:
+                self.causes.append(str(doubt))
         for link in self.links:
             moments = np.linalg.eigvalsh(link.inertial.inertia)
             tiny = 1e-12 * np.abs(moments).max()

@@ -17,10 +17,11 @@ import numpy as np
 from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, moving, place
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
+from .replicas import replicated
 from .solids import Inertial
 
 __all__ = ["File"]
@@ -65,7 +66,7 @@ _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN
 _FLAGS = {
     "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
     "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
-    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
+    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sensornoise", "sleep", "spring", "warmstart",
 }  # fmt: skip
 
 
@@ -126,8 +127,6 @@ class File:
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.masses: dict[Link, list[Inertial]] = {}
         """Inertias that geoms contribute to bodies."""
-        self.doubts: list[tuple[Link, Node, InputError]] = []
-        """Geoms with an unknown inertia, which is an error only if their body moves."""
         self.soft: tuple[str, ...] = ()
         """Prefixes of the names of bodies that belong to flexible bodies."""
         self.tendons: dict[str, Sum | None] = {}
@@ -137,14 +136,13 @@ class File:
         every(root.all("option"), self._option)
         self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         every(root.all("default"), self._default)
+        with self.linkage.trying():
+            replicated(root, self._euler)
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
-        for link, node, doubt in self.doubts:
-            if _moving(link) is not None or self.settings.total:
-                self.linkage.causes.append(str(doubt))
-            else:
-                self.linkage.note("these shapes of fixed bodies have no mass here, as it is not known", node)
+        if self.settings.total:
+            self.linkage.causes += [str(doubt) for _, _, doubt in self.linkage.doubts]
         self._balanced()
         every(self._parts("tendon"), self._tendon)
         if self.settings.off & {"equality", "constraint"}:
@@ -356,10 +354,13 @@ class File:
         turn = self._turn(given, ways[0]) if ways else np.eye(3)
         return Pose(vector(given.numbers("pos", 3, (0.0, 0.0, 0.0))), turn)
 
+    def _euler(self, angles: Sequence[float]) -> Array:
+        return turned(self.settings.euler, [self.settings.angle(a) for a in angles])
+
     def _turn(self, given: Reading, how: str) -> Array:
         x = vector(given.numbers(how, _ATTITUDES[how]))
         if how == "euler":
-            return turned(self.settings.euler, [self.settings.angle(a) for a in x])
+            return self._euler(x.tolist())
         if (not np.linalg.norm(x[:3]) > 0 and how != "quat") or not np.linalg.norm(x) > 0:
             given.fail(how, f"{how} has no direction")
         if how == "quat":
@@ -422,12 +423,13 @@ class File:
                     what = f"{each} of a free joint does not map; use <freejoint/>, or three slides and a ball"
                     self.linkage.without("free", node, what)
         if kind == "ball" and stiffness:
-            given.fail("stiffness", "the spring of a ball joint does not map; use three hinges")
+            self.linkage.without("balls", node, "the spring of a ball joint does not map; use three hinges")
+            joint.stiffness = (0.0,)
         loss = given.positive("frictionloss", 0.0)
         if loss and scalar and not self.settings.off & {"frictionloss", "constraint"}:
             joint.friction = (loss,)
         elif loss and kind == "ball":
-            given.fail("frictionloss", "frictionloss of a ball joint does not map; use three hinges")
+            self.linkage.without("balls", node, "frictionloss of a ball joint does not map; use three hinges")
         given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
         given.refuse({"align": "it moves frames, not bodies; leave it out"})
         joint.effort = self._range(given, "actuatorfrc")
@@ -493,7 +495,7 @@ class File:
                 found = solids.placed(solid, density * solid.volume if mass is None else mass, frame @ at)
             self.masses.setdefault(link, []).append(found)
         except InputError as error:
-            self.doubts.append((link, node, error))
+            self.linkage.doubts.append((link, node, error))
 
     def _mesh(self, geom: Reading, shell: bool) -> Inertial:
         """Return the inertia of the mesh of a geom, of unit density."""
@@ -722,11 +724,11 @@ class File:
         excluded = {frozenset((each.text("body1"), each.text("body2"))) for each in excludes}
         for i, (one, node, type1, affinity1) in enumerate(self.geoms):
             for two, other, type2, affinity2 in self.geoms[:i]:
-                a, b = _moving(one), _moving(two)
+                a, b = moving(one), moving(two)
                 if a is b or not (type1 & affinity2 or type2 & affinity1):
                     continue
                 # MuJoCo ignores contacts of a body with its parent, unless that is the world.
-                related = a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a)
+                related = a is not None and b is not None and (moving(a.parent) is b or moving(b.parent) is a)
                 if related and "filterparent" not in self.settings.off:
                     continue
                 names = [link.name if link is not None else "world" for link in (two, one)]
@@ -778,10 +780,3 @@ def _over(inherited: Inherited, node: Node) -> Inherited:
 _CONTACTS = (
     'set <flag contact="disable"/> in <option>, exclude the pair, or leave contacts out with --option contacts=leave'
 )
-
-
-def _moving(link: Link | None) -> Link | None:
-    """Return the link itself or, if it has no joints, the moving link that carries it; None for the world."""
-    while link is not None and not link.joints:
-        link = link.parent
-    return link

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage
@@ -318,9 +319,9 @@ class File:
         self.linkage.links.append(link)
         with self.linkage.trying(node):
             self._details(node)
-            link.inertial = self._inertial(node)
             if not Children(node).flag("gravity", True):
                 self.linkage.lifted[link] = 1.0
+            link.inertial = self._inertial(node, link)
         return link
 
     def _details(self, node: Node) -> None:
@@ -332,13 +333,18 @@ class File:
         if Children(node).flag("kinematic", False) or Children(node).flag("enable_wind", False):
             node.fail("a kinematic link, or one in the wind, does not map; leave <kinematic> and <enable_wind> out")
 
-    def _inertial(self, link: Node) -> Inertial:
+    def _inertial(self, link: Node, made: Link) -> Inertial:
         node = link.one("inertial")
         if node is None:
             self.linkage.note("links without <inertial> get 1 kg and 1 kg.m2, the defaults of SDF", link)
             return _UNIT
         if Reading(node).flag("auto", False):
-            return self._of_shapes(link, node)
+            try:
+                return self._of_shapes(link, node)
+            except InputError as error:
+                self.linkage.doubts.append((made, node, error))
+                node.take()
+                return _UNIT
         left = ("density", "auto_inertia_params", "fluid_added_mass")
         self.linkage.pass_over(node, dict.fromkeys(left, "settings of inertia that are not in force"))
         inertia = node.one("inertia") or node.add("inertia")

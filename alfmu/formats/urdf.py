@@ -24,15 +24,17 @@ __all__ = ["File"]
 
 _KINDS = {
     "revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free",
-    "ball": "spherical",
+    "ball": "spherical", "universal": "universal", "screw": "screw", "planar": "planar",
 }  # fmt: skip
+_OF_DRAKE = ("ball", "universal", "screw")
+"""Kinds of joints that only `<drake:joint>` has."""
 _LOOPS = {
     "revolute": "revolute", "continuous": "revolute", "spherical": "spherical", "ball": "spherical", "fixed": "weld",
     "prismatic": "prismatic",
 }  # fmt: skip
 _SECTIONS = {"material": "materials", "sensor": "sensors"} | {
     tag: f"settings for other programs (<{tag}>)"
-    for tag in ("mujoco", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
+    for tag in ("mujoco", "physics", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
 }
 _LEFT = {
     "visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors", "contact": "settings of contacts",
@@ -53,9 +55,8 @@ class File:
     """Reads a URDF file into `linkage`; see `imported` for the options."""
 
     def __init__(
-        self, root: Node, base: str = "fixed", loops: str = "", contacts: str = "refuse", leaves: Sequence[str] = (),
-        folders: Sequence[Path] = (),
-    ):  # fmt: skip
+        self, root: Node, base: str = "fixed", loops: str = "", contacts: str = "refuse", leaves: Sequence[str] = ()
+    ):
         given = Reading(root)
         self.linkage = Linkage(given.text("name", ""), "URDF", root, leaves=leaves)
         given.done([name for name in root.attributes if name.startswith("version")])
@@ -115,7 +116,8 @@ class File:
         if child.tag.startswith("xacro:"):
             child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
         if child.tag not in ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission"):
-            child.fail(f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions")
+            what = f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions"
+            self.linkage.skip("unknown", child, what)
 
     # The tree ---------------------------------------------------------------------------------------------------
 
@@ -203,15 +205,16 @@ class File:
         """Return the joint that places a link, with its mimic element."""
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
-        if kind not in _KINDS or (kind == "ball") != (node.tag == "drake:joint"):
+        if kind not in _KINDS or (kind in _OF_DRAKE) != (node.tag == "drake:joint"):
             node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
         left = {each: each for each in ("safety_controller", "calibration")}
-        if kind in ("floating", "ball"):
-            for child in node.all("mimic", *_RESISTING):
+        resisting = _RESISTING if kind in ("fixed", "floating") else ()
+        if kind in ("floating", "ball", "universal", "planar"):
+            for child in node.all("mimic", *resisting):
                 child.fail(f"<{child.tag}> of a {kind} joint does not map")
-        if kind in ("fixed", "floating", "ball"):
+        if kind in ("fixed", "floating", "ball", "universal"):
             why = "axes, limits and dynamics of joints of a type without an axis"
-            left |= dict.fromkeys(("axis", "limit", "mimic", *_RESISTING), why)
+            left |= dict.fromkeys(("axis", "limit", "mimic", *resisting), why)
         self.linkage.pass_over(node, left)
         if kind == "fixed":
             self.fixed.add(name)
@@ -225,18 +228,48 @@ class File:
             at = place(link.parent, {}, {}) @ link.pose
             link.parent, link.pose = None, at
             joint.start, joint.rates = (*at.place.tolist(), *quaternion(at.turn).tolist()), (0.0,) * 6
-        elif kind == "ball":
-            joint.start, joint.rates = joint.zero, (0.0,) * 3
+        elif kind in ("ball", "universal"):
+            joint.start, joint.rates = joint.zero, (0.0,) * (3 if kind == "ball" else 2)
+            if kind == "universal":
+                joint.axes = vector(_AXES["X"]), vector(_AXES["Y"])
+                joint.stiffness = joint.rest = (0.0, 0.0)
+        elif kind == "planar":
+            link.joints += self._planar(joint)
+            return []
         else:
             joint.axes = (self._axis(node),)
             self._limits(joint, kind)
-        for dynamics in node.all(*_RESISTING) if joint.axes else ():
+        if kind == "screw":
+            joint.lead = Reading(node.need("drake:screw_thread_pitch")).number("value")
+        for dynamics in node.all(*_RESISTING):
             given = Reading(dynamics)
-            joint.damping = (given.positive("damping", joint.damping[0]),)
-            joint.friction = (given.positive("friction", joint.friction[0]),)
+            joint.damping = (given.positive("damping", joint.damping[0]),) * max(len(joint.axes), 1)
+            joint.friction = (given.positive("friction", joint.friction[0]),) * max(len(joint.axes), 1)
+            if any(joint.friction) and len(joint.axes) != 1:
+                dynamics.fail(f"friction of a {kind} joint does not map")
         self.joints[name] = joint
         link.joints += self._other_freedoms(joint, self.changed[name]) if name in self.changed else [joint]
         return [(mimic, joint)] if (mimic := node.one("mimic")) is not None else []
+
+    def _planar(self, joint: Joint) -> list[Joint]:
+        """Return the two slides and the hinge of a planar joint, whose axis is the normal of the plane."""
+        normal, sizes = self._axis(joint.node), [0.0] * 3
+        normal = normal / np.linalg.norm(normal)
+        for dynamics in joint.node.all(*_RESISTING):
+            given = Reading(dynamics)
+            sizes = given.numbers("damping", 3, sizes)
+            given.refuse({"friction": "a planar joint has damping alone"})
+            if sizes[0] != sizes[1] and abs(normal[2]) < 1:
+                dynamics.fail("its damping differs along x and y, which are known only for an axis along z")
+        self.linkage.leave("limits of planar joints", *joint.node.all("limit"))
+        across = vector(_AXES["X" if abs(normal[0]) < 0.9 else "Y"])
+        one = across - normal * (normal @ across)
+        axes, words = (one, np.cross(normal, one), normal), ("x", "y", "angle")
+        kinds = ("prismatic", "prismatic", "revolute")
+        return [
+            Joint(f"{joint.name}_{word}", kind, joint.node, axes=(axis,), damping=(size,))
+            for word, kind, axis, size in zip(words, kinds, axes, sizes, strict=True)
+        ]
 
     def _limits(self, joint: Joint, kind: str) -> None:
         """Read limits of the coordinate, the rate and the effort of a joint."""

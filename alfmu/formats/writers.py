@@ -143,6 +143,14 @@ def _mjcf(linkage: Linkage) -> Element:
         (joint, _), by = coupling.of[0], coupling.by[0][0].name if coupling.by else None
         numbers = [*coupling.coefficients, *[0.0] * 5][:5]
         _add(equality, "joint", name=coupling.name, joint1=joint.name, joint2=by, polycoef=numbers)
+    for each in linkage.tendons:
+        sign = -1.0 if each.rest == (-1.0, -1.0) else 1.0  # this length stands for that at the start
+        given = {key: getattr(each, key) or None for key in ("stiffness", "damping", "armature")}
+        given |= {"springlength": sorted(sign * x for x in each.rest) if each.stiffness else None}
+        given |= {"range": sorted(sign * x for x in each.limits) if each.limits else None}
+        fixed = _add(tendon, "fixed", name=each.name, **given)
+        for joint, factor in each.along:
+            _add(fixed, "joint", joint=joint.name, coef=sign * factor)
     for motor in linkage.motors:
         given = {"name": motor.name, "joint": motor.along[0][0].name, "ctrlrange": motor.control}
         if len(motor.along) > 1:

@@ -75,6 +75,12 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
     return list(found)
 
 
+def inside(pattern: str) -> str:
+    """Return the pattern of outputs in a pattern to keep: `A.force.*` in `max(A.force.*)`."""
+    called = _CALL.fullmatch(pattern)
+    return called[2] if called else pattern
+
+
 def _fitting(pattern: str, outputs: Sequence[str]) -> list[str]:
     """Return the output of a name, or those that match a pattern."""
     return [name for name in outputs if name == pattern or fnmatchcase(name, pattern)]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..equations import Equations, Variable
-from ..equations.interface import BALANCE, CHOICES
+from ..equations.interface import BALANCE, CHOICES, PEAK
 from ..kernel import DEFAULT
 from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.doubts import tell_of_gravity
@@ -29,7 +29,7 @@ from ..simulation import by_name, communication_points, instance, names_in, sign
 from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
-from .measures import Measure, matching, measures
+from .measures import Measure, inside, matching, measures
 from .parts import FORMS, OWN, Folder, Held, Plan, Store, kept, usual_form
 from .results import Sweep, show
 from .variations import Cases, planned, read_cases, table_of_cases
@@ -240,6 +240,12 @@ class _How:
             raise InputError(f"{name}: an input is not finite at a communication point")
         return tuple(signals), table
 
+    @property
+    def asked(self) -> list[str]:
+        """Return the patterns of outputs to keep."""
+        asked = [[each] if isinstance(each, str) else each for each in (self.keep or (), self.series)]
+        return [inside(each) for some in asked for each in some]
+
     def read(self, name: str, outputs: Sequence[str]) -> tuple[list[Measure], list[str], tuple[str, ...]]:
         """Return the measures, the outputs stored over time, and all outputs needed for both."""
         found, series = measures(name, self.keep, outputs), matching(name, self.series, outputs)
@@ -273,6 +279,8 @@ def _scene(
         raise InputError(f"{e.name}: {min(twice)} is varied and set as well; leave one out")
     if frozen := set(how.cases.names) & set(freeze or ()) - {"all"}:
         raise InputError(f"{e.name}: {min(frozen)} is varied and frozen as well; leave one out")
+    if peaks := [each for each in how.asked if each.endswith(PEAK)]:  # outputs on request only
+        outputs = [*(["*"] if outputs is None else outputs), *peaks]
     whole = _instance_of(e, given, outputs, freeze)
     _, _, wanted = how.read(e.name, [v.name for v in whole])
     balance = [v.name for v in whole if v.name in BALANCE]

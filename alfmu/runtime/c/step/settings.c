@@ -52,7 +52,10 @@ const char *settings_or_penalty(const Instance *i)
 {
     if (penalty_is_given(i))
         return "; or solver.penalty 0, which scales it with the masses";
-    return i->scene->limit_count ? "; or leave out end stops, those of a file by its option limits=ignore" : "";
+    if (!i->scene->limit_count)
+        return "";
+    return "; or leave out end stops, those of a file by its option limits=ignore, or start within them, by "
+           "limits=inside";
 }
 
 /* Return a further remedy if compliances that share loads differ too much for the available iterations. */

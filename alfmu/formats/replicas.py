@@ -1,0 +1,92 @@
+"""MJCF's <replicate>: copies of a part of the tree, each at the same pose from the one before, with numbered names.
+
+Elements of other sections that name replicated elements alone are replicated, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from .markup import MOST, Node, Reading
+from .poses import Array, quaternion, vector
+
+__all__ = ["replicated"]
+
+_SECTIONS = ("tendon", "equality", "actuator", "contact")
+"""Sections whose elements name others; tendons come first, as actuators and constraints name them."""
+
+_NAMING = {
+    f"{kind}{end}": kind for kind in ("body", "joint", "site", "geom", "tendon") for end in ("", "1", "2", "inparent")
+} | {"slidersite": "site", "cranksite": "site", "refsite": "site", "sidesite": "site"}
+"""Attributes that name elements, with the kinds of these."""
+
+_KINDS = {"freejoint": "joint"}
+
+
+def replicated(root: Node, turn: Callable[[Sequence[float]], Array]) -> None:
+    """Replace all <replicate> elements by frames with copies; `turn` returns the rotation by Euler angles."""
+    for world in root.all("worldbody"):
+        _within(root, world, turn)
+
+
+def _within(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) -> None:
+    found: list[Node] = []
+    for child in node.children:
+        _within(root, child, turn)
+        found += _copies(root, child, turn) if child.tag == "replicate" else [child]
+    node.children = found
+
+
+def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) -> list[Node]:
+    """Return a frame for each copy; names that refer to copies alone are replaced in all sections."""
+    given = Reading(node)
+    number, between = given.number("count"), given.text("sep", "")
+    count = int(number)
+    step, angles = vector(given.numbers("offset", 3, (0, 0, 0))), vector(given.numbers("euler", 3, (0, 0, 0)))
+    at = np.zeros(3)
+    for name in set(node.attributes) - {"count", "sep", "offset", "euler"}:
+        given.fail(name, f"alfmu does not know {name} of <replicate>; leave it out")
+    size = sum(1 for _ in node.below())
+    if not 1 <= count <= MOST // size or count != number:
+        given.fail("count", f"count is {number:g}; give a number from 1 to {MOST // size}")
+    names = {(_KINDS.get(x.tag, x.tag), x.attributes["name"]) for x in node.below() if "name" in x.attributes}
+    ends = [f"{between}{i:0{len(str(count))}}" for i in range(count)]
+    made = []
+    for i, end in enumerate(ends):
+        own = turn((i * angles).tolist())  # MuJoCo multiplies the angles, which is no product of rotations
+        posed = {"pos": at, "quat": quaternion(own)}
+        numbers = {name: " ".join(repr(float(x)) for x in value) for name, value in posed.items()}
+        frame = Node("frame", numbers, node.file, node.line, node.parent)
+        frame.children = [_copy(child, frame, end, names) for child in node.children]
+        made.append(frame)
+        at = at + own @ step
+    for section in (x for tag in _SECTIONS for x in root.all(tag)):
+        found: list[Node] = []
+        for each in section.children:
+            named = {_named(x, name) for x in each.below() for name in x.attributes} - {("", "")}
+            if not named or not named <= names:
+                found.append(each)
+                continue
+            found += [_copy(each, section, end, names) for end in ends]
+            names |= {(section.tag, each.attributes.get("name"))} if section.tag == "tendon" else set()
+        section.children = found
+    return made
+
+
+def _named(node: Node, attribute: str) -> tuple[str, str]:
+    """Return the kind and the name of the element that an attribute names."""
+    kind = _NAMING.get(attribute, "")
+    return kind, dict.get(node.attributes, attribute, "") if kind else ""
+
+
+def _copy(node: Node, parent: Node, end: str, names: set[tuple[str, str]]) -> Node:
+    """Return a copy of an element with `end` after its name, and after the names in `names` that it mentions."""
+    given = {
+        name: value + end if name == "name" or _named(node, name) in names else value
+        for name, value in node.attributes.items()
+    }
+    made = Node(node.tag, given, node.file, node.line, parent, text=node.text)
+    made.children = [_copy(child, made, end, names) for child in node.children]
+    return made
