@@ -11,10 +11,11 @@ import re
 import struct
 import zipfile
 from collections import Counter, defaultdict
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ..equations.interface import default_settings
+from ..kernel.again import shortened
 from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Steps, Traced, called
@@ -80,7 +81,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     length = kept.library.alfmu_length(kept.address, starts)
     place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
     defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
-    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide)}
+    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide), "HAS_AGAIN": 1}
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
@@ -177,13 +178,23 @@ def _lean(scene: Structure, e: Traced, used: Container[str]) -> dict[str, Progra
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
+    places = [f.inputs + f.outputs for f in scene.functions[: scene.function_count]]
     for name, program in zip(e.kernel, scene.programs[: scene.program_count], strict=True):
         program.words *= name in run
+        _shorten(program, places)
     for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
         if name not in needed:
             f.inputs = f.outputs = f.words = f.results = 0
     scene.choice[scene.formulation].count = 1
     return run
+
+
+def _shorten(program: Structure, places: Sequence[int]) -> None:
+    """Replace the words of a program by fewer ones, in which repeated sequences stand once."""
+    words = shortened(program.code[: program.words], places)
+    for k, word in enumerate(words):
+        program.code[k] = word
+    program.words = len(words)
 
 
 def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], bool]:

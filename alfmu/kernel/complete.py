@@ -7,6 +7,7 @@ from dataclasses import replace
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..model.making import getting_ready
+from .again import alike
 from .controlled import whole
 from .exchange import ACCELERATIONS, obstacle
 from .form import Traced, called
@@ -66,7 +67,7 @@ def smallest(equations: Traced) -> Traced:
         if default_settings(equations).branch != "continue":
             without |= {"branch", "limit"}
         kernel = {name: program for name, program in own.kernel.items() if name not in without}
-        return ordered(replace(own, kernel=kernel))
+        return ordered(alike(replace(own, kernel=kernel)))
 
 
 def ordered(e: Traced) -> Traced:

@@ -27,10 +27,13 @@ from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
 
-__all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
+__all__ = ["AGAIN", "CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """Elements of a program, in the order of their numbers."""
+
+AGAIN = len(CALLS)
+"""Number of another element, which only sources have: earlier words of the program, run again."""
 
 
 def operations_header() -> str:
@@ -64,7 +67,7 @@ def operations_header() -> str:
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"#define OPERATIONS {OPERATIONS}",
         f"enum {{ {', '.join(f'{role.upper()}_ROLE' for role in ROLES)} }};",
-        f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
+        f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)}, AGAIN_CODE }};",
         "",
         "#endif",
     ]

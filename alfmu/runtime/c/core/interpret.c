@@ -444,6 +444,12 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at = body + at[3];
             break;
         }
+#ifdef HAS_AGAIN /* sources, whose programs have each repeated sequence once */
+        case AGAIN_CODE: /* distance back to the sequence; its length */
+            run_code(i, at - at[1], at - at[1] + at[2]);
+            at += 3;
+            break;
+#endif
         default:
             at = routine_run(i, at);
         }
