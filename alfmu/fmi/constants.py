@@ -21,7 +21,7 @@ Structure = Any
 """An instance of one of the structures, by ctypes."""
 
 _PLAIN: dict[str, Any] = {
-    **{"int": ctypes.c_int, "int32_t": ctypes.c_int32, "uint16_t": ctypes.c_uint16, "unsigned": ctypes.c_uint},
+    **{"int": ctypes.c_int, "int32_t": ctypes.c_int32, "uint8_t": ctypes.c_uint8, "uint16_t": ctypes.c_uint16, "unsigned": ctypes.c_uint},
     **{"size_t": ctypes.c_size_t, "ptrdiff_t": ctypes.c_ssize_t, "double": ctypes.c_double, "char": ctypes.c_char},
     **{"Type": ctypes.c_int, "Kind": ctypes.c_int, "Word": ctypes.c_int32},
 }

@@ -6,6 +6,7 @@ compiler extensions. The files of `runtime/c/source` replace those of the same n
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import re
 import struct
@@ -18,7 +19,7 @@ from ..equations.interface import default_settings
 from ..kernel.again import shortened
 from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
-from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Steps, Traced, called
+from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Routine, Steps, Traced, called, every
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
@@ -74,14 +75,16 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     run = _lean(scene, own, used)
     if kept.library.alfmu_share_places(kept.address) < 0:
         raise MemoryError
-    work, kinds, wide = _measured(scene, own, run, steps)
+    _abbreviate(scene)
+    work, kinds, forms = _measured(scene, own, run, steps)
     widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
     word = 16 if widest < 2**15 else 32
     constants, size = tables(scene, fmi > 0, word // 8, used)
     length = kept.library.alfmu_length(kept.address, starts)
     place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
     defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
-    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide), "HAS_AGAIN": 1}
+    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int("wide" in forms)}
+    defined |= {"HAS_NARROW": int("narrow" in forms), "IN_SOURCES": 1}
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
@@ -102,9 +105,11 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         *[f'#include "{name}.h"'] * (not fmi),
         *(f"#define {key} {number}" for key, number in defined.items()),
     ]
+    if not any(isinstance(step, Lanes | Routine) for program in run.values() for step in every(program.steps)):
+        texts = [each.replace("at = routine_run(i, at);", "return;") for each in texts]
     text = _reached("".join([header, constants, start, *texts]))
     text = _prefixed(text, fmi) if fmi else _named(text, name)
-    text = text if wide else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
+    text = text if "wide" in forms else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
     files = {f"{name}.c": "\n".join([*head, text])}
     if not fmi:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
@@ -197,25 +202,66 @@ def _shorten(program: Structure, places: Sequence[int]) -> None:
     program.words = len(words)
 
 
-def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], bool]:
+def _abbreviate(scene: Structure) -> None:
+    """Give functions places of 8 bits where these suffice, counted from the first constant that a function reads.
+
+    Constants of functions with many registers come last.
+    """
+    functions = [f for f in scene.functions[: scene.function_count] if f.narrow and (f.words or f.results)]
+    count, places = scene.constant_count, [[*map(f.narrow.__getitem__, _places(f))] for f in functions]
+    order = list(range(count))
+    if not any(f.wide for f in scene.functions[: scene.function_count]):  # whose steps lead from constant to constant
+        largest = [0] * count
+        for f, own in zip(functions, places, strict=True):
+            for place in {*own}.intersection(order):
+                largest[place] = max(largest[place], f.registers)
+        order.sort(key=largest.__getitem__)
+        values = [scene.constants[k] for k in order]
+        for k, value in enumerate(values):
+            scene.constants[k] = value
+    new = [*sorted(order, key=order.__getitem__), *range(count, scene.registers)]
+    for f, own in zip(functions, places, strict=True):
+        for k in _places(f):
+            f.narrow[k] = new[f.narrow[k]]
+        base = min([new[place] for place in own] or [0])
+        words = f.narrow[: f.words + f.results]
+        for k in _places(f):
+            words[k] -= base
+        if max(words, default=0) < 2**8:
+            f.base, f.brief = base, (ctypes.c_uint8 * len(words))(*words)
+            f.narrow = None
+
+
+def _places(f: Structure) -> list[int]:
+    """Return where the words and results of a narrow function are places."""
+    found, at = list[int](), 0
+    while at < f.words:
+        end = at + NARROW_HEAD + f.narrow[at + 1] * OPERANDS[KINDS[f.narrow[at]]]
+        found += range(at + 2, end)
+        at = end
+    return [*found, *range(f.words, f.words + f.results)]
+
+
+def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], set[str]]:
     """Fit the registers of a lean scene to its functions. Return the line on its work, the kinds of operations, and
-    whether a function uses wide addresses."""
+    the forms of functions."""
     costs = Counter[str]()
-    kinds, wide = set[int](), False
+    kinds, forms = set[int](), set[str]()
     scene.registers = scene.constant_count
     for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
         if f.words or f.results:
             made = _operations(f)
-            scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
+            scene.registers = max(scene.registers, f.registers)
+            forms.add("brief" if f.brief else "narrow" if f.narrow else "wide")
             costs[name], kinds = made.total(), kinds | {*made}
     scene.lane_registers = 0
     most = {key: _most(program.steps, costs) for key, program in run.items()}
-    return _work(e, most, steps, bool(scene.break_count)), kinds, wide
+    return _work(e, most, steps, bool(scene.break_count)), kinds, forms
 
 
 def _operations(f: Structure) -> Counter[int]:
     """Return how many operations of each kind a function makes."""
-    found, places, at, head = Counter[int](), f.narrow or f.wide, 0, NARROW_HEAD if f.narrow else 2
+    found, places, at, head = Counter[int](), f.brief or f.narrow or f.wide, 0, 2 if f.wide else NARROW_HEAD
     while at < f.words:
         found[places[at]] += places[at + 1]
         at += head + places[at + 1] * OPERANDS[KINDS[places[at]]]

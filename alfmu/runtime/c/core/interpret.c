@@ -21,6 +21,7 @@
 
 #ifndef HAS_WIDE
 #define HAS_WIDE 1 /* functions whose places have 32 bits */
+#define HAS_NARROW 1 /* functions whose places have 16 bits */
 #endif
 
 /* Runs of equal operations: the kind, the number of operations, the places of their operands. The same text serves
@@ -226,17 +227,51 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, double *r)
     }
 }
 
+#ifdef IN_SOURCES /* functions whose places have 8 bits */
+
+static void brief_runs(const uint8_t *at, const uint8_t *end, double *r)
+{
+    while (at < end) {
+        const int kind = at[0];
+        unsigned count = at[1];
+        double *d = r + at[2];
+        at += NARROW_HEAD;
+        switch (kind) {
+            SUMS
+            UNARY(NEGATIVE_KIND, -a)
+        case SINE_COSINE_KIND:
+            for (; count; count--, d += 2)
+                sine_cosine(r[*at++], d, d + 1);
+            break;
+            BINARY_OPERATIONS(BINARY)
+            UNARY_OPERATIONS(UNARY)
+        }
+    }
+}
+
+#endif
+
 /* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
-    if (!HAS_WIDE || f->narrow)
+#ifdef IN_SOURCES
+    if (f->brief) {
+        brief_runs(f->brief, f->brief + f->words, r + f->base);
+        return;
+    }
+#endif
+    if (HAS_NARROW && (!HAS_WIDE || f->narrow))
         narrow_runs(f->narrow, f->narrow + f->words, r);
-    else
+    else if (HAS_WIDE)
         wide_runs(f->wide, f->wide + f->words, r, values);
 }
 
 static size_t result(const Function *f, size_t k)
 {
+#ifdef IN_SOURCES
+    if (f->brief)
+        return (size_t)f->brief[f->words + k] + (size_t)f->base;
+#endif
     return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
 }
 
@@ -245,10 +280,12 @@ void function_call_alone(Instance *i, int which, const double *const *x, double 
     const Function *f = i->scene->functions + which;
     double *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
+#ifndef IN_SOURCES
     if (f->compiled) {
         f->compiled(x, y, i->spare);
         return;
     }
+#endif
     for (int j = 0; j < f->inputs; j++) {
         memcpy(d, x[j], (size_t)f->lengths[j] * sizeof *d);
         d += f->lengths[j];
@@ -261,10 +298,13 @@ void function_call_alone(Instance *i, int which, const double *const *x, double 
 
 void function_call(Instance *i, int which, const double *const *x, double *const *y)
 {
-    if (i->wait)
+#ifndef IN_SOURCES
+    if (i->wait) {
         i->wait(i, which, x, y);
-    else
-        function_call_alone(i, which, x, y);
+        return;
+    }
+#endif
+    function_call_alone(i, which, x, y);
 }
 
 static inline void call_at(Instance *i, const Function *f, const Word *at)
@@ -273,6 +313,7 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
     size_t k = 0;
     if (i->tape)
         tape_call_at(i, f, at);
+#ifndef IN_SOURCES
     if (f->compiled) {
         const double *x[MOST_ARGUMENTS];
         double *y[MOST_ARGUMENTS];
@@ -283,6 +324,7 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
         f->compiled(x, y, i->spare);
         return;
     }
+#endif
     for (int j = 0; j < f->inputs; j++) {
         memcpy(d, m + at[j], (size_t)f->lengths[j] * sizeof *d);
         d += f->lengths[j];
@@ -292,6 +334,13 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
     for (int j = 0; j < f->outputs; j++) {
         double *y = m + at[j];
         const int length = f->lengths[f->inputs + j];
+#ifdef IN_SOURCES
+        if (f->brief) {
+            const uint8_t *from = f->brief + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = (r + f->base)[from[e]];
+        } else
+#endif
         if (f->narrow) {
             const uint16_t *from = f->narrow + f->words + k;
             for (int e = 0; e < length; e++)
@@ -444,7 +493,7 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at = body + at[3];
             break;
         }
-#ifdef HAS_AGAIN /* sources, whose programs have each repeated sequence once */
+#ifdef IN_SOURCES /* whose programs have each repeated sequence once */
         case AGAIN_CODE: /* distance back to the sequence; its length */
             run_code(i, at - at[1], at - at[1] + at[2]);
             at += 3;
@@ -468,10 +517,13 @@ void registers_load(Instance *i)
 void program_run(Instance *i, int program)
 {
     const Program *p = i->scene->programs + program;
-    if (i->wait)
+#ifndef IN_SOURCES
+    if (i->wait) {
         i->wait(i, program, NULL, NULL);
-    else
-        run_code(i, p->code, p->code + p->words);
+        return;
+    }
+#endif
+    run_code(i, p->code, p->code + p->words);
 }
 
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y)
