@@ -109,7 +109,8 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         texts = [each.replace("at = routine_run(i, at);", "return;") for each in texts]
     text = _reached("".join([header, constants, start, *texts]))
     text = _prefixed(text, fmi) if fmi else _named(text, name)
-    text = text if "wide" in forms else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
+    if "wide" not in forms:
+        text = _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
     files = {f"{name}.c": "\n".join([*head, text])}
     if not fmi:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
@@ -326,6 +327,7 @@ _INSTEAD = {
     r"\bscene_of_fmu\(resources, why, why_size\)": "((void)resources, (Scene *)(void *)&the_scene)",
     r"\bscene_free\(c->scene\);": "",
     r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
+    r"^\tCompiled \*(?:compiled|in_lanes);$": "",
     r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
 }
 """Replacements for headers, compiler extensions, memory allocation, files and loaded scenes, by pattern."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -27,7 +28,8 @@ CALL, CHOICE, LOOP = (CALLS.index(kind) for kind in (Call, Choice, Loop))
 def alike(equations: Traced) -> Traced:
     """Return equations whose programs have equal steps in repeated parts, and functions that copy values."""
     e, copies = equations, dict[str, ca.Function]()
-    kernel = {name: replace(program, steps=_Alike(e, copies, program.steps).steps) for name, program in e.kernel.items()}
+    steps = {name: _Alike(e, copies, program.steps).steps for name, program in e.kernel.items()}
+    kernel = {name: replace(program, steps=steps[name]) for name, program in e.kernel.items()}
     return replace(with_functions(e, copies), kernel=kernel)
 
 
@@ -145,7 +147,7 @@ def _read(words: Sequence[int], places: Sequence[int]) -> tuple[_Element, ...]:
             counts = words[at + 2 : at + 4] if words[at] == CHOICE else words[at + 3 : at + 4]
             head = words[at : at + 2] if words[at] == CHOICE else words[at : at + 3]
             ends = [at + 4, *(at + 4 + sum(counts[: k + 1]) for k in range(len(counts)))]
-            blocks = (_read(words[i:j], places) for i, j in zip(ends, ends[1:], strict=False))
+            blocks = (_read(words[i:j], places) for i, j in pairwise(ends))
             found.append(_Element(tuple(head), tuple(blocks)))
             end = ends[-1]
         at = end
@@ -190,7 +192,7 @@ class _Shortened:
         for block in self._blocks:
             for k in range(len(block)):
                 length = 0
-                for begin, end, items in block[k:]:
+                for _, end, items in block[k:]:
                     if tuple(elements[length : length + len(items)]) != items:
                         break
                     length += len(items)

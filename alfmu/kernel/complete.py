@@ -15,6 +15,7 @@ from .joined import joined
 from .lanes import laned
 from .memory import Layout
 from .standalone import READ, standalone
+from .trace import SHARING
 
 __all__ = ["FUNCTIONS", "complete", "ordered", "smallest"]
 
@@ -67,7 +68,10 @@ def smallest(equations: Traced) -> Traced:
         if default_settings(equations).branch != "continue":
             without |= {"branch", "limit"}
         kernel = {name: program for name, program in own.kernel.items() if name not in without}
-        return ordered(alike(replace(own, kernel=kernel)))
+        # Outputs of a quick step come from few calls; programs near singular positions share the functions of a pass.
+        shared = {name for each, program in kernel.items() if each != "instant_quick" for name in called(program)}
+        only = {name for program in kernel.values() for name in called(program)} - shared | {*SHARING}
+        return ordered(joined(alike(replace(own, kernel=kernel)), ["instant_quick"], READ, only))
 
 
 def ordered(e: Traced) -> Traced:

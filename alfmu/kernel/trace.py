@@ -39,7 +39,7 @@ from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
 from .symbolic import LOADED, MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
 
-__all__ = ["CAREFUL", "NO_NAMES", "Calls", "Tracer", "spaced", "traced", "untraced"]
+__all__ = ["CAREFUL", "NO_NAMES", "SHARING", "Calls", "Tracer", "spaced", "traced", "untraced"]
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
@@ -49,6 +49,9 @@ MOST_GAINS = 25
 
 _OFTEN = 3
 """Multiplier iterations of most evaluations in a step on the branch."""
+
+SHARING = ("share_begin", "share_again", "carry")
+"""Functions that share a load for outputs, called one after the other."""
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 

@@ -145,8 +145,8 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         } \
         break;
 
-/* Read two 16-bit places at once: reading places takes half the time of an operation. */
-static inline uint32_t two(const uint16_t *at)
+/* Read two places at once: reading places takes half the time of an operation. */
+static inline uint32_t two_narrow(const uint16_t *at)
 {
     uint32_t both;
     memcpy(&both, at, sizeof both);
@@ -154,13 +154,13 @@ static inline uint32_t two(const uint16_t *at)
 }
 
 #if defined(__BYTE_ORDER__) && defined(__ORDER_BIG_ENDIAN__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
-#define FIRST(both) r[(both) >> 16]
-#define SECOND(both) r[(both) & 0xffff]
+#define FIRST(both) r[(both) >> BITS]
+#define SECOND(both) r[(both) & ((1u << BITS) - 1)]
 #else
-#define FIRST(both) r[(both) & 0xffff]
-#define SECOND(both) r[(both) >> 16]
+#define FIRST(both) r[(both) & ((1u << BITS) - 1)]
+#define SECOND(both) r[(both) >> BITS]
 #endif
-#define PAIRS(kind, value) \
+#define PAIRS(two, kind, value) \
     case kind: \
         for (; count; count--, at += 2) { \
             const uint32_t x = two(at); \
@@ -169,85 +169,79 @@ static inline uint32_t two(const uint16_t *at)
         } \
         break;
 
-static void narrow_runs(const uint16_t *at, const uint16_t *end, double *r)
-{
-    while (at < end) {
-        const uint32_t head = at[0];
-        uint32_t count = at[1];
-        double *d = r + at[2];
-        at += NARROW_HEAD;
-        switch (head) {
-        case SUM1_KIND:
-            for (; count >= 2; count -= 2, at += 6, d += 2) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4);
-                d[0] = SUM1(FIRST(x), SECOND(x), FIRST(y));
-                d[1] = SUM1(SECOND(y), FIRST(z), SECOND(z));
-            }
-            if (count) {
-                *d++ = SUM1(r[at[0]], r[at[1]], r[at[2]]);
-                at += 3;
-            }
-            break;
-        case SUM2_KIND:
-            for (; count >= 2; count -= 2, at += 10, d += 2) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6), v = two(at + 8);
-                d[0] = SUM2(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z));
-                d[1] = SUM2(SECOND(z), FIRST(u), SECOND(u), FIRST(v), SECOND(v));
-            }
-            if (count) {
-                *d++ = SUM2(r[at[0]], r[at[1]], r[at[2]], r[at[3]], r[at[4]]);
-                at += 5;
-            }
-            break;
-        case SUM4_KIND:
-            for (; count; count--, at += 9) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6);
-                *d++ = SUM4(
-                    FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]);
-            }
-            break;
-        case PRODUCTS_KIND:
-            for (; count; count--, at += 4) {
-                const uint32_t x = two(at), y = two(at + 2);
-                *d++ = PRODUCTS(FIRST(x), SECOND(x), FIRST(y), SECOND(y));
-            }
-            break;
-            PAIRS(PRODUCT_KIND, a *b)
-            PAIRS(PLUS_KIND, a + b)
-            PAIRS(MINUS_KIND, a - b)
-            PAIRS(OVER_KIND, a / b)
-            UNARY(NEGATIVE_KIND, -a)
-        case SINE_COSINE_KIND:
-            for (; count; count--, d += 2)
-                sine_cosine(r[*at++], d, d + 1);
-            break;
-            BINARY_OPERATIONS(BINARY)
-            UNARY_OPERATIONS(UNARY)
-        }
+/* The same for places of 16 bits, and of 8 bits in sources. */
+#define RUNS(name, Place, two) \
+    static void name(const Place *at, const Place *end, double *r) \
+    { \
+        enum { BITS = 8 * sizeof *at }; \
+        while (at < end) { \
+            const uint32_t head = at[0]; \
+            uint32_t count = at[1]; \
+            double *d = r + at[2]; \
+            at += NARROW_HEAD; \
+            switch (head) { \
+            case SUM1_KIND: \
+                for (; count >= 2; count -= 2, at += 6, d += 2) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4); \
+                    d[0] = SUM1(FIRST(x), SECOND(x), FIRST(y)); \
+                    d[1] = SUM1(SECOND(y), FIRST(z), SECOND(z)); \
+                } \
+                if (count) { \
+                    *d++ = SUM1(r[at[0]], r[at[1]], r[at[2]]); \
+                    at += 3; \
+                } \
+                break; \
+            case SUM2_KIND: \
+                for (; count >= 2; count -= 2, at += 10, d += 2) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6), v = two(at + 8); \
+                    d[0] = SUM2(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z)); \
+                    d[1] = SUM2(SECOND(z), FIRST(u), SECOND(u), FIRST(v), SECOND(v)); \
+                } \
+                if (count) { \
+                    *d++ = SUM2(r[at[0]], r[at[1]], r[at[2]], r[at[3]], r[at[4]]); \
+                    at += 5; \
+                } \
+                break; \
+            case SUM4_KIND: \
+                for (; count; count--, at += 9) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6); \
+                    *d++ = SUM4( \
+                        FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]); \
+                } \
+                break; \
+            case PRODUCTS_KIND: \
+                for (; count; count--, at += 4) { \
+                    const uint32_t x = two(at), y = two(at + 2); \
+                    *d++ = PRODUCTS(FIRST(x), SECOND(x), FIRST(y), SECOND(y)); \
+                } \
+                break; \
+                PAIRS(two, PRODUCT_KIND, a *b) \
+                PAIRS(two, PLUS_KIND, a + b) \
+                PAIRS(two, MINUS_KIND, a - b) \
+                PAIRS(two, OVER_KIND, a / b) \
+                UNARY(NEGATIVE_KIND, -a) \
+            case SINE_COSINE_KIND: \
+                for (; count; count--, d += 2) \
+                    sine_cosine(r[*at++], d, d + 1); \
+                break; \
+                BINARY_OPERATIONS(BINARY) \
+                UNARY_OPERATIONS(UNARY) \
+            } \
+        } \
     }
+
+RUNS(narrow_runs, uint16_t, two_narrow)
+
+#ifdef IN_SOURCES
+
+static inline uint32_t two_brief(const uint8_t *at)
+{
+    uint16_t both;
+    memcpy(&both, at, sizeof both);
+    return both;
 }
 
-#ifdef IN_SOURCES /* functions whose places have 8 bits */
-
-static void brief_runs(const uint8_t *at, const uint8_t *end, double *r)
-{
-    while (at < end) {
-        const int kind = at[0];
-        unsigned count = at[1];
-        double *d = r + at[2];
-        at += NARROW_HEAD;
-        switch (kind) {
-            SUMS
-            UNARY(NEGATIVE_KIND, -a)
-        case SINE_COSINE_KIND:
-            for (; count; count--, d += 2)
-                sine_cosine(r[*at++], d, d + 1);
-            break;
-            BINARY_OPERATIONS(BINARY)
-            UNARY_OPERATIONS(UNARY)
-        }
-    }
-}
+RUNS(brief_runs, uint8_t, two_brief)
 
 #endif
 
