@@ -157,12 +157,14 @@ class Sharing(NamedTuple):
     def of(cls, known: Sharing, vector: SX) -> Sharing:
         """Return the values in a vector; `known` has their sparsity."""
         ends = np.cumsum([0, *(x.nnz() for x in known[:-1])]).tolist()
-        parts = (SX(x.sparsity(), vector[i:j]) for x, (i, j) in zip(known[:-1], pairwise(ends), strict=True))
-        return cls(*parts, known.order)
+        parts = [SX(x.sparsity(), vector[i:j]) for x, (i, j) in zip(known[:-1], pairwise(ends), strict=True)]
+        P, inverse, L, weights, slope, sizes, size = parts
+        return cls(P, inverse, L, weights, slope, sizes, size, known.order)
 
     def vector(self) -> SX:
         """Return the nonzeros."""
-        return ca.vertcat(*(entry for x in self[:-1] for entry in x.nz[:].nz))
+        found = SX(ca.vertcat(*(entry for x in self[:-1] for entry in x.nz[:].nz)))
+        return found
 
 
 class Scene:
@@ -451,7 +453,7 @@ class Scene:
         """Return d, mu and the change of d of another pass."""
         return self._shared(Sharing.of(self.sharing, sharing), ca.sparsify(ca.diag(self.held) @ C), d, mu)
 
-    def sharing_ended(self, lam: SX, sharing: SX, d: SX, last: SX, passes: int) -> SX:
+    def sharing_ended(self, passes: int, lam: SX, sharing: SX, d: SX, last: SX) -> SX:
         """Return lam after these passes, of which the last one changed d."""
         return self._carried(Sharing.of(self.sharing, sharing), lam, d, last, passes)
 
@@ -459,7 +461,7 @@ class Scene:
     def sharing(self) -> Sharing:
         """Return what the passes of `carried` share, of which only the sparsity counts."""
         x = symbols(self.e)
-        return self._sharing_of(*(x[letter] for letter in "tqvu"), self.value("C"), x["a"], x["lam"])[0]
+        return self._sharing_of(x["t"], x["q"], x["v"], x["u"], self.value("C"), x["a"], x["lam"])[0]
 
     def _sharing_of(
         self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, impact: bool = False

@@ -387,7 +387,7 @@ class Tracer:
         for _ in range(passes):
             calls("share_again", f"k C sharing {shared}", f"{shared} shared_last", scene.shared_again)
         end = f"k {lam} sharing shared shared_last"
-        calls(name, end, lam, lambda *x: scene.sharing_ended(*x, passes=passes))
+        calls(name, end, lam, lambda *x: scene.sharing_ended(passes, *x))
 
     @cached_property
     def loaded(self) -> bool:
