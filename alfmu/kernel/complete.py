@@ -32,8 +32,8 @@ FUNCTIONS = {
 }
 """Functions called by the runtime, by their names in C."""
 
-HOT = ("quick", "instant", "instant_quick", "method", "short")
-"""Programs with joined calls: they run in every step."""
+HOT = ("quick", "instant_quick", "method", "short")
+"""Programs with joined calls: they run in every step, as `instant` does if there is no `instant_quick`."""
 
 
 def complete(equations: Traced) -> Traced:
@@ -46,13 +46,14 @@ def complete(equations: Traced) -> Traced:
 def _complete(equations: Traced) -> Traced:
     e = standalone(equations)
     handed = (*READ, *[ACCELERATIONS] * (not obstacle(e)))
+    hot = HOT if "instant_quick" in e.kernel else (*HOT, "instant")
     if e.n > DENSE:
-        return ordered(joined(e, HOT, handed))
+        return ordered(joined(e, hot, handed))
     # RK4 takes limits near singular positions in every step; other integrators have other programs there.
     steps = [] if "method" in e.kernel else ["branch"]
     fields, kernel = Layout(e).fields, e.kernel
     kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
-    return ordered(joined(replace(e, kernel=kernel), HOT, handed))
+    return ordered(joined(replace(e, kernel=kernel), hot, handed))
 
 
 def smallest(equations: Traced) -> Traced:
