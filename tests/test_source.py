@@ -367,6 +367,20 @@ def test_programs_with_references_say_the_same():
     assert len(short) < len(words) / 3
 
 
+@pytest.mark.slow
+def test_a_refused_export_tells_why_steps_of_rk4_fail(tmp_path):
+    """The reason is that of an instance, which has no limit of iterations."""
+    leg = alfmu.load(str(Path(__file__).parent.parent / "docs" / "gallery" / "plot_jansen_leg.py"))
+    instance = alfmu.Instance(leg)
+    instance.set("solver.method", "rk4")
+    instance.initialize()
+    with pytest.raises(alfmu.StepError) as failed:
+        run(instance, 1.0, instance.equations.interval)
+    assert "more iterations" not in str(failed.value)
+    with pytest.raises(alfmu.ExportError, match=re.escape(str(failed.value))):
+        alfmu.export(leg, tmp_path / "jansen_leg.c", kind="source")
+
+
 REFUSED = {
     "solver.method": ({"parameters": {"solver.method": "explicit"}}, "sources support only solver.method rk4,"),
     "solver.formulation": (

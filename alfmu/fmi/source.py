@@ -23,7 +23,7 @@ from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program,
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
-from ..runtime import build
+from ..runtime import build, pipeline
 from ..runtime.library import DONE, Scene, Unit
 from ..runtime.shipped import installed
 from . import native
@@ -65,7 +65,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     kept = Scene(identified(packed(own, shares=True), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
-    state, steps = _state(kept, own, fmi), internal_steps(own.interval, default_settings(own).step_size)
+    state, steps = _state(kept, own, equations, fmi), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -147,22 +147,30 @@ def facts(path: Path) -> list[str]:
 # The scene ------------------------------------------------------------------------------------------------------------
 
 
-def _state(scene: Scene, e: Traced, fmi: int) -> bytes:
-    """Return the state after the start; raise ExportError if the default experiment fails. Log its warnings, which
-    plain C does not give."""
+def _state(scene: Scene, e: Traced, every: Traced, fmi: int) -> bytes:
+    """Return the state after the start; raise ExportError if the default experiment fails, with the reason of the
+    complete scene `every` if this fails, too. Log warnings, which plain C does not give."""
     unit = Unit(scene)
     made = unit.initialize()
     state = unit.save()
-    for k in range(round(e.stop_time / e.interval)):
-        made = made or unit.step(k * e.interval, e.interval)
-    if made != DONE:
+    if _ran(unit, made, e) != DONE:
+        complete = Unit(Scene(pipeline.packed(every), installed()))
+        # If RK4 fails with any number of iterations, the reason is another one.
+        text = unit.text if _ran(complete, complete.initialize(), e) == DONE else complete.text
         raise ExportError(
-            f"{unit.text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
+            f"{text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
             "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
         )
     if (warning := unit.warning()) and not fmi:
         _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", warning)
     return state
+
+
+def _ran(unit: Unit, made: int, e: Traced) -> int:
+    """Return the outcome of the default experiment of a unit, whose initialization had the outcome `made`."""
+    for k in range(round(e.stop_time / e.interval)):
+        made = made or unit.step(k * e.interval, e.interval)
+    return made
 
 
 def _start(state: bytes) -> tuple[str, int]:

@@ -163,8 +163,7 @@ class Sharing(NamedTuple):
 
     def vector(self) -> SX:
         """Return the nonzeros."""
-        found = SX(ca.vertcat(*(entry for x in self[:-1] for entry in x.nz[:].nz)))
-        return found
+        return SX(ca.vertcat(*(entry for x in self[:-1] for entry in x.nz[:].nz)))
 
 
 class Scene:
