@@ -7,6 +7,7 @@ import shutil
 import struct
 import subprocess
 import zipfile
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,10 @@ from test_left_out import WARNINGS, block, by_a_compiler, led
 import alfmu
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.again import shortened
+from alfmu.kernel.form import Call, Choice
 from alfmu.kernel.memory import TALLY
+from alfmu.kernel.scene import AGAIN, CALLS
 from alfmu.runtime import build
 from alfmu.simulation import run
 
@@ -314,6 +318,9 @@ def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_pat
     given = {name: SMALL[name] for name in ("outputs", "freeze")}
     path = alfmu.export(alfmu.load("five_bar"), tmp_path / "five_bar.c", kind="source", **given)
     assert int(re.search(r"(\d+) bytes of memory", path.read_text())[1]) < 16_000
+    if build.HERE == "linux64":
+        compiled(["-std=c99", "-Os", "-c", path.name, "-o", "five_bar.o"], tmp_path)
+        assert sizes(tmp_path / "five_bar.o") < 64_000  # of code and tables
     plain, instance = Plain(path), alfmu.Instance("five_bar", outputs=SMALL["outputs"])
     instance.set("solver.method", "rk4")
     instance.initialize()
@@ -324,6 +331,52 @@ def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_pat
         for name in SMALL["outputs"]:
             assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-9, abs=1e-9), k
     assert instance.memory["tally"][TALLY.index("limits")] > 0
+
+
+def expanded(words: list[int], places: list[int], begin: int, end: int) -> list[int]:
+    """Words of a program with sequences in place of the references to them."""
+    found, at = [], begin
+    while at < end:
+        if words[at] == CALLS.index(Call):
+            after = at + 2 + places[words[at + 1]]
+            found += words[at:after]
+        elif words[at] == AGAIN:
+            after = at + 3
+            found += expanded(words, places, at - words[at + 1], at - words[at + 1] + words[at + 2])
+        else:
+            head = 2 if words[at] == CALLS.index(Choice) else 3
+            after, blocks = at + 4, []
+            for length in words[at + head : at + 4]:
+                blocks.append(expanded(words, places, after, after + length))
+                after += length
+            found += [*words[at : at + head], *map(len, blocks), *chain(*blocks)]
+        at = after
+    return found
+
+
+def test_programs_with_references_say_the_same():
+    places = [0, 2, 5]
+    calls = [[0, which, *range(10 * which, 10 * which + places[which])] for which in (0, 1, 2, 1, 2)]
+    part = list(chain(*calls))
+    choice = [1, 7, len(part), len(calls[2]), *part, *calls[2]]
+    words = [*part, *calls[3], *choice, 2, 8, 4, len(part) + len(choice), *part, *choice, *choice, *part]
+    short = shortened(words, places)
+    assert expanded(short, places, 0, len(short)) == words
+    assert len(short) < len(words) / 3
+
+
+@pytest.mark.slow
+def test_a_refused_export_tells_why_steps_of_rk4_fail(tmp_path):
+    """The reason is that of an instance, which has no limit of iterations."""
+    leg = alfmu.load(str(Path(__file__).parent.parent / "docs" / "gallery" / "plot_jansen_leg.py"))
+    instance = alfmu.Instance(leg)
+    instance.set("solver.method", "rk4")
+    instance.initialize()
+    with pytest.raises(alfmu.StepError) as failed:
+        run(instance, 1.0, instance.equations.interval)
+    assert "more iterations" not in str(failed.value)
+    with pytest.raises(alfmu.ExportError, match=re.escape(str(failed.value))):
+        alfmu.export(leg, tmp_path / "jansen_leg.c", kind="source")
 
 
 REFUSED = {

@@ -19,7 +19,8 @@ Structure = Any
 """An instance of one of the structures, by ctypes."""
 
 _PLAIN: dict[str, Any] = {
-    **{"int": ctypes.c_int, "int32_t": ctypes.c_int32, "uint16_t": ctypes.c_uint16, "unsigned": ctypes.c_uint},
+    **{"int": ctypes.c_int, "int32_t": ctypes.c_int32, "unsigned": ctypes.c_uint},
+    **{"uint8_t": ctypes.c_uint8, "uint16_t": ctypes.c_uint16},
     **{"size_t": ctypes.c_size_t, "ptrdiff_t": ctypes.c_ssize_t, "double": ctypes.c_double, "char": ctypes.c_char},
     **{"Type": ctypes.c_int, "Kind": ctypes.c_int, "Word": ctypes.c_int32},
 }
@@ -53,6 +54,10 @@ def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
                 own.append((name, type_of * int(size) if size else type_of))
         made[structure] = type(structure, (ctypes.Structure,), {"_fields_": own})
     return made, targets
+
+
+_LEFT_OUT = ("compiled", "in_lanes")
+"""Fields that sources do not have."""
 
 
 def _count(text: str, owner: Structure) -> int:
@@ -92,7 +97,8 @@ def tables(scene: Structure, texts: bool, words: int, used: Container[str]) -> t
             return literal(x)
         if isinstance(x, ctypes.Structure):
             kind = type(x).__name__
-            each = [below(x, f"{kind}.{part[0]}", getattr(x, part[0])) for part in x._fields_]
+            names = (part[0] for part in x._fields_ if part[0] not in _LEFT_OUT)
+            each = [below(x, f"{kind}.{name}", getattr(x, name)) for name in names]
             return f"{{{', '.join(each)}}}"
         return str(x)
 

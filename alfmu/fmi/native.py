@@ -124,6 +124,8 @@ def sources(
     for name in ("files.c", f"fmi{fmi}.c" if fmi else "plain.c"):
         text = _with_headers(files[name], files, set(headers))
         found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
+    if not instead:
+        found["core.c"] = _IN_SOURCES.sub("", found["core.c"])
     for name in ("alfmu.h", "plain.c"):
         if name in found:
             found[name] = _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], found[name])
@@ -141,6 +143,9 @@ _APART = ("files.c", "fmi2.c", "fmi3.c")
 
 _FEATURE = re.compile(r"^#ifndef WITHOUT_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
 """Matches the alternative declarations in a header, with its feature and without it."""
+
+_IN_SOURCES = re.compile(r"^#ifdef IN_SOURCES\n.*?^#endif\n", re.MULTILINE | re.DOTALL)
+"""Matches what only files of kind source have."""
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)

@@ -6,22 +6,24 @@ compiler extensions. The files of `runtime/c/source` replace those of the same n
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import re
 import struct
 import zipfile
 from collections import Counter, defaultdict
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ..equations.interface import default_settings
+from ..kernel.again import shortened
 from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
-from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Steps, Traced, called
+from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Routine, Steps, Traced, called, every
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps
-from ..runtime import build
+from ..runtime import build, pipeline
 from ..runtime.library import DONE, Scene, Unit
 from ..runtime.shipped import installed
 from . import native
@@ -61,7 +63,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     kept = Scene(identified(packed(own, shares=True), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
-    state, steps = _state(kept, own, fmi), internal_steps(own.interval, default_settings(own).step_size)
+    state, steps = _state(kept, own, equations, fmi), internal_steps(own.interval, default_settings(own).step_size)
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -71,14 +73,16 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     run = _lean(scene, own, used)
     if kept.library.alfmu_share_places(kept.address) < 0:
         raise MemoryError
-    work, kinds, wide = _measured(scene, own, run, steps)
+    _abbreviate(scene)
+    work, kinds, forms = _measured(scene, own, run, steps)
     widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
     word = 16 if widest < 2**15 else 32
     constants, size = tables(scene, fmi > 0, word // 8, used)
     length = kept.library.alfmu_length(kept.address, starts)
     place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
     defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
-    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int(wide)}
+    defined |= {"INPUTS": max(scene.inputs, 1), "WORD": f"int{word}_t", "HAS_WIDE": int("wide" in forms)}
+    defined |= {"HAS_NARROW": int("narrow" in forms), "IN_SOURCES": 1}
     memory = f"{8 * place} bytes of memory an instance"
     if fmi:
         instance, saved = place + 160, len(state) // 8 + 8
@@ -99,9 +103,12 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         *[f'#include "{name}.h"'] * (not fmi),
         *(f"#define {key} {number}" for key, number in defined.items()),
     ]
+    if not any(isinstance(step, Lanes | Routine) for program in run.values() for step in every(program.steps)):
+        texts = [each.replace("at = routine_run(i, at);", "return;") for each in texts]
     text = _reached("".join([header, constants, start, *texts]))
     text = _prefixed(text, fmi) if fmi else _named(text, name)
-    text = text if wide else _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
+    if "wide" not in forms:
+        text = _OPERATION.sub(lambda row: row[0] if row[1] or int(row[2]) in kinds else "", text)
     files = {f"{name}.c": "\n".join([*head, text])}
     if not fmi:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
@@ -138,22 +145,30 @@ def facts(path: Path) -> list[str]:
 # The scene ------------------------------------------------------------------------------------------------------------
 
 
-def _state(scene: Scene, e: Traced, fmi: int) -> bytes:
-    """Return the state after the start; raise ExportError if the default experiment fails. Log its warnings, which
-    plain C does not give."""
+def _state(scene: Scene, e: Traced, every: Traced, fmi: int) -> bytes:
+    """Return the state after the start; raise ExportError if the default experiment fails, with the reason of the
+    complete scene `every` if this fails, too. Log warnings, which plain C does not give."""
     unit = Unit(scene)
     made = unit.initialize()
     state = unit.save()
-    for k in range(round(e.stop_time / e.interval)):
-        made = made or unit.step(k * e.interval, e.interval)
-    if made != DONE:
+    if _ran(unit, made, e) != DONE:
+        complete = Unit(Scene(pipeline.packed(every), installed()))
+        # If RK4 fails with any number of iterations, the reason is another one.
+        text = unit.text if _ran(complete, complete.initialize(), e) == DONE else complete.text
         raise ExportError(
-            f"{unit.text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
+            f"{text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
             "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
         )
     if (warning := unit.warning()) and not fmi:
         _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", warning)
     return state
+
+
+def _ran(unit: Unit, made: int, e: Traced) -> int:
+    """Return the outcome of the default experiment of a unit, whose initialization had the outcome `made`."""
+    for k in range(round(e.stop_time / e.interval)):
+        made = made or unit.step(k * e.interval, e.interval)
+    return made
 
 
 def _start(state: bytes) -> tuple[str, int]:
@@ -175,8 +190,10 @@ def _lean(scene: Structure, e: Traced, used: Container[str]) -> dict[str, Progra
     run = {own: e.kernel[own] for name, own in PROGRAMS.items() if name in used and own in e.kernel}
     needed = {own for name, own in FUNCTIONS.items() if name in used}
     needed.update(name for program in run.values() for name in called(program))
+    places = [f.inputs + f.outputs for f in scene.functions[: scene.function_count]]
     for name, program in zip(e.kernel, scene.programs[: scene.program_count], strict=True):
         program.words *= name in run
+        _shorten(program, places)
     for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
         if name not in needed:
             f.inputs = f.outputs = f.words = f.results = 0
@@ -184,25 +201,74 @@ def _lean(scene: Structure, e: Traced, used: Container[str]) -> dict[str, Progra
     return run
 
 
-def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], bool]:
+def _shorten(program: Structure, places: Sequence[int]) -> None:
+    """Replace the words of a program by fewer ones, in which repeated sequences stand once."""
+    words = shortened(program.code[: program.words], places)
+    for k, word in enumerate(words):
+        program.code[k] = word
+    program.words = len(words)
+
+
+def _abbreviate(scene: Structure) -> None:
+    """Give functions places of 8 bits where these suffice, counted from the first constant that a function reads.
+
+    Constants of functions with many registers come last.
+    """
+    functions = [f for f in scene.functions[: scene.function_count] if f.narrow and (f.words or f.results)]
+    count, places = scene.constant_count, [[*map(f.narrow.__getitem__, _places(f))] for f in functions]
+    order = list(range(count))
+    if not any(f.wide for f in scene.functions[: scene.function_count]):  # whose steps lead from constant to constant
+        largest = [0] * count
+        for f, own in zip(functions, places, strict=True):
+            for place in {*own}.intersection(order):
+                largest[place] = max(largest[place], f.registers)
+        order.sort(key=largest.__getitem__)
+        values = [scene.constants[k] for k in order]
+        for k, value in enumerate(values):
+            scene.constants[k] = value
+    new = [*sorted(order, key=order.__getitem__), *range(count, scene.registers)]
+    for f, own in zip(functions, places, strict=True):
+        for k in _places(f):
+            f.narrow[k] = new[f.narrow[k]]
+        base = min([new[place] for place in own] or [0])
+        words = f.narrow[: f.words + f.results]
+        for k in _places(f):
+            words[k] -= base
+        if max(words, default=0) < 2**8:
+            f.base, f.brief = base, (ctypes.c_uint8 * len(words))(*words)
+            f.narrow = None
+
+
+def _places(f: Structure) -> list[int]:
+    """Return where the words and results of a narrow function are places."""
+    found, at = list[int](), 0
+    while at < f.words:
+        end = at + NARROW_HEAD + f.narrow[at + 1] * OPERANDS[KINDS[f.narrow[at]]]
+        found += range(at + 2, end)
+        at = end
+    return [*found, *range(f.words, f.words + f.results)]
+
+
+def _measured(scene: Structure, e: Traced, run: Mapping[str, Program], steps: int) -> tuple[str, set[int], set[str]]:
     """Fit the registers of a lean scene to its functions. Return the line on its work, the kinds of operations, and
-    whether a function uses wide addresses."""
+    the forms of functions."""
     costs = Counter[str]()
-    kinds, wide = set[int](), False
+    kinds, forms = set[int](), set[str]()
     scene.registers = scene.constant_count
     for name, f in zip(e.functions, scene.functions[: scene.function_count], strict=True):
         if f.words or f.results:
             made = _operations(f)
-            scene.registers, wide = max(scene.registers, f.registers), wide or bool(f.wide)
+            scene.registers = max(scene.registers, f.registers)
+            forms.add("brief" if f.brief else "narrow" if f.narrow else "wide")
             costs[name], kinds = made.total(), kinds | {*made}
     scene.lane_registers = 0
     most = {key: _most(program.steps, costs) for key, program in run.items()}
-    return _work(e, most, steps, bool(scene.break_count)), kinds, wide
+    return _work(e, most, steps, bool(scene.break_count)), kinds, forms
 
 
 def _operations(f: Structure) -> Counter[int]:
     """Return how many operations of each kind a function makes."""
-    found, places, at, head = Counter[int](), f.narrow or f.wide, 0, NARROW_HEAD if f.narrow else 2
+    found, places, at, head = Counter[int](), f.brief or f.narrow or f.wide, 0, 2 if f.wide else NARROW_HEAD
     while at < f.words:
         found[places[at]] += places[at + 1]
         at += head + places[at + 1] * OPERANDS[KINDS[places[at]]]
@@ -267,6 +333,7 @@ _INSTEAD = {
     r"\bscene_of_fmu\(resources, why, why_size\)": "((void)resources, (Scene *)(void *)&the_scene)",
     r"\bscene_free\(c->scene\);": "",
     r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
+    r"^\tCompiled \*(?:compiled|in_lanes);$": "",
     r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
 }
 """Replacements for headers, compiler extensions, memory allocation, files and loaded scenes, by pattern."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..model.making import getting_ready
+from .again import alike
 from .controlled import whole
 from .exchange import ACCELERATIONS, obstacle
 from .form import Traced, called
@@ -14,6 +15,7 @@ from .joined import joined
 from .lanes import laned
 from .memory import Layout
 from .standalone import READ, standalone
+from .trace import SHARING
 
 FUNCTIONS = {
     **{
@@ -28,8 +30,8 @@ FUNCTIONS = {
 }
 """Functions called by the runtime, by their names in C."""
 
-HOT = ("quick", "instant", "instant_quick", "method", "short")
-"""Programs with joined calls: they run in every step."""
+HOT = ("quick", "instant_quick", "method", "short")
+"""Programs with joined calls: they run in every step, as `instant` does if there is no `instant_quick`."""
 
 
 def complete(equations: Traced) -> Traced:
@@ -42,13 +44,14 @@ def complete(equations: Traced) -> Traced:
 def _complete(equations: Traced) -> Traced:
     e = standalone(equations)
     handed = (*READ, *[ACCELERATIONS] * (not obstacle(e)))
+    hot = HOT if "instant_quick" in e.kernel else (*HOT, "instant")
     if e.n > DENSE:
-        return ordered(joined(e, HOT, handed))
+        return ordered(joined(e, hot, handed))
     # RK4 takes limits near singular positions in every step; other integrators have other programs there.
     steps = [] if "method" in e.kernel else ["branch"]
     fields, kernel = Layout(e).fields, e.kernel
     kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
-    return ordered(joined(replace(e, kernel=kernel), HOT, handed))
+    return ordered(joined(replace(e, kernel=kernel), hot, handed))
 
 
 def smallest(equations: Traced) -> Traced:
@@ -64,7 +67,10 @@ def smallest(equations: Traced) -> Traced:
         if default_settings(equations).branch != "continue":
             without |= {"branch", "limit"}
         kernel = {name: program for name, program in own.kernel.items() if name not in without}
-        return ordered(replace(own, kernel=kernel))
+        # Outputs of a quick step come from few calls; programs near singular positions share the functions of a pass.
+        shared = {name for each, program in kernel.items() if each != "instant_quick" for name in called(program)}
+        only = {name for program in kernel.values() for name in called(program)} - shared | {*SHARING}
+        return ordered(joined(alike(replace(own, kernel=kernel)), ["instant_quick"], READ, only))
 
 
 def ordered(e: Traced) -> Traced:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 
@@ -18,13 +18,16 @@ LONGEST = 40000
 """Largest number of instructions of joined calls; programs of a larger scene call small functions."""
 
 
-def joined(equations: Traced, programs: Iterable[str], handed: Iterable[str] = ()) -> Traced:
+def joined(
+    equations: Traced, programs: Iterable[str], handed: Iterable[str] = (), only: Collection[str] = ()
+) -> Traced:
     """Return the equations with calls of these programs joined as far as choices, loops and routines allow.
 
-    `handed` are values that they pass to other programs, besides the fields of the memory.
+    `handed` are values that they pass to other programs, besides the fields of the memory; `only` are the functions
+    whose calls are joined, all if empty.
     """
     e = equations
-    joining, fields = _Joining(e), {*Layout(e).fields, *handed}
+    joining, fields = _Joining(e, only), {*Layout(e).fields, *handed}
     kernel: dict[str, Program] = dict(e.kernel)
     for name in programs:
         if name in kernel:
@@ -33,8 +36,8 @@ def joined(equations: Traced, programs: Iterable[str], handed: Iterable[str] = (
 
 
 class _Joining:
-    def __init__(self, equations: Traced):
-        self._e = equations
+    def __init__(self, equations: Traced, only: Collection[str]):
+        self._e, self._only = equations, only
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}
 
@@ -42,7 +45,7 @@ class _Joining:
         """Return fewer equivalent steps; `after` are the values needed after them."""
         made: list[Step] = []
         at = 0
-        for alone, group in groupby(steps, lambda step: not isinstance(step, Call)):
+        for alone, group in groupby(steps, self._alone):
             part = tuple(group)
             at += len(part)
             if alone:
@@ -52,6 +55,10 @@ class _Joining:
                 calls = [step for step in part if isinstance(step, Call)]
                 made += self._together(program, calls, after.union(taken(steps[at:])))
         return tuple(made)
+
+    def _alone(self, step: Step) -> bool:
+        """Return whether a step is not joined with others."""
+        return not isinstance(step, Call) or (bool(self._only) and step.function not in self._only)
 
     def _inside(self, program: str, step: Step, later: set[str]) -> Step:
         if isinstance(step, Choice):

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, renamed, taken
 
-__all__ = ["laned"]
+__all__ = ["laned", "repetition", "shape"]
 
 FEW = 4
 """Repetitions up to which calls stay sequential: this many single calls take the time of one call in all lanes."""
@@ -24,10 +24,10 @@ def laned(program: Program, handed: Collection[str]) -> Program:
 
 def _side_by_side(steps: Steps, after: Collection[str]) -> Steps:
     made: list[Step] = []
-    shapes = [_shape(step) for step in steps]
+    shapes = [shape(step) for step in steps]
     at = 0
     while at < len(steps):
-        period, count = _repetition(steps[at:], shapes[at:])
+        period, count = repetition(steps[at:], shapes[at:])
         end = at + period * count
         parts = None
         if count > FEW:
@@ -52,7 +52,7 @@ def _inside(step: Step, after: Collection[str]) -> Step:
     return step
 
 
-def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
+def repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
     """Return length and count of the shortest repetition from the first step on that occurs more than `FEW` times."""
     for period in range(1, len(steps) // (FEW + 1) + 1):
         count = 1
@@ -63,7 +63,7 @@ def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
     return 1, 1
 
 
-def _shape(step: Step) -> tuple:
+def shape(step: Step) -> tuple:
     """Return a step without the names of its values."""
     return tuple((type(x), x.function if isinstance(x, Call) else None) for x in every([step]))
 

@@ -30,6 +30,9 @@ from .stream import BINARY, OPERATIONS, ROLES, UNARY, Instructions, number
 CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """Elements of a program, in the order of their numbers."""
 
+AGAIN = len(CALLS)
+"""Number of another element, which only sources have: earlier words of the program, run again."""
+
 
 def operations_header() -> str:
     """Return operations.h: the results of operations on a, b and c, in C."""
@@ -62,7 +65,7 @@ def operations_header() -> str:
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"#define OPERATIONS {OPERATIONS}",
         f"enum {{ {', '.join(f'{role.upper()}_ROLE' for role in ROLES)} }};",
-        f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
+        f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)}, AGAIN_CODE }};",
         "",
         "#endif",
     ]

@@ -91,9 +91,10 @@ def lengths_of(equations: Configuration) -> dict[str, int]:
         "left stabilisation": 2,
         "watch watched watchl watchn read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn way a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "shared_mu": n,
         "aside off_q off_v": n,
         "round_off read_a": n,
-        "lam laml lamn force Phi Cv stabilised least_norm": l,
+        "lam laml lamn force Phi Cv stabilised least_norm shared shared_last": l,
         "inputs": inputs,
         "past": memory_size(inputs),
         "soft": found["k"],
@@ -135,6 +136,34 @@ class Watch(NamedTuple):
         return ca.vertcat(*self)
 
 
+class Sharing(NamedTuple):
+    """Values that the passes of `Scene.carried` have in common."""
+
+    P: SX
+    inverse: SX
+    """Inverse pivots."""
+    L: SX
+    weights: SX
+    slope: SX
+    sizes: SX
+    size: SX
+    """Size of the given loads."""
+    order: list[int]
+    """Order in which the factors eliminate."""
+
+    @classmethod
+    def of(cls, known: Sharing, vector: SX) -> Sharing:
+        """Return the values in a vector; `known` has their sparsity."""
+        ends = np.cumsum([0, *(x.nnz() for x in known[:-1])]).tolist()
+        parts = [SX(x.sparsity(), vector[i:j]) for x, (i, j) in zip(known[:-1], pairwise(ends), strict=True)]
+        P, inverse, L, weights, slope, sizes, size = parts
+        return cls(P, inverse, L, weights, slope, sizes, size, known.order)
+
+    def vector(self) -> SX:
+        """Return the nonzeros."""
+        return SX(ca.vertcat(*(entry for x in self[:-1] for entry in x.nz[:].nz)))
+
+
 class Scene:
     """The method of a scene, with a symbol for each named value."""
 
@@ -169,6 +198,8 @@ class Scene:
     def length(self, name: str) -> int:
         if name in MATRICES:
             return self.patterns[name].nnz()
+        if name == "sharing":
+            return self.sharing.vector().numel()
         return self._lengths[name if name in self._lengths else name.rstrip("0123456789")]
 
     def value(self, name: str) -> SX:
@@ -403,8 +434,37 @@ class Scene:
         In an impact, a are changes of v, and there are no other loads. docs/theory/redundancy.md defines the loads,
         `method.formulations.shared_again` the algorithm.
         """
-        e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, list[SX]()
-        held = SX.ones(e.l) if self.kind == "plain" else self.held
+        known, C = self._sharing_of(t, q, v, u, C, a, lam, impact)
+        d, last = SX(self.e.l, 1), SX(self.e.l, 1)
+        mu = SX(self.e.n, 1)
+        for _ in range(passes):
+            d, mu, last = self._shared(known, C, d, mu)
+        return self._carried(known, lam, d, last, passes)
+
+    def sharing_begun(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX) -> tuple[SX, ...]:
+        """Return what the passes of `carried` share, and d and mu before them."""
+        known, _ = self._sharing_of(t, q, v, u, C, a, lam)
+        return known.vector(), SX(self.e.l, 1), SX(self.e.n, 1)
+
+    def shared_again(self, C: SX, sharing: SX, d: SX, mu: SX) -> tuple[SX, ...]:
+        """Return d, mu and the change of d of another pass."""
+        return self._shared(Sharing.of(self.sharing, sharing), ca.sparsify(ca.diag(self.held) @ C), d, mu)
+
+    def sharing_ended(self, passes: int, lam: SX, sharing: SX, d: SX, last: SX) -> SX:
+        """Return lam after these passes, of which the last one changed d."""
+        return self._carried(Sharing.of(self.sharing, sharing), lam, d, last, passes)
+
+    @cached_property
+    def sharing(self) -> Sharing:
+        """Return what the passes of `carried` share, of which only the sparsity counts."""
+        x = symbols(self.e)
+        return self._sharing_of(x["t"], x["q"], x["v"], x["u"], self.value("C"), x["a"], x["lam"])[0]
+
+    def _sharing_of(
+        self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, impact: bool = False
+    ) -> tuple[Sharing, SX]:
+        """Return what the passes of `carried` share, and C without the rows that are not held."""
+        e, x, physical, held = self.e, SX.sym("x", self.e.l), lam / self.scale, self.held
 
         def slope(lam: SX) -> SX:
             if not impact:
@@ -420,17 +480,32 @@ class Scene:
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
         # A column at the level of round-off of H's diagonal counts as zero.
         there = ca.fmin(1, ca.densify(ca.sum1(C**2).T) * self.inverse_scales)
-        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
+        weights = ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0)
+        eased = P + method.EASE * ca.diag(sizes)
+        D, L, order = self._factored(method.augmented_mass(eased, C.T, ca.diag(weights)))
+        size = ca.dot(sizes * physical, physical) + ca.dot(slope(0 * x), slope(0 * x) / sizes)
+        return Sharing(P, _once(1 / D), L, weights, held * slope(physical), sizes, size, order), C
+
+    def _shared(self, known: Sharing, C: SX, d: SX, mu: SX) -> tuple[SX, SX, SX]:
+        """Return d, mu and the change of d of a pass."""
+        upper, last = known.L + SX.eye(self.e.l), list[SX]()
+        back = np.argsort(known.order).tolist()
+
+        def solve(b: SX) -> SX:
+            return ca.solve(upper, known.inverse * ca.solve(upper.T, b[known.order]))[back]
 
         def done(change: SX, value: SX) -> bool:
-            size = sum((ca.dot(sizes * each, each) for each in (value, physical, slope(0 * x) / sizes)), SX(0))
-            last[:] = [ca.dot(sizes * change, change), size + _TINY]
+            last[:] = [change]
             return False
 
-        eased = P + method.EASE * ca.diag(sizes)
-        d = method.shared_again(P, held * slope(physical), C, weights, self._inverse, eased, passes, done)
+        d, mu = method.shared_again(known.P, known.slope, C, ca.diag(known.weights), solve, d, mu, 1, done)
+        return d, mu, last[0]
+
+    def _carried(self, known: Sharing, lam: SX, d: SX, last: SX, passes: int) -> SX:
+        """Return lam with the change d, of which the last pass made `last`; NaN if the passes did not converge."""
+        change, size = ca.dot(known.sizes * last, last), ca.dot(known.sizes * d, d) + known.size + _TINY
         # Each of m passes gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
-        found = last[0] <= _SHARED ** (2 * (passes - 1) / passes) * last[1]
+        found = change <= _SHARED ** (2 * (passes - 1) / passes) * size
         return lam + self.scale * ca.if_else(found, d, math.nan)
 
     def _sizes(self, P: SX, C: SX, carried: Sequence[int]) -> SX:
@@ -446,14 +521,12 @@ class Scene:
         found = ca.sum2(C**2 * ca.repmat(shares, e.l, 1))
         return ca.vertcat(*(P[i, i] if i in carried else ca.if_else(found[i] > 0, found[i], 1) for i in range(e.l)))
 
-    def _inverse(self, K: SX) -> method.Solve:
-        """Return a solver with a matrix (l, l)."""
-        order = (K.sparsity() + K.sparsity().T).amd()
+    def _factored(self, K: SX) -> tuple[SX, SX, list[int]]:
+        """Return the factors of a matrix (l, l), and the order in which they eliminate."""
+        order = list((K.sparsity() + K.sparsity().T).amd())
         K = ca.sparsify(K)  # an entry may be zero on one side of the diagonal only, because of a joint's constants
         K = ca.project(K, K.sparsity() + K.sparsity().T)[order, order]
-        D, L = self._factors_of(K)
-        inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
-        return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
+        return *self._factors_of(K), order
 
     # Singular positions --------------------------------------------------------------------------------------------
 

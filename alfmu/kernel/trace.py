@@ -37,7 +37,7 @@ from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, Traced, called
 from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
-from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
+from .symbolic import LOADED, MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
@@ -47,6 +47,9 @@ MOST_GAINS = 25
 
 _OFTEN = 3
 """Multiplier iterations of most evaluations in a step on the branch."""
+
+SHARING = ("share_begin", "share_again", "carry")
+"""Functions that share a load for outputs, called one after the other."""
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
@@ -366,16 +369,23 @@ class Tracer:
     def _share(self, calls: Calls, known: str, found: str) -> None:
         """Replace the last multipliers by those with least loads of joints; `known` are names of time, q, v and inputs,
         `found` those of a and lam."""
-        _, lam = found.split()
         if self.loaded:
-            calls("carry", f"{known} p k C {found}", lam, calls.scene.carried)
+            self._carry(calls, known, found, "carry", LOADED)
         else:
-            self._least(calls, lam)
+            self._least(calls, found.split()[1])
 
     def _bear(self, calls: Calls, known: str, found: str) -> None:
         """Share a load by more passes, which suffice near singular positions."""
-        carried = calls.scene.carried
-        calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, passes=PATIENT_LOADED))
+        self._carry(calls, known, found, "bear", PATIENT_LOADED)
+
+    def _carry(self, calls: Calls, known: str, found: str, name: str, passes: int) -> None:
+        """Share a load by so many passes, of which the last function has a name of its own."""
+        scene, lam, shared = calls.scene, found.split()[1], "shared shared_mu"
+        calls("share_begin", f"{known} p k C {found}", f"sharing {shared}", scene.sharing_begun)
+        for _ in range(passes):
+            calls("share_again", f"k C sharing {shared}", f"{shared} shared_last", scene.shared_again)
+        end = f"k {lam} sharing shared shared_last"
+        calls(name, end, lam, lambda *x: scene.sharing_ended(passes, *x))
 
     @cached_property
     def loaded(self) -> bool:

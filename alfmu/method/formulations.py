@@ -115,16 +115,15 @@ def minimum_norm_of_joints(
 
 
 def shared_again(
-    P: Array, g: Array, C: Array, alpha: Array, inverse: Callable[[Array], Solve], eased: Array, most: int, done: Done
-) -> Array:
-    """Return the change d of lam that minimises the loads of joints, d' P d / 2 + g' d, subject to C' d = 0.
+    P: Array, g: Array, C: Array, alpha: Array, solve: Solve, d: Array, mu: Array, most: int, done: Done
+) -> tuple[Array, Array]:
+    """Return the change d of lam that minimises the loads of joints, d' P d / 2 + g' d, subject to C' d = 0, and its
+    multipliers mu; both continue from given values.
 
     This is (8) with P (l, l) for the masses, -g for the forces and C' for the constraints, whose penalties are alpha
-    (n, n). `eased` (l, l) is P, regularised in directions that P leaves free; `inverse` returns a solver.
+    (n, n). `solve` applies the inverse of P + C alpha C', with P regularised in directions that it leaves free.
     """
-    nothing = 0 * g
-    solve = inverse(augmented_mass(eased, C.T, alpha))
-    return residual(P, -g, C.T, C.T @ nothing, alpha, solve, nothing, C.T @ nothing, most, done)[0]
+    return residual(P, -g, C.T, 0 * mu, alpha, solve, d, mu, most, done)[:2]
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: Array, omega: Array) -> Array:

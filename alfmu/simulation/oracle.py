@@ -126,7 +126,8 @@ class Instance(Stepped):
         there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # small for a column of round-off
         weights = np.diag(np.divide(method.HELD_SHARES * there, columns, out=np.zeros_like(columns), where=columns > 0))
         eased = P + method.EASE * np.diag(sizes)
-        return lam + method.shared_again(P, held @ slope(lam), C, weights, self.inverse, eased, CORRECTIONS, unchanged)
+        solve, start = self.inverse(method.augmented_mass(eased, C.T, weights)), (0 * lam, np.zeros(C.shape[1]))
+        return lam + method.shared_again(P, held @ slope(lam), C, weights, solve, *start, CORRECTIONS, unchanged)[0]
 
     def impact(self, q: NDArray, v: NDArray) -> NDArray:
         """Return v (n,) after a plastic impact that satisfies the constraints: M dv + C' impulse = 0, C dv = -C v."""

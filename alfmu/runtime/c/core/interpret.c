@@ -21,6 +21,7 @@
 
 #ifndef HAS_WIDE
 #define HAS_WIDE 1 /* functions whose places have 32 bits */
+#define HAS_NARROW 1 /* functions whose places have 16 bits */
 #endif
 
 /* Runs of equal operations: the kind, the number of operations, the places of their operands. The same text serves
@@ -144,8 +145,8 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         } \
         break;
 
-/* Read two 16-bit places at once: reading places takes half the time of an operation. */
-static inline uint32_t two(const uint16_t *at)
+/* Read two places at once: reading places takes half the time of an operation. */
+static inline uint32_t two_narrow(const uint16_t *at)
 {
     uint32_t both;
     memcpy(&both, at, sizeof both);
@@ -153,13 +154,13 @@ static inline uint32_t two(const uint16_t *at)
 }
 
 #if defined(__BYTE_ORDER__) && defined(__ORDER_BIG_ENDIAN__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
-#define FIRST(both) r[(both) >> 16]
-#define SECOND(both) r[(both) & 0xffff]
+#define FIRST(both) r[(both) >> BITS]
+#define SECOND(both) r[(both) & ((1u << BITS) - 1)]
 #else
-#define FIRST(both) r[(both) & 0xffff]
-#define SECOND(both) r[(both) >> 16]
+#define FIRST(both) r[(both) & ((1u << BITS) - 1)]
+#define SECOND(both) r[(both) >> BITS]
 #endif
-#define PAIRS(kind, value) \
+#define PAIRS(two, kind, value) \
     case kind: \
         for (; count; count--, at += 2) { \
             const uint32_t x = two(at); \
@@ -168,75 +169,103 @@ static inline uint32_t two(const uint16_t *at)
         } \
         break;
 
-static void narrow_runs(const uint16_t *at, const uint16_t *end, double *r)
-{
-    while (at < end) {
-        const uint32_t head = at[0];
-        uint32_t count = at[1];
-        double *d = r + at[2];
-        at += NARROW_HEAD;
-        switch (head) {
-        case SUM1_KIND:
-            for (; count >= 2; count -= 2, at += 6, d += 2) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4);
-                d[0] = SUM1(FIRST(x), SECOND(x), FIRST(y));
-                d[1] = SUM1(SECOND(y), FIRST(z), SECOND(z));
-            }
-            if (count) {
-                *d++ = SUM1(r[at[0]], r[at[1]], r[at[2]]);
-                at += 3;
-            }
-            break;
-        case SUM2_KIND:
-            for (; count >= 2; count -= 2, at += 10, d += 2) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6), v = two(at + 8);
-                d[0] = SUM2(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z));
-                d[1] = SUM2(SECOND(z), FIRST(u), SECOND(u), FIRST(v), SECOND(v));
-            }
-            if (count) {
-                *d++ = SUM2(r[at[0]], r[at[1]], r[at[2]], r[at[3]], r[at[4]]);
-                at += 5;
-            }
-            break;
-        case SUM4_KIND:
-            for (; count; count--, at += 9) {
-                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6);
-                *d++ = SUM4(
-                    FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]);
-            }
-            break;
-        case PRODUCTS_KIND:
-            for (; count; count--, at += 4) {
-                const uint32_t x = two(at), y = two(at + 2);
-                *d++ = PRODUCTS(FIRST(x), SECOND(x), FIRST(y), SECOND(y));
-            }
-            break;
-            PAIRS(PRODUCT_KIND, a *b)
-            PAIRS(PLUS_KIND, a + b)
-            PAIRS(MINUS_KIND, a - b)
-            PAIRS(OVER_KIND, a / b)
-            UNARY(NEGATIVE_KIND, -a)
-        case SINE_COSINE_KIND:
-            for (; count; count--, d += 2)
-                sine_cosine(r[*at++], d, d + 1);
-            break;
-            BINARY_OPERATIONS(BINARY)
-            UNARY_OPERATIONS(UNARY)
-        }
+/* The same for places of 16 bits, and of 8 bits in sources. */
+#define RUNS(name, Place, two) \
+    static void name(const Place *at, const Place *end, double *r) \
+    { \
+        enum { BITS = 8 * sizeof *at }; \
+        while (at < end) { \
+            const uint32_t head = at[0]; \
+            uint32_t count = at[1]; \
+            double *d = r + at[2]; \
+            at += NARROW_HEAD; \
+            switch (head) { \
+            case SUM1_KIND: \
+                for (; count >= 2; count -= 2, at += 6, d += 2) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4); \
+                    d[0] = SUM1(FIRST(x), SECOND(x), FIRST(y)); \
+                    d[1] = SUM1(SECOND(y), FIRST(z), SECOND(z)); \
+                } \
+                if (count) { \
+                    *d++ = SUM1(r[at[0]], r[at[1]], r[at[2]]); \
+                    at += 3; \
+                } \
+                break; \
+            case SUM2_KIND: \
+                for (; count >= 2; count -= 2, at += 10, d += 2) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6), v = two(at + 8); \
+                    d[0] = SUM2(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z)); \
+                    d[1] = SUM2(SECOND(z), FIRST(u), SECOND(u), FIRST(v), SECOND(v)); \
+                } \
+                if (count) { \
+                    *d++ = SUM2(r[at[0]], r[at[1]], r[at[2]], r[at[3]], r[at[4]]); \
+                    at += 5; \
+                } \
+                break; \
+            case SUM4_KIND: \
+                for (; count; count--, at += 9) { \
+                    const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6); \
+                    *d++ = SUM4( \
+                        FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]); \
+                } \
+                break; \
+            case PRODUCTS_KIND: \
+                for (; count; count--, at += 4) { \
+                    const uint32_t x = two(at), y = two(at + 2); \
+                    *d++ = PRODUCTS(FIRST(x), SECOND(x), FIRST(y), SECOND(y)); \
+                } \
+                break; \
+                PAIRS(two, PRODUCT_KIND, a *b) \
+                PAIRS(two, PLUS_KIND, a + b) \
+                PAIRS(two, MINUS_KIND, a - b) \
+                PAIRS(two, OVER_KIND, a / b) \
+                UNARY(NEGATIVE_KIND, -a) \
+            case SINE_COSINE_KIND: \
+                for (; count; count--, d += 2) \
+                    sine_cosine(r[*at++], d, d + 1); \
+                break; \
+                BINARY_OPERATIONS(BINARY) \
+                UNARY_OPERATIONS(UNARY) \
+            } \
+        } \
     }
+
+RUNS(narrow_runs, uint16_t, two_narrow)
+
+#ifdef IN_SOURCES
+
+static inline uint32_t two_brief(const uint8_t *at)
+{
+    uint16_t both;
+    memcpy(&both, at, sizeof both);
+    return both;
 }
+
+RUNS(brief_runs, uint8_t, two_brief)
+
+#endif
 
 /* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
-    if (!HAS_WIDE || f->narrow)
+#ifdef IN_SOURCES
+    if (f->brief) {
+        brief_runs(f->brief, f->brief + f->words, r + f->base);
+        return;
+    }
+#endif
+    if (HAS_NARROW && (!HAS_WIDE || f->narrow))
         narrow_runs(f->narrow, f->narrow + f->words, r);
-    else
+    else if (HAS_WIDE)
         wide_runs(f->wide, f->wide + f->words, r, values);
 }
 
 static size_t result(const Function *f, size_t k)
 {
+#ifdef IN_SOURCES
+    if (f->brief)
+        return (size_t)f->brief[f->words + k] + (size_t)f->base;
+#endif
     return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
 }
 
@@ -245,10 +274,12 @@ void function_call_alone(Instance *i, int which, const double *const *x, double 
     const Function *f = i->scene->functions + which;
     double *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
+#ifndef IN_SOURCES
     if (f->compiled) {
         f->compiled(x, y, i->spare);
         return;
     }
+#endif
     for (int j = 0; j < f->inputs; j++) {
         memcpy(d, x[j], (size_t)f->lengths[j] * sizeof *d);
         d += f->lengths[j];
@@ -261,10 +292,13 @@ void function_call_alone(Instance *i, int which, const double *const *x, double 
 
 void function_call(Instance *i, int which, const double *const *x, double *const *y)
 {
-    if (i->wait)
+#ifndef IN_SOURCES
+    if (i->wait) {
         i->wait(i, which, x, y);
-    else
-        function_call_alone(i, which, x, y);
+        return;
+    }
+#endif
+    function_call_alone(i, which, x, y);
 }
 
 static inline void call_at(Instance *i, const Function *f, const Word *at)
@@ -273,6 +307,7 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
     size_t k = 0;
     if (i->tape)
         tape_call_at(i, f, at);
+#ifndef IN_SOURCES
     if (f->compiled) {
         const double *x[MOST_ARGUMENTS];
         double *y[MOST_ARGUMENTS];
@@ -283,6 +318,7 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
         f->compiled(x, y, i->spare);
         return;
     }
+#endif
     for (int j = 0; j < f->inputs; j++) {
         memcpy(d, m + at[j], (size_t)f->lengths[j] * sizeof *d);
         d += f->lengths[j];
@@ -292,6 +328,13 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
     for (int j = 0; j < f->outputs; j++) {
         double *y = m + at[j];
         const int length = f->lengths[f->inputs + j];
+#ifdef IN_SOURCES
+        if (f->brief) {
+            const uint8_t *from = f->brief + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = (r + f->base)[from[e]];
+        } else
+#endif
         if (f->narrow) {
             const uint16_t *from = f->narrow + f->words + k;
             for (int e = 0; e < length; e++)
@@ -443,6 +486,12 @@ static void run_code(Instance *i, const Word *at, const Word *end)
             at = body + at[3];
             break;
         }
+#ifdef IN_SOURCES /* whose programs have each repeated sequence once */
+        case AGAIN_CODE: /* distance back to the sequence; its length */
+            run_code(i, at - at[1], at - at[1] + at[2]);
+            at += 3;
+            break;
+#endif
         default:
             at = routine_run(i, at);
         }
@@ -461,10 +510,13 @@ void registers_load(Instance *i)
 void program_run(Instance *i, int program)
 {
     const Program *p = i->scene->programs + program;
-    if (i->wait)
+#ifndef IN_SOURCES
+    if (i->wait) {
         i->wait(i, program, NULL, NULL);
-    else
-        run_code(i, p->code, p->code + p->words);
+        return;
+    }
+#endif
+    run_code(i, p->code, p->code + p->words);
 }
 
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y)

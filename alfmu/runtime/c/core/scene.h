@@ -89,14 +89,21 @@ typedef struct {
     int output, input, direction;
 } Jacobian_entry;
 
+/* A place in the memory of an instance, or a length there. */
+#ifndef WORD
+#define WORD int32_t
+#endif
+typedef WORD Word;
+
 /* A function: runs of equal operations, whose operands are places among constants, arguments and earlier results,
    followed by the places of its results. Places have 16 bits (narrow) or 32 (wide); a run of a narrow function also
    has the place of its first result. */
 typedef struct {
-    int inputs, outputs, results;
-    const int32_t *lengths; /* [inputs + outputs] of arguments, then of results */
+    int inputs, outputs, results, base;
+    const Word *lengths;    /* [inputs + outputs] of arguments, then of results */
     const uint16_t *narrow; /* [words + results] */
     const int32_t *wide;    /* [words + results] */
+    const uint8_t *brief;   /* [words + results] the same as narrow, in sources: places count from `base` */
     size_t words;
     int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
@@ -104,11 +111,6 @@ typedef struct {
 } Function;
 
 /* A program: calls of functions on the memory of an instance, choices and loops, as places and lengths. */
-#ifndef WORD
-#define WORD int32_t
-#endif
-typedef WORD Word;
-
 typedef struct {
     const Word *code; /* [words] */
     size_t words;
