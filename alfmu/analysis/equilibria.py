@@ -325,11 +325,12 @@ class _Search:
 
     def __init__(self, loops: Loops):
         self.loops = loops
-        self.largest = self._left(loops.home)
+        self.largest = 0.0
         """Largest load along a motion encountered."""
+        self._meet(loops.balance(loops.home)[1])
         for way in (sign * way for way in loops.motions(loops.home).T for sign in (0, 1, -1)):
             if (y := loops.closed(loops.home + STEP * way)) is not None:
-                self.largest = max(self.largest, self._left(y))
+                self._meet(loops.balance(y)[1])
 
     def all(self, starts: int) -> list[Equilibrium]:
         """Return the equilibria found, the nearest first."""
@@ -404,7 +405,7 @@ class _Search:
             along = (y - before) / np.linalg.norm(y - before)
             N, r, _ = loops.balance(y)
             load = float(r[0] * (np.sign(N[:, 0] @ along) or 1.0))
-            self.largest = max(self.largest, abs(load))
+            self._meet(r)
             if last is not None and load * last <= 0:
                 yield self._between(before, y), False
             elif last is not None and abs(load) > abs(last) and falls:
@@ -469,6 +470,11 @@ class _Search:
         """Load that counts as zero; positions far from the origin have more round-off."""
         return max(BALANCED, ROUND_OFF * float(np.abs(self.loops.home).max(initial=0.0))) * self.largest
 
+    def _meet(self, r: Vector) -> None:
+        """Update the largest load; where a spring has no length, no load is defined."""
+        if np.isfinite(r).all():
+            self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
+
     def _at_rest(self, y: Vector) -> bool:
         return self._left(y) <= self._nothing
 
@@ -479,7 +485,7 @@ class _Search:
         """Return an equilibrium by Newton's method in steps along the motions, None if there is none."""
         loops, damping, stalled, made, shortened = self.loops, 0.0, 0, 0, 0
         N, r, lam = loops.balance(y)
-        self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
+        self._meet(r)
         while self.largest > 0 and made < STEPS and shortened < SHORTENED:
             size = float(np.linalg.norm(r))
             if size == 0.0 or stalled > 2:
