@@ -228,6 +228,16 @@ def test_a_spring_that_loses_its_length_on_the_way_hides_no_position_and_makes_n
     assert np.sort(found) == pytest.approx(still, abs=1e-4)
 
 
+def test_where_a_spring_has_no_length_nothing_is_linearised():
+    m = alfmu.Mechanism("flap")
+    bar = m.bar("bar", mass=1.0, length=0.5)
+    m.revolute("A", m.ground.at(), bar.start, coordinate=m.coordinate("th", start=0.0, independent=True))
+    m.spring_damper((m.ground.at(0.5, 0), bar.end), stiffness=100.0, rest=0.1)
+    m.gravity(0, -G)
+    with pytest.raises(alfmu.InputError, match="flap, t = 0 s: loads or their derivatives are not finite"):
+        alfmu.linearize(m)
+
+
 def test_a_singular_position_of_rest_is_not_judged():
     rest = alfmu.equilibrium("four_bar", parameters={"g": 0.0, "start.angular_velocity": 0.0}, starts=0)[0]
     assert rest.stability == "not judged"

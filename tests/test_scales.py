@@ -475,12 +475,9 @@ def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
     def slider_crank(placed: bool) -> Mechanism:
         m, r, l, th = Mechanism("eccentric"), 1e-4, 0.9, 0.5
         slope = -np.arcsin(r * np.sin(th) / l)
-        pose = [
-            m.coordinate(name, unit, start=start)
-            for name, unit, start in (
-                ("x", "m", r * np.cos(th) + l / 2 * np.cos(slope)), ("y", "m", r / 2 * np.sin(th)), ("turn", "rad", slope)
-            )
-        ] if placed else None  # fmt: skip
+        middle = r * np.cos(th) + l / 2 * np.cos(slope), r / 2 * np.sin(th), slope
+        names = ("x", "m"), ("y", "m"), ("turn", "rad")
+        pose = [m.coordinate(*name, start=at) for name, at in zip(names, middle, strict=True)] if placed else None
         crank, slider = m.bar("crank", mass=0.1, length=r), m.body("slider", mass=0.5)
         rod = m.bar("rod", mass=1.0, length=l, pose=pose)
         free = m.coordinate("th", start=th, rate=20.0, independent=True)
@@ -492,8 +489,8 @@ def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
         return m
 
     def rate(t: float, y: NDArray) -> list[float]:
-        """Mass and load along the crank's angle, to r/l: the rod slides as the slider does, and turns by r cos th / l."""
-        r, l, (th, w) = 1e-4, 0.9, y
+        """Motion of the crank, to r/l: the rod slides as the slider does and turns by r/l cos th."""
+        r, (th, w) = 1e-4, y
         s, c = np.sin(th), np.cos(th)
         mass = r * r * (0.1 / 3 + 1.5 * s * s + c * c / 3)
         change = r * r * (3.0 - 2 / 3) * s * c

@@ -335,6 +335,11 @@ class _Search:
     def all(self, starts: int) -> list[Equilibrium]:
         """Return the equilibria found, the nearest first."""
         loops = self.loops
+        if not math.isfinite(self._left(loops.home)) and self.largest == 0.0:
+            raise InputError(
+                f"{loops.situation.name}: loads are not finite at the start nor beside it, as that of a spring between "
+                "points that coincide; start elsewhere"
+            )
         if self.largest == 0.0:  # without loads every position is an equilibrium
             return [self._judged(loops.home, True)]
         reached = [(y, True) for y in map(self.balanced, self._along(starts)) if y is not None]
@@ -476,7 +481,9 @@ class _Search:
             self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
 
     def _at_rest(self, y: Vector) -> bool:
-        return self._left(y) <= self._nothing
+        N, r, lam = self.loops.balance(y)
+        known = np.isfinite(self.loops.stiffness(y, N, lam)).all()
+        return bool(known and np.abs(r).max(initial=0.0) <= self._nothing)
 
     def _left(self, y: Vector) -> float:
         return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
@@ -512,7 +519,7 @@ class _Search:
                 damping = max(10 * damping, 1e-3)
                 if damping > 1e4:
                     break
-        return y if self._left(y) <= self._nothing else None
+        return y if self._at_rest(y) else None
 
     # Properties of an equilibrium -------------------------------------------------------------------------------------
 
