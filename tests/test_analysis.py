@@ -211,6 +211,33 @@ def test_positions_on_other_branches_are_reached_and_other_assemblies_are_told()
     assert {round(each.coordinates["x3"], 6) for each in equal if each.connected} >= {0.0}
 
 
+def test_a_spring_that_loses_its_length_on_the_way_hides_no_position_and_makes_none():
+    """A folding stool, whose spring has no direction where its feet meet."""
+    m = alfmu.Mechanism("stool")
+    legs = [m.bar(name, mass=2.0, length=0.7) for name in "ab"]
+    m.revolute("A", m.ground.at(), legs[0].start, coordinate=m.coordinate("th", start=0.8, independent=True))
+    m.revolute("X", legs[0].at(0.35), legs[1].at(0.35), coordinate=m.coordinate("q", start=1.6))
+    m.point_on_line("foot", m.ground.at(), legs[1].start)
+    m.spring_damper((legs[0].start, legs[1].start), stiffness=800.0, rest=0.45)
+    m.gravity(0, -G)
+    found = [each.coordinates["th"] % (2 * np.pi) for each in alfmu.equilibrium(m) if each.connected]
+    th = np.linspace(0, 2 * np.pi, 100001)
+    potential = 4 * G * 0.35 * np.sin(th) + 400 * (abs(0.7 * np.cos(th)) - 0.45) ** 2
+    still = th[1:-1][np.diff(potential)[1:] * np.diff(potential)[:-1] <= 0]
+    still = still[abs(np.cos(still)) > 1e-3]  # without the corners of the potential
+    assert np.sort(found) == pytest.approx(still, abs=1e-4)
+
+
+def test_where_a_spring_has_no_length_nothing_is_linearised():
+    m = alfmu.Mechanism("flap")
+    bar = m.bar("bar", mass=1.0, length=0.5)
+    m.revolute("A", m.ground.at(), bar.start, coordinate=m.coordinate("th", start=0.0, independent=True))
+    m.spring_damper((m.ground.at(0.5, 0), bar.end), stiffness=100.0, rest=0.1)
+    m.gravity(0, -G)
+    with pytest.raises(alfmu.InputError, match="flap, t = 0 s: loads or their derivatives are not finite"):
+        alfmu.linearize(m)
+
+
 def test_a_singular_position_of_rest_is_not_judged():
     rest = alfmu.equilibrium("four_bar", parameters={"g": 0.0, "start.angular_velocity": 0.0}, starts=0)[0]
     assert rest.stability == "not judged"

@@ -64,6 +64,15 @@ NUMBERS = [
     ("m.force(rod.at(math.sin(th), 0), 1.0)", r"x of rod.at\(\) is nan; .* use ca.sin instead of math.sin"),
     ('m.bar("b", mass=1.0, length=math.sqrt(l))', "the length of b is nan; .* use ca.sqrt instead of math.sqrt"),
     ("m.drive(A, u * math.cos(th))", "the effort on A contains nan; .* use ca.cos instead of math.cos"),
+    # Tables of CasADi, which no scene can hold.
+    (
+        'm.drive(A, ca.interpolant("t", "linear", [[0.0, 1]], [0.0, 1])(th))',
+        "the effort on A calls a function of CasADi",
+    ),
+    (
+        'm.output("o", ca.interpolant("t", "bspline", [[0.0, 1, 2, 3]], [0.0, 1, 4, 9])(th), "1")',
+        "output o calls a .*pw_lin",
+    ),
     ('m.bar("b", mass=float("nan"), length=l)', "the mass of b is nan; give a finite number; .* such as ca.sin"),
     ('m.bar("b", mass=float("inf"), length=l)', "the mass of b is inf; give a finite number$"),
     ('m.bar("b", mass=1.0, length=1 / (l - 1))', "the length of b is inf at the defaults"),

@@ -406,6 +406,11 @@ def test_a_result_that_fits_in_no_memory_is_refused(here, capsys):
     assert len(communication_points("any", 1e6, 1.0)) == 1000001
 
 
+def test_a_run_has_at_least_one_step():
+    for end in (5e-324, 1e-15, 1e-11):
+        assert communication_points("any", end, 0.02).tolist() == [0, end]
+
+
 # Tables from anywhere ---------------------------------------------------------------------------------------------
 
 TABLES = {

@@ -437,6 +437,72 @@ def test_constraints_that_agree_within_round_off_run(make):
     assert np.abs(np.array(there) - np.array(other)).max() <= 1e-9
 
 
+def test_constraints_that_agree_but_for_round_off_far_away_say_how_they_run():
+    """Three cranks of 40 mm on one rod, at the origin and 1 km from it, where places have 1e-13 m of round-off."""
+
+    def cranks(x: float) -> Mechanism:
+        m, along = Mechanism("cranks"), np.array([np.cos(1.1), np.sin(1.1)])
+        cranks = [m.bar(f"crank{k}", mass=0.2, length=0.04) for k in range(3)]
+        rod = m.bar("rod", mass=0.3, length=0.1)
+        for k, crank in enumerate(cranks):
+            free = {"rate": 12.0, "independent": True} if k == 0 else {}
+            place = m.ground.at(*map(float, x + 0.05 * k * along))
+            m.revolute(f"A{k}", place, crank.start, coordinate=m.coordinate(f"th{k}", start=2.0, **free))
+        m.revolute("B0", cranks[0].end, rod.start, coordinate=m.coordinate("turn", start=-0.9))
+        for k in (1, 2):
+            m.revolute(f"B{k}", rod.at(0.05 * k), cranks[k].end)
+        m.gravity(0, -9.81)
+        return m
+
+    with pytest.raises(alfmu.AssemblyError, match=r"but for round-off.* use solver\.tolerance 1e-\d\d$") as said:
+        alfmu.simulate(cranks(700.0), 0.3, 0.01)
+    there = alfmu.simulate(
+        cranks(700.0), 0.3, 0.01, parameters={"solver.tolerance": float(str(said.value).split()[-1])}
+    )
+    # The rod moves along the circle of the cranks' ends and does not turn.
+    inertia, weight = 3 * 0.2 * 0.04**2 / 3 + 0.3 * 0.04**2, 9.81 * (3 * 0.2 * 0.02 + 0.3 * 0.04)
+    right = solve_ivp(
+        lambda t, y: (y[1], -weight * np.cos(y[0]) / inertia),
+        (0, 0.3), (2.0, 12.0), "DOP853", there.time, rtol=1e-12, atol=1e-12,
+    ).y[0]  # fmt: skip
+    assert np.abs(there["crank0.angle"] - right).max() <= 1e-6
+    assert there.counters.evaluations < 2000
+
+
+def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
+    """The two angles of joints differ by 1e-8 of their inertia; in a pose of its own the rod moves as it should."""
+
+    def slider_crank(placed: bool) -> Mechanism:
+        m, r, l, th = Mechanism("eccentric"), 1e-4, 0.9, 0.5
+        slope = -np.arcsin(r * np.sin(th) / l)
+        middle = r * np.cos(th) + l / 2 * np.cos(slope), r / 2 * np.sin(th), slope
+        names = ("x", "m"), ("y", "m"), ("turn", "rad")
+        pose = [m.coordinate(*name, start=at) for name, at in zip(names, middle, strict=True)] if placed else None
+        crank, slider = m.bar("crank", mass=0.1, length=r), m.body("slider", mass=0.5)
+        rod = m.bar("rod", mass=1.0, length=l, pose=pose)
+        free = m.coordinate("th", start=th, rate=20.0, independent=True)
+        m.revolute("A", m.ground.at(), crank.start, coordinate=free)
+        m.revolute("B", crank.end, rod.start, coordinate=None if placed else m.coordinate("q", start=-th))
+        m.prismatic("guide", m.ground.at(), slider.at(), coordinate=m.coordinate("s", "m", start=l))
+        m.revolute("C", rod.end, slider.at())
+        m.gravity(0, -9.81)
+        return m
+
+    def rate(t: float, y: NDArray) -> list[float]:
+        """Motion of the crank, to r/l: the rod slides as the slider does and turns by r/l cos th."""
+        r, (th, w) = 1e-4, y
+        s, c = np.sin(th), np.cos(th)
+        mass = r * r * (0.1 / 3 + 1.5 * s * s + c * c / 3)
+        change = r * r * (3.0 - 2 / 3) * s * c
+        return [w, (-9.81 * r * c * (0.05 + 0.5) - change * w * w / 2) / mass]
+
+    with pytest.raises(alfmu.StepError, match="as long as the link that turns it, give the body a pose"):
+        alfmu.simulate(slider_crank(False), 0.3, 0.01)
+    run = alfmu.simulate(slider_crank(True), 0.3, 0.01)
+    right = solve_ivp(rate, (0, 0.3), (0.5, 20.0), "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
+    assert np.abs(run["crank.angle"] - right).max() <= 2e-3
+
+
 def test_where_error_control_cannot_go_on_rk4_does():
     """Motors that begin together and are 1e-12 rad apart after some seconds: more than steps may leave open."""
     i = unit(motors(2.4e-13))

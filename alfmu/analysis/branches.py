@@ -135,6 +135,8 @@ def polished(loops: Loops, y: Vector) -> Vector | None:
             break
         along = loops.along_time(y) if where.equations.timed and not loops.freedom else C
         J = np.block([[along, np.zeros((len(C), len(mu)))], [bent, C.T], [np.zeros((1, n)), mu[None]]])
+        if not np.isfinite(J).all():
+            return None
         d = np.linalg.lstsq(J, left, rcond=1e-9)[0]
         if loops.freedom:
             d[loops.moving : n] = 0.0

@@ -317,15 +317,21 @@ class _Search:
 
     def __init__(self, loops: Loops):
         self.loops = loops
-        self.largest = self._left(loops.home)
+        self.largest = 0.0
         """Largest load along a motion encountered."""
+        self._meet(loops.balance(loops.home)[1])
         for way in (sign * way for way in loops.motions(loops.home).T for sign in (0, 1, -1)):
             if (y := loops.closed(loops.home + STEP * way)) is not None:
-                self.largest = max(self.largest, self._left(y))
+                self._meet(loops.balance(y)[1])
 
     def all(self, starts: int) -> list[Equilibrium]:
         """Return the equilibria found, the nearest first."""
         loops = self.loops
+        if not math.isfinite(self._left(loops.home)) and self.largest == 0.0:
+            raise InputError(
+                f"{loops.situation.name}: loads are not finite at the start nor beside it, as that of a spring between "
+                "points that coincide; start elsewhere"
+            )
         if self.largest == 0.0:  # without loads every position is an equilibrium
             return [self._judged(loops.home, True)]
         reached = [(y, True) for y in map(self.balanced, self._along(starts)) if y is not None]
@@ -396,7 +402,7 @@ class _Search:
             along = (y - before) / np.linalg.norm(y - before)
             N, r, _ = loops.balance(y)
             load = float(r[0] * (np.sign(N[:, 0] @ along) or 1.0))
-            self.largest = max(self.largest, abs(load))
+            self._meet(r)
             if last is not None and load * last <= 0:
                 yield self._between(before, y), False
             elif last is not None and abs(load) > abs(last) and falls:
@@ -461,8 +467,15 @@ class _Search:
         """Load that counts as zero; positions far from the origin have more round-off."""
         return max(BALANCED, ROUND_OFF * float(np.abs(self.loops.home).max(initial=0.0))) * self.largest
 
+    def _meet(self, r: Vector) -> None:
+        """Update the largest load; where a spring has no length, no load is defined."""
+        if np.isfinite(r).all():
+            self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
+
     def _at_rest(self, y: Vector) -> bool:
-        return self._left(y) <= self._nothing
+        N, r, lam = self.loops.balance(y)
+        known = np.isfinite(self.loops.stiffness(y, N, lam)).all()
+        return bool(known and np.abs(r).max(initial=0.0) <= self._nothing)
 
     def _left(self, y: Vector) -> float:
         return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
@@ -471,7 +484,7 @@ class _Search:
         """Return an equilibrium by Newton's method in steps along the motions, None if there is none."""
         loops, damping, stalled, made, shortened = self.loops, 0.0, 0, 0, 0
         N, r, lam = loops.balance(y)
-        self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
+        self._meet(r)
         while self.largest > 0 and made < STEPS and shortened < SHORTENED:
             size = float(np.linalg.norm(r))
             if size == 0.0 or stalled > 2:
@@ -498,7 +511,7 @@ class _Search:
                 damping = max(10 * damping, 1e-3)
                 if damping > 1e4:
                     break
-        return y if self._left(y) <= self._nothing else None
+        return y if self._at_rest(y) else None
 
     # Properties of an equilibrium -------------------------------------------------------------------------------------
 

@@ -135,7 +135,7 @@ def ordered(values: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDA
 def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) -> Small:
     """Return the small motions about the state of a situation, at a regular position with `freedom` degrees of freedom.
 
-    Raises InputError if it is too close to a singular position, or a motion has no mass.
+    Raises InputError if it is too close to a singular position, a motion has no mass, or loads are not finite.
     """
     e, s, held = where.equations, where.state, where.held
     loops = Loops(where)
@@ -200,6 +200,11 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         mu = _rubbed(where, (a, full), by_mu)
         acceleration, a, full = (x + y @ mu for x, y in zip((acceleration, a, full), by_mu, strict=True))
     Rq, Rv, Xq, Xv = where.change("tangents", s, a=a, lam=full)
+    if not all(np.isfinite(x).all() for x in (F, Rq, Rv)):
+        raise InputError(
+            f"{where.name}, t = {s.t:.6g} s: loads or their derivatives are not finite, as that of a spring between "
+            "points that coincide; start beside it"
+        )
     Ru, Xu = where.change("inputs", s, a=a, lam=full)
     (turned,) = where.change("turning", s)
     Xq, Xv, Xu, turned = (x[held] / units[:, None] for x in (Xq, Xv, Xu, turned))

@@ -94,6 +94,11 @@ def number(what: str, value: Any) -> float | ca.SX:
     if not value.is_symbolic():
         steps = _steps(value)
         for i in range(steps.n_instructions()):
+            if steps.instruction_id(i) == ca.OP_CALL:
+                raise DeclarationError(
+                    f"{what} calls a function of CasADi that has no formula, as those of ca.interpolant; for a table "
+                    "use ca.pw_lin(x, places, values), and for a spline the polynomials of its parts in ca.pw_const"
+                )
             if steps.instruction_id(i) == ca.OP_CONST and not math.isfinite(found := steps.instruction_constant(i)):
                 raise DeclarationError(f"{what} contains {found}; {_finite(found)}")
     return value

@@ -231,7 +231,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
             "time or fewer outputs"
         )
     times = np.arange(math.floor(points * (1 + 1e-12)) + 1, dtype=np.float64) * step
-    if stop_time - times[-1] > 1e-9 * step:
+    if len(times) == 1 or stop_time - times[-1] > 1e-9 * step:
         return np.append(times, stop_time)
     return times
 

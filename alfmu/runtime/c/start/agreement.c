@@ -96,16 +96,23 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
     for (int r = 0; r < s->l; r++)
         residue[r] = weights[r] * open[r];
     if (is_regular_place(i, held, q)) {
+        double off;
+        char rounded[120] = "";
         find_uncorrectable(i, &J, residue, left);
         for (int r = 1; r < s->l; r++)
             if (fabs(left[r]) / i->units[r] > fabs(left[row]) / i->units[row])
                 row = r;
         list_joints(s, left, names, sizeof names);
-        if (fabs(left[row]) / i->units[row] > i->values[s->tolerance])
+        off = fabs(left[row]) / i->units[row];
+        if (off < ROUGH)
+            snprintf(rounded, sizeof rounded,
+                "; if they agree but for round-off, as they may far from the origin, use solver.tolerance %.0e",
+                pow(10.0, ceil(log10(off)) + 2.0));
+        if (off > i->values[s->tolerance])
             outcome = instance_say(i, FAILED,
                 "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
-                "make their lengths, offsets and laws agree, or leave one of them out",
-                s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per);
+                "make their lengths, offsets and laws agree, or leave one of them out%s",
+                s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per, rounded);
     }
     arena_release(i, arena);
     return outcome;
