@@ -18,8 +18,6 @@ from ..model.parts import Constraint
 from ..model.spatial import SpatialJoint
 from .poses import Array, vector
 
-__all__ = ["Closed", "Loops"]
-
 _RANK = 1e-9
 """Singular value of constraints over the largest below which it counts as zero: files have some ten digits."""
 

@@ -24,8 +24,6 @@ from .markup import Node
 from .poses import Array, Pose, cleaned, of_quaternion, quaternion, vector
 from .script import Named, Script
 
-__all__ = ["declared", "plain_name"]
-
 _LONGEST = 60
 """Longest name in characters: with suffixes, it fits a line of Python."""
 

@@ -25,9 +25,6 @@ from .markup import Node
 from .poses import Array, Pose, cleaned, quaternion, vector
 from .solids import Inertial
 
-__all__ = ["Form", "described"]
-
-
 _SAME = 1e-12
 """Relative difference [1] up to which factors of sums, and efforts of springs, are equal."""
 

@@ -18,8 +18,6 @@ from .declared import declared, plain_name
 from .linkage import LEAVES, Linkage
 from .markup import Node, parsed
 
-__all__ = ["Imported", "factory", "imported"]
-
 _WIDTH = 116
 """Width of text in the generated Python file, in characters."""
 

@@ -20,8 +20,6 @@ from .markup import Node, UnknownName, known
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
 
-__all__ = ["ANYWHERE", "LEAVES", "Closure", "Coupling", "Joint", "Link", "Linkage", "Motor", "Sum", "Tendon", "moving"]
-
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 

@@ -14,8 +14,6 @@ from typing import Any
 from ..model.errors import InputError
 from .markup import content_of
 
-__all__ = ["KEYS", "listed"]
-
 KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type")
 
 _LARGEST = 1_000_000

@@ -18,8 +18,6 @@ from xml.parsers import expat
 from ..model.errors import InputError
 from ..model.words import shown, there_is
 
-__all__ = ["Children", "Includes", "Node", "Reading", "parsed"]
-
 LARGEST = 20_000_000
 """Largest size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
 

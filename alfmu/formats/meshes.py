@@ -13,8 +13,6 @@ from .markup import content_of
 from .poses import Array
 from .solids import Inertial
 
-__all__ = ["hull", "solid", "triangles"]
-
 _LARGEST = 100_000_000
 """Largest size of a file [bytes]: a million triangles of an STL file have 50 MB."""
 

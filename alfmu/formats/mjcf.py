@@ -24,8 +24,6 @@ from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .replicas import replicated
 from .solids import Inertial
 
-__all__ = ["File"]
-
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
 

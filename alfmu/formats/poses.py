@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Array", "Pose", "about", "cleaned", "of_quaternion", "quaternion", "turned", "vector"]
-
 Array = NDArray[np.float64]
 
 _NOISE = 4e-16

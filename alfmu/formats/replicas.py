@@ -12,8 +12,6 @@ import numpy as np
 from .markup import MOST, Node, Reading
 from .poses import Array, quaternion, vector
 
-__all__ = ["replicated"]
-
 _SECTIONS = ("tendon", "equality", "actuator", "contact")
 """Sections whose elements name others; tendons come first, as actuators and constraints name them."""
 

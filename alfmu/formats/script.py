@@ -12,8 +12,6 @@ import casadi as ca
 
 from ..model.mechanism import Mechanism
 
-__all__ = ["Named", "Script"]
-
 _WIDTH = 116
 """Longest line in characters."""
 

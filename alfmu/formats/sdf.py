@@ -21,8 +21,6 @@ from .markup import Children, Includes, Node, Reading, known, numbers
 from .poses import Array, Pose, of_quaternion, quaternion, turned, vector
 from .solids import Inertial
 
-__all__ = ["File", "ball_constraint", "closing", "follow", "jointed", "mimics"]
-
 _KINDS = {
     "revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "ball": "spherical", "fixed": "weld",
     "universal": "universal", "revolute2": "universal", "screw": "screw",

@@ -10,8 +10,6 @@ import numpy as np
 
 from .poses import Array, Pose
 
-__all__ = ["Inertial", "Solid", "box", "capsule", "cylinder", "ellipsoid", "sphere", "together"]
-
 
 @dataclass(frozen=True)
 class Solid:

@@ -20,8 +20,6 @@ from .poses import Array, Pose, quaternion, turned, vector
 from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
 
-__all__ = ["File"]
-
 _KINDS = {
     "revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free",
     "ball": "spherical", "universal": "universal", "screw": "screw", "planar": "planar",

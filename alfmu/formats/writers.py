@@ -18,8 +18,6 @@ from .described import Form, described
 from .linkage import ANYWHERE, Joint, Link, Linkage
 from .poses import Array, Pose, about, quaternion
 
-__all__ = ["FORMS", "written"]
-
 _LEAST = 1e-15
 """Least mass [kg] and moment of inertia [kg.m2] of a moving body in MuJoCo."""
 

@@ -20,8 +20,6 @@ from .form import Call, Choice, Loop, Step, Steps, Traced, every, renamed, taken
 from .lanes import repetition, shape
 from .scene import AGAIN, CALLS
 
-__all__ = ["alike", "shortened"]
-
 CALL, CHOICE, LOOP = (CALLS.index(kind) for kind in (Call, Choice, Loop))
 
 

@@ -17,8 +17,6 @@ from .form import Call, Traced, every
 from .loops import ANGULAR, Angles, blocks, c_function, constant, expression, name_of
 from .stream import BINARY, PLAIN, UNARY, Instructions, Operations
 
-__all__ = ["HEAD", "compiled_code"]
-
 BLOCK = 400
 """Number of operations in one C function of a long one; compile time grows faster than linearly with it."""
 

@@ -11,8 +11,6 @@ from dataclasses import replace
 
 from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, renamed, taken
 
-__all__ = ["laned", "repetition", "shape"]
-
 FEW = 4
 """Repetitions up to which calls stay sequential: this many single calls take the time of one call in all lanes."""
 

@@ -27,8 +27,6 @@ from .instance import Instance
 from .library import BRAKES, DONE, Scene
 from .pipeline import derive, loaded_in_lanes, ready, with_brakes, with_defaults
 
-__all__ = ["Batch", "Members"]
-
 _LOGGER = logging.getLogger("alfmu")
 
 LEAST = 64
