@@ -4,7 +4,6 @@ References: Newton's and Euler's laws by hand, the equation of the one degree of
 """
 
 import math
-import time
 from collections.abc import Callable
 from functools import cache
 
@@ -239,10 +238,10 @@ def test_a_law_beyond_a_dead_position_or_against_another_one_is_called_into_ques
         m.motion(
             guide, 0.1 * ca.cos(angle) + ca.sqrt(0.09 - (0.1 * ca.sin(angle)) ** 2) + ca.fmax(m.time - 0.2, 0) ** 3
         )
-    begun = time.process_time()
     with pytest.raises(alfmu.StepError, match=r"its laws lead on to positions at which the loops cannot be") as error:
         alfmu.simulate(m, 1.0, 0.07, parameters={"solver.method": "auto" if method == "parted" else method})
-    assert time.process_time() - begun < 20  # s; steps that become ever shorter before the position take 70
+    # Steps that become ever shorter before the position would be hundreds of thousands.
+    assert error.value.result.counters.evaluations < 1e5
     last, found = (0.49, 0.5) if method != "parted" else (0.14, 0.2)
     assert error.value.result.time[-1] == pytest.approx(last)
     assert float(str(error.value).split("t = ")[1].split(" s")[0]) == pytest.approx(found, abs=2e-3)

@@ -27,8 +27,6 @@ STEPS = (0.02, 0.01, 0.005)
 TORQUE = 4.0
 FOUR_BAR, FIVE_BAR = Parallelogram(m4=None), Parallelogram()
 
-pytestmark = pytest.mark.usefixtures("quick_compiler")
-
 each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled", "oracle"])
 
 
