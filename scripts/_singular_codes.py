@@ -6,12 +6,15 @@ To add a code, write a function that takes a problem and returns a simulation, a
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
+import os
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -267,6 +270,11 @@ def by_fmu(p: Problem) -> Simulation:
 # Pinocchio --------------------------------------------------------------------------------------------------------
 
 
+def tree(p: Problem, parent: str = GROUND) -> list[Body]:
+    """Return the bodies carried by a body, depth first as Pinocchio requires."""
+    return [x for body in p.bodies if body.parent == parent for x in (body, *tree(p, body.name))]
+
+
 def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
     """Run Pinocchio: a tree with `CONTACT_3D`, Baumgarte's stabilisation of a frequency [1/s], and RK4 in NumPy."""
     import pinocchio as pin
@@ -277,11 +285,7 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
     def at(x: Sequence[float]) -> Any:
         return pin.SE3(np.eye(3), np.array(x, float))
 
-    def branch(parent: str) -> list[Body]:
-        """Return the bodies carried by a body, depth first as Pinocchio requires."""
-        return [x for body in p.bodies if body.parent == parent for x in (body, *branch(body.name))]
-
-    for body in branch(GROUND):
+    for body in tree(p):
         kind = pin.JointModelRevoluteUnaligned if body.joint == "revolute" else pin.JointModelPrismaticUnaligned
         joint = model.addJoint(ids[body.parent], kind(np.array(body.axis, float)), at(body.at), body.name)
         inertia = pin.Inertia(body.mass, np.array(body.center, float), np.array(body.inertia, float))
@@ -332,6 +336,58 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
         R = poses(p, q)[p.closures[0].first][0]
         force = -np.einsum("kij,kj->ki", R, np.array(forces))[:, :2] if forces else None
         return Found(places(p, q), force, seconds, "" if len(q) == len(p.times) else "the state is NaN")
+
+    return simulate
+
+
+@cache
+def pinocchio_driver() -> Path:
+    """Return the program of `_pinocchio.cpp`, compiled at first use in two minutes; needs a C++ compiler, the headers
+    that come with Pinocchio, and those of Eigen (libeigen3-dev of Debian)."""
+    import pinocchio
+
+    source = Path(__file__).with_name("_pinocchio.cpp")
+    prefix = next(x for x in Path(pinocchio.__file__).parents if (x / "include" / "pinocchio").is_dir())
+    digest = hashlib.sha256(source.read_bytes() + pinocchio.__version__.encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"pinocchio_driver_{digest}"
+    if not path.exists():
+        flags = ["-O3", "-march=native", "-DNDEBUG", "-std=c++17", "-w", f"-I{prefix}/include", f"-L{prefix}/lib"]
+        flags += [f"-I{x}/include/eigen3" for x in ("/usr", "/usr/local", prefix)]
+        flags += [f"-DBOOST_MPL_LIMIT_{x}_SIZE=30" for x in ("LIST", "VECTOR")]  # those that it was compiled with
+        flags += ["-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS", "-DBOOST_FUSION_INVOKE_MAX_ARITY=12"]
+        made = path.with_suffix(f".{os.getpid()}")
+        rest = [source, "-o", made, f"-Wl,-rpath,{prefix}/lib", "-lpinocchio_default", "-lboost_serialization"]
+        subprocess.run(["c++", *flags, *rest], check=True)
+        made.rename(path)
+    return path
+
+
+def by_pinocchio_in_cpp(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
+    """Run Pinocchio, called in C++ as `by_pinocchio` calls it in Python."""
+    driver, bodies = pinocchio_driver(), tree(p)
+    ids = {GROUND: 0, **{body.name: k for k, body in enumerate(bodies, 1)}}
+    order = [ids[body.name] - 1 for body in p.bodies]
+    points = [(c, first, second) for c in p.closures for first, second in axes_points(c)]
+    about: list[Any] = [*p.gravity, len(bodies)]
+    for x in bodies:
+        about += [ids[x.parent], x.joint, *x.axis, *x.at, x.mass, *x.center, *np.ravel(x.inertia)]
+    about += [len(points)]
+    for c, first, second in points:
+        about += [ids[c.first], *first, ids[c.second], *second]
+
+    def simulate(run: Run, value: float) -> Found:
+        start, tau = np.zeros((2, len(bodies))), np.zeros(len(bodies))
+        start[0, order], start[1, order], tau[order[0]] = run.q, run.v, run.torque
+        how = [int(lcaba), frequency, mu, value, len(p.times), round(p.every / value)]
+        text = " ".join(x if isinstance(x, str) else repr(float(x)) for x in (*how, *about, *start.ravel(), *tau))
+        text = text.replace(".0 ", " ")
+        done = subprocess.run([driver], input=text, capture_output=True, text=True, check=True, timeout=60)
+        first, *lines = done.stdout.splitlines()
+        rows = np.array([line.split() for line in lines], float)
+        q, forces = rows[:, : len(bodies)][:, order], rows[:, len(bodies) :]
+        R = poses(p, q)[p.closures[0].first][0]
+        force = -np.einsum("kij,kj->ki", R, forces)[:, :2] if forces.size else None
+        return Found(places(p, q), force, float(first), "" if len(q) == len(p.times) else "the state is NaN")
 
     return simulate
 
@@ -657,6 +713,12 @@ CODES = {
     "alfmu, FMU": Code(by_fmu, "fmpy", TOLERANCES, "tolerance", "fmpy"),
     "Pinocchio, constraintDynamics": Code(by_pinocchio, "pin", FIXED, module="pinocchio", variants=PROXIMAL),
     "Pinocchio, lcaba": Code(partial(by_pinocchio, lcaba=True), "pin", FIXED, module="pinocchio", variants=PROXIMAL),
+    "Pinocchio in C++, constraintDynamics": Code(
+        by_pinocchio_in_cpp, "pin", FIXED, module="pinocchio", variants=PROXIMAL
+    ),
+    "Pinocchio in C++, lcaba": Code(
+        partial(by_pinocchio_in_cpp, lcaba=True), "pin", FIXED, module="pinocchio", variants=PROXIMAL
+    ),
     "MuJoCo": Code(by_mujoco, "mujoco", FIXED, module="mujoco", variants=HARD),
     "Exudyn": Code(by_exudyn, "exudyn", (1e-2, 1e-3, 2e-4), module="exudyn"),
     "Drake": Code(by_drake, "drake", ORDER_1, module="pydrake"),

@@ -246,7 +246,7 @@ def picture(rows: Sequence[Row], names: Sequence[str]) -> Figure:
     handles = {}
     for axes, name in zip(panels, names, strict=False):
         for k, code in enumerate(CODES):
-            style = {"color": f"C{k}", "marker": "osD^v<>ph"[k], "ls": "-" if code in OWN else ":"}
+            style = {"color": f"C{k}", "marker": "osD^v<>phX*d"[k], "ls": "-" if code in OWN else ":"}
             runs = [row for row in rows if (row["problem"], row["code"]) == (name, code) and row.get("seconds")]
             for lost in (False, True):
                 chosen = [row for row in runs if (row["result"] not in DONE) == lost]
