@@ -614,6 +614,19 @@ def test_sources_have_one_version_of_fmi_and_the_scene_is_in_its_resources(built
     assert scenes[0] != scenes[1] == scenes[2]
 
 
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("nm"), reason="nm lists names of Linux")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_library_exports_the_functions_of_its_fmi_alone(built, tmp_path, fmi):
+    """By the standard's own headers. Others would meet those of another FMU in the same process."""
+    library = tmp_path / "own.so"
+    with zipfile.ZipFile(built("five_bar", fmi=fmi, platforms=[build.HERE])) as archive:
+        (name,) = (each for each in archive.namelist() if each.startswith("binaries/"))
+        library.write_bytes(archive.read(name))
+    said = subprocess.run(["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True).stdout
+    header = (HEADERS / f"fmi{fmi}FunctionTypes.h").read_text()
+    assert {line.split()[-1] for line in said.splitlines()} == set(re.findall(rf"\b(fmi{fmi}\w+)TYPE\b", header))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not (build.compiler() and build.compiler() != build.zig()), reason="needs a preprocessor")
 def test_sources_are_those_of_the_runtime_without_comments(tmp_path):

@@ -235,7 +235,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
     libraries = native.component(e.name, identified(scene, guid)) if native.WASM in chosen else {}
-    for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM]).items():
+    for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM], fmi).items():
         platform = PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
         libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data

@@ -189,9 +189,10 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
     return names
 
 
-def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
-    """Return the library of each platform, shipped with alfmu or built by zig."""
-    return {name: library(name, scene) for name in names}
+def libraries(scene: str, names: Iterable[str], fmi: int = 0) -> dict[str, bytes]:
+    """Return the library of each platform for a version of FMI or for Python (0), shipped with alfmu or built by
+    zig."""
+    return {name: library(name, scene, fmi) for name in names}
 
 
 def component(name: str, scene: bytes) -> dict[str, bytes]:
