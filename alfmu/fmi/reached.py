@@ -1,0 +1,51 @@
+"""C without what nothing in it uses."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+
+_FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
+_DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
+_MACRO = re.compile(r"#define (\w+)")
+_WORD = re.compile(r"\b[A-Za-z_]\w*\b")
+
+
+def reached(text: str, public: re.Pattern[str]) -> list[tuple[str, str]]:
+    """Return pieces of C, each with the name that it declares or defines, if any; without functions, constants and
+    macros that public ones never use."""
+    chunks = list(_chunks(text))
+    owners: dict[str, list[int]] = defaultdict(list)
+    named: list[str] = []
+    kept: set[int] = set()
+    for k, chunk in enumerate(chunks):
+        found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
+        named.append(found[1] if found else "")
+        if found:
+            owners[found[1]].append(k)
+    waiting = [k for k, each in enumerate(named) if not each or public.fullmatch(each)]
+    while waiting:
+        k = waiting.pop()
+        if k in kept:
+            continue
+        kept.add(k)
+        for word in _WORD.findall(chunks[k]):
+            waiting += [each for each in owners.get(word, ()) if each not in kept]
+    return [(named[k], chunks[k]) for k in sorted(kept)]
+
+
+def _chunks(text: str) -> Iterator[str]:
+    """Yield directives, and declarations and definitions at the top level."""
+    chunk, depth = "", 0
+    for line in text.splitlines(keepends=True):
+        chunk += line
+        if chunk.startswith("#"):
+            whole = not line.endswith("\\\n")
+        else:
+            bare = re.sub(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'', "", line)
+            depth += bare.count("{") - bare.count("}")
+            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
+        if whole and (chunk.startswith("#") or not depth):
+            yield chunk
+            chunk = ""
