@@ -139,7 +139,7 @@ def used(files: Mapping[str, str]) -> dict[str, str]:
     """Return the C files of an FMU without functions, constants and macros that nothing in them uses."""
     whole = files["alfmu.h"] + files["alfmu.c"]
     apart = set(re.findall(r"\w+", files["files.c"]))
-    pieces = reached(whole, re.compile(rf"fmi[23][A-Z]\w*|{'|'.join(apart)}"))
+    pieces = reached(whole, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
     header, include, text = "".join(piece for _, piece in pieces).partition(_HEADER)
     return {**files, "alfmu.h": header, "alfmu.c": include + text}
 
@@ -177,17 +177,23 @@ def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str
     return _INCLUDE.sub(header, text)
 
 
-_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)
-"""A comment with the space before it, or (as a group) a string or character literal."""
-
-
-_MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
+_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/""", re.DOTALL)
+"""A comment, or (as a group) a string or character literal."""
 
 
 def _without_comments(text: str) -> str:
     """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
-    text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
-    return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)
+    kept, end = list[str](), 0
+    for found in _COMMENT.finditer(text):
+        if not found[1]:
+            kept.append(text[end : found.start()].rstrip(" \t"))
+            end = found.end()
+    made = []
+    for line in " ".join([*kept, text[end:]]).splitlines():
+        if bare := line.strip():
+            margin = len(line) - len(line.lstrip())
+            made.append("\t" * (margin // 4) + " " * (margin % 4) + bare + "\n")
+    return "".join(made).lstrip()
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:

@@ -4,34 +4,33 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 _FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
 _DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
 _MACRO = re.compile(r"#define (\w+)")
+_LITERAL = re.compile(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'')
 _WORD = re.compile(r"\b[A-Za-z_]\w*\b")
 
 
-def reached(text: str, public: re.Pattern[str]) -> list[tuple[str, str]]:
+def reached(text: str, public: Callable[[str], object]) -> list[tuple[str, str]]:
     """Return pieces of C, each with the name that it declares or defines, if any; without functions, constants and
     macros that public ones never use."""
     chunks = list(_chunks(text))
     owners: dict[str, list[int]] = defaultdict(list)
     named: list[str] = []
-    kept: set[int] = set()
     for k, chunk in enumerate(chunks):
         found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
         named.append(found[1] if found else "")
         if found:
             owners[found[1]].append(k)
-    waiting = [k for k, each in enumerate(named) if not each or public.fullmatch(each)]
+    waiting = [k for k, each in enumerate(named) if not each or public(each)]
+    kept = set(waiting)
     while waiting:
-        k = waiting.pop()
-        if k in kept:
-            continue
-        kept.add(k)
-        for word in _WORD.findall(chunks[k]):
-            waiting += [each for each in owners.get(word, ()) if each not in kept]
+        for word in owners.keys() & _WORD.findall(chunks[waiting.pop()]):
+            more = set(owners.pop(word)) - kept
+            waiting += more
+            kept |= more
     return [(named[k], chunks[k]) for k in sorted(kept)]
 
 
@@ -43,7 +42,7 @@ def _chunks(text: str) -> Iterator[str]:
         if chunk.startswith("#"):
             whole = not line.endswith("\\\n")
         else:
-            bare = re.sub(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'', "", line)
+            bare = _LITERAL.sub("", line) if '"' in line or "'" in line else line
             depth += bare.count("{") - bare.count("}")
             whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
         if whole and (chunk.startswith("#") or not depth):

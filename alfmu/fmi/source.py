@@ -366,7 +366,7 @@ _OUTSIDE = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
 def _reached(text: str) -> str:
     """Return C without unused functions, constants and macros; all others but the public ones become static."""
     made = []
-    for name, chunk in reached(text, _OUTSIDE):
+    for name, chunk in reached(text, _OUTSIDE.fullmatch):
         if name and not chunk.startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(name):
             chunk = "static " + chunk.removeprefix("extern ")
         made.append(chunk)
