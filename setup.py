@@ -40,8 +40,14 @@ def _description() -> str:
     return links.for_an_index(text, about.get("urls", {}).get("Source"), about["version"])
 
 
-_LIBRARIES = {"library_of_this_machine": "HERE", "library_of_browsers": "WEB"}
-"""What stands for modules of Python, so that setuptools puts them where the package is, and their platforms."""
+_LIBRARIES = {
+    "library_of_this_machine": ("HERE", 0),
+    "library_of_fmi_2": ("HERE", 2),
+    "library_of_fmi_3": ("HERE", 3),
+    "library_of_browsers": ("WEB", 0),
+}
+"""What stands for modules of Python, so that setuptools puts them where the package is, their platforms, and their
+versions of FMI. The first one of a platform builds all of them, as they consist of the same objects."""
 
 
 class BuildRuntime(build_ext):
@@ -49,17 +55,20 @@ class BuildRuntime(build_ext):
 
     def get_ext_filename(self, name: str) -> str:
         *package, own = name.split(".")
-        return str(Path(*package, _builder().file_name(self.platform(own))))
+        return str(Path(*package, _builder().file_name(*self.library(own))))
 
     def build_extension(self, extension: Extension) -> None:
         path = Path(self.get_ext_fullpath(extension.name))
         path.parent.mkdir(parents=True, exist_ok=True)
-        builder, name = _builder(), self.platform(extension.name.split(".")[-1])
+        builder, (name, fmi) = _builder(), self.library(extension.name.split(".")[-1])
+        if fmi:
+            return
         for each in builder.PLATFORMS if RELEASE and name == builder.HERE else [name]:
-            builder.build(each, path.with_name(builder.file_name(each)), release=bool(RELEASE))
+            builder.build(each, path.parent, builder.versions(each), release=bool(RELEASE))
 
-    def platform(self, name: str) -> str:
-        return getattr(_builder(), _LIBRARIES[name])
+    def library(self, name: str) -> tuple[str, int]:
+        platform, fmi = _LIBRARIES[name]
+        return getattr(_builder(), platform), fmi
 
 
 class Wheel(bdist_wheel):
@@ -76,7 +85,7 @@ setup(
     long_description=_description(),
     long_description_content_type="text/markdown",
     ext_modules=[
-        Extension(f"alfmu.runtime.{x}", []) for x, name in _LIBRARIES.items() if name == "HERE" or _builder().zig()
+        Extension(f"alfmu.runtime.{x}", []) for x, (name, _) in _LIBRARIES.items() if name == "HERE" or _builder().zig()
     ],
     cmdclass={"build_ext": BuildRuntime, "bdist_wheel": Wheel},
 )

@@ -39,7 +39,7 @@ def test_the_source_archive_has_what_builds_and_no_library_of_this_machine(archi
     _, names = archive
     assert {"pyproject.toml", "setup.py", "scripts/packaging/backend.py", "scripts/packaging/links.py"} <= names
     assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime").rglob("*.[ch]")} <= names
-    assert not [name for name in names if name.startswith("alfmu/runtime/alfmu-")]
+    assert not [name for name in names if re.match(r"alfmu/runtime/(alfmu|fmi\d)-", name)]
 
 
 def test_links_of_the_readme_lead_to_files_of_the_source_archive(archive):

@@ -27,7 +27,7 @@ from build import BuildBackendException, ProjectBuilder
 from build.env import DefaultIsolatedEnv
 from pyproject_hooks import quiet_subprocess_runner as quietly
 
-from alfmu.runtime.build import HERE, PLATFORMS, WEB, file_name
+from alfmu.runtime.build import HERE, PLATFORMS, WEB, file_name, versions
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,8 +83,9 @@ def problems(path: Path, name: str) -> list[str]:
     found += [f"no {x}" for x in about.get_all("License-File", []) if f"{info}/licenses/{x}" not in files]
     found += _unlike_their_record(files, info) + _missing_entries(files, info)
     for each in (*PLATFORMS, WEB):
-        library = f"alfmu/runtime/{file_name(each)}"
-        found += [f"{library} {what}" for what in _of_library(files.get(library, b""), each)]
+        for fmi in versions(each):
+            library = f"alfmu/runtime/{file_name(each, fmi)}"
+            found += [f"{library} {what}" for what in _of_library(files.get(library, b""), each, fmi)]
     return found
 
 
@@ -109,12 +110,12 @@ def _missing_entries(files: dict[str, bytes], info: str) -> list[str]:
     return [f"no module {m}" for m in missing] + [f"no {x}/README.md" for x in folders if f"{x}/README.md" not in files]
 
 
-def _of_library(data: bytes, name: str) -> list[str]:
-    """Return the errors of the library for a platform."""
+def _of_library(data: bytes, name: str, fmi: int = 0) -> list[str]:
+    """Return the errors of the library for a platform and a version of FMI."""
     if machine(data) != _FORMATS[name]:
         return [f"is {machine(data)}, not {_FORMATS[name]}"]
-    wanted = (b"alfmu_scene_load", *(() if name == WEB else (b"fmi2DoStep", b"fmi3DoStep")))
-    found = [f"has no {function.decode()}" for function in wanted if function not in data]
+    wanted = f"fmi{fmi}DoStep" if fmi else "alfmu_scene_load"
+    found = [] if wanted.encode() in data else [f"has no {wanted}"]
     newest = max(((int(a), int(b)) for a, b in re.findall(rb"GLIBC_(\d+)\.(\d+)", data)), default=GLIBC)
     if newest > GLIBC:
         found.append(f"needs glibc {'.'.join(map(str, newest))}")
@@ -142,7 +143,7 @@ def built(out: Path, names: list[str]) -> dict[str, Path]:
         with tarfile.open(source) as archive:
             archive.extractall(folder, filter="data")
         unpacked = Path(folder) / source.name.removesuffix(".tar.gz")
-        if made := [path.name for path in (unpacked / "alfmu" / "runtime").glob("alfmu-*")]:
+        if made := [path.name for path in (unpacked / "alfmu" / "runtime").glob("*-*")]:
             raise SystemExit(f"{source} has libraries of this machine: {', '.join(made)}")
         builder = ProjectBuilder.from_isolated_env(environment, unpacked, quietly)
         environment.install(builder.get_requires_for_build("wheel"))

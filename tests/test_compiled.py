@@ -275,10 +275,11 @@ def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, 
     """Export builds it again, and says that all went well only then; that of the runtime is as if of another platform,
     with which alfmu did not come."""
     form = ["--kernel", "compiled", "--set", "solver.method=rk4"] if kind == "python" else ["--platform", HERE]
-    built, there = [], shipped.there(HERE)
+    built = []
+    there = shipped.there(HERE, 2)
     if kind == "native":
-        monkeypatch.setattr(shipped, "there", lambda name: tmp_path / "nowhere")
-        monkeypatch.setattr(shipped.build, "build", lambda name, path: built.append(shutil.copyfile(there, path)))
+        monkeypatch.setattr(shipped, "there", lambda *which: tmp_path / "nowhere")
+        monkeypatch.setattr(shipped.build, "build", lambda name, to, fmi: built.append(shutil.copy(there, to)))
     found = []
     for name in ("one", "two"):
         path = tmp_path / f"{name}.fmu"

@@ -366,7 +366,7 @@ def test_numbers_in_messages_have_a_point_wherever_the_host_is(made, tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="it is about glibc")
 def test_libraries_run_where_glibc_is_old():
     """The newest version among their symbols, also by what stands in their tables of strings."""
-    libraries = [there(build.HERE)]
+    libraries = [there(build.HERE, fmi) for fmi in build.VERSIONS]
     if build.compiler():
         equations = alfmu.Instance("four_bar").equations
         libraries.append(compiled_scene(equations, packed(equations)))

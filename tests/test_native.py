@@ -608,10 +608,33 @@ def test_sources_have_one_version_of_fmi_and_the_scene_is_in_its_resources(built
             names = [n for n in archive.namelist() if n.startswith("sources/") and n.endswith((".c", ".h"))]
             found.append({Path(n).name: archive.read(n).decode() for n in names})
             scenes.append(archive.read("resources/scene.bin"))
-    assert found[1].pop("fmi2.c") != found[2].pop("fmi3.c")
-    assert found[1] == found[2]
+    for files, fmi in zip(found, (2, 2, 3), strict=True):
+        assert list(files) == ["alfmu.c", "alfmu.h", "files.c"]
+        assert set(re.findall(r"\bfmi(\d)[A-Z]\w+\(", "".join(files.values()))) == {str(fmi)}
+    two, three = (native.sources(fmi) for fmi in (2, 3))
+    assert {**two, "alfmu.c": ""} == {**three, "alfmu.c": ""}
     assert not [name for name, text in found[0].items() if "alfmu_run" in text or "fmi3DoStep" in text]
     assert scenes[0] != scenes[1] == scenes[2]
+
+
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("nm"), reason="nm lists names of Linux")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_library_exports_the_functions_of_its_fmi_alone(built, tmp_path, fmi):
+    """By the standard's own headers. Others would meet those of another FMU in the same process."""
+    library = tmp_path / "own.so"
+    with zipfile.ZipFile(built("five_bar", fmi=fmi, platforms=[build.HERE])) as archive:
+        (name,) = (each for each in archive.namelist() if each.startswith("binaries/"))
+        library.write_bytes(archive.read(name))
+    said = subprocess.run(["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True).stdout
+    header = (HEADERS / f"fmi{fmi}FunctionTypes.h").read_text()
+    assert {line.split()[-1] for line in said.splitlines()} == set(re.findall(rf"\b(fmi{fmi}\w+)TYPE\b", header))
+
+
+@pytest.mark.skipif(
+    build.HERE != "linux64" or build.compiler() in (None, build.zig()), reason="other compilers make other sizes"
+)
+def test_the_five_bar_is_small(built):
+    assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 340e3
 
 
 @pytest.mark.slow
@@ -621,22 +644,44 @@ def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
     for name, text in native.sources(3).items():
         assert "/*" not in text
         (tmp_path / name).write_text(text, encoding="ascii")
-    whole = [path for path in build.sources(set(build.FOLDERS) - {"binding"}) if path.name != "fmi2.c"]
-    apart = {"files": ["files.c"], "fmi3": ["fmi.h", "fmi3.c"]}
+    folders = [each for each in build.FOLDERS if each != "binding"]
+    whole = [path for path in build.sources(folders) if path.name != "fmi2.c"]
+    apart = {"files": ["files.c"], "alfmu": ["fmi.h", "fmi3.c"]}
     files = {name: [path for path in whole if path.name in own] for name, own in apart.items()}
-    rest = [path for path in whole if path.suffix == ".c" and path not in (*files["files"], *files["fmi3"])]
-    files |= {folder: [path for path in rest if path.parent.name == folder] for folder in build.FOLDERS}
+    files["alfmu"] = [
+        *(path for path in whole if path.suffix == ".c" and path not in (*files["files"], *files["alfmu"])),
+        *files["alfmu"],
+    ]
     for name, texts in files.items():
-        if texts:
-            own = [line for path in texts for line in preprocessed(path) if not line.startswith("#include")]
-            bare = [line for line in preprocessed(tmp_path / f"{name}.c") if not line.startswith("#include")]
-            assert own == bare, name
+        own = [line for path in texts for line in preprocessed(path) if not line.startswith("#include")]
+        bare = [line for line in preprocessed(tmp_path / f"{name}.c") if not line.startswith("#include")]
+        assert own == bare, name
+
+
+@by_a_compiler
+def test_sources_leave_out_what_is_never_called(tmp_path):
+    """By a linker, which leaves out the same functions of the complete sources, and none of these."""
+    found = []
+    for name, files in (("whole", native.sources(2)), ("used", native.used(native.sources(2)))):
+        (tmp_path / name).mkdir()
+        for each, text in files.items():
+            (tmp_path / name / each).write_text(text, encoding="ascii")
+        made = tmp_path / f"{name}.so"
+        command = [*build.compiler(), "-O0", "-fPIC", "-shared", "-fvisibility=hidden", "-ffunction-sections"]
+        command += ["-Wl,--gc-sections", "alfmu.c", "files.c", "-o", str(made), "-lm"]
+        subprocess.run(command, cwd=tmp_path / name, check=True)
+        said = subprocess.run(["nm", made], capture_output=True, text=True, check=True).stdout
+        found.append({line.split()[-1] for line in said.splitlines() if line.split()[-2] in "tT"})
+    assert found[0] == found[1]
+    assert "scene_compiled" in native.sources(2)["alfmu.c"]
+    assert "scene_compiled" not in "".join(native.used(native.sources(2)).values())
 
 
 def preprocessed(path: Path) -> list[str]:
     """Lines of a file without comments and without blanks."""
     command = [*build.compiler(), "-fpreprocessed", "-E", "-P", str(path)]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    text = re.sub(r"#ifdef IN_SOURCES\n[^#]*#endif\n", "", text)  # for kind source alone
     return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
 
 

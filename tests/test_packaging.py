@@ -69,12 +69,12 @@ def test_a_fault_in_a_mechanism_of_alfmu_is_placed_in_its_file(monkeypatch):
 
 @pytest.mark.skipif(not HERE, reason="alfmu has no name for this platform")
 def test_the_check_of_a_library_knows_its_platform(wheels):
-    data = there(HERE).read_bytes()
+    data = there(HERE, 3).read_bytes()
     assert [name for name in PLATFORMS if wheels.machine(data) == wheels._FORMATS[name]] == [HERE]
     others = [name for name in PLATFORMS if name != HERE]
-    assert all("is (" in wheels._of_library(data, name)[0] for name in others)
-    assert wheels._of_library(data.replace(b"fmi3DoStep", b"fmi3NoStep"), HERE)[0] == "has no fmi3DoStep"
-    assert wheels._of_library(data + b"GLIBC_2.38", HERE)[-1] == "needs glibc 2.38"
+    assert all("is (" in wheels._of_library(data, name, 3)[0] for name in others)
+    assert wheels._of_library(data.replace(b"fmi3DoStep", b"fmi3NoStep"), HERE, 3)[0] == "has no fmi3DoStep"
+    assert wheels._of_library(data + b"GLIBC_2.38", HERE, 3)[-1] == "needs glibc 2.38"
 
 
 def test_the_check_of_a_wheel_compares_files_with_their_record(wheels):

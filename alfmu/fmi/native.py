@@ -24,6 +24,7 @@ from ..runtime.build import PLATFORMS, file_name
 from ..runtime.embedding import with_scene
 from ..runtime.pipeline import packed
 from ..runtime.shipped import library, there
+from .reached import reached
 
 WASM = "wasm32"
 """The platform of an FMU whose runtime is a component of WebAssembly, by the draft of FMI-LS-WASM."""
@@ -102,7 +103,7 @@ def checked(equations: Equations) -> None:
 def sources(
     fmi: int, without: Container[str] = (), instead: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, str]:
-    """Return the C files by name: one header, and one file per folder of the runtime, without these features.
+    """Return the C files by name: one header, one file, and one for files of the system, without these features.
 
     They have no comments, and leave out `binding` and the functions of the other version of FMI. The texts `instead`
     replace those of files; for plain C (`fmi` 0) they contain `plain.c`, which comes last.
@@ -114,22 +115,33 @@ def sources(
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define WITHOUT_{name}\n" for name in FEATURES if name in without)
     text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())
-    found = {"alfmu.h": text}
-    for folder in _FOLDERS:
-        own = [path.name for path in paths if path.parent.name == folder and path.suffix == ".c"]
-        own = [name for name in own if name not in _APART]
-        system = {line for name in own for line in _SYSTEM.findall(files[name])}
-        bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
-        found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
-    for name in ("files.c", f"fmi{fmi}.c" if fmi else "plain.c"):
-        text = _with_headers(files[name], files, set(headers))
-        found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
+    own = [path.name for path in paths if path.suffix == ".c" and path.name not in _APART]
+    system = {line for name in own for line in _SYSTEM.findall(files[name])}
+    bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
+    last = _with_headers(files[f"fmi{fmi}.c" if fmi else "plain.c"], files, set(headers))
+    apart = _with_headers(files["files.c"], files, set(headers))
+    found = {
+        "alfmu.h": text,
+        "files.c": apart.replace("#include <", f"{_HEADER}#include <", 1),
+        "alfmu.c": "".join([_HEADER, *sorted(system), bodies, last]),
+    }
     if not instead:
-        found["core.c"] = _IN_SOURCES.sub("", found["core.c"])
-    for name in ("alfmu.h", "plain.c"):
-        if name in found:
-            found[name] = _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], found[name])
+        found["alfmu.c"] = _IN_SOURCES.sub("", found["alfmu.c"])
+    for name in ("alfmu.h", "alfmu.c"):
+        found[name] = _FEATURE.sub(lambda each: each[3 if each[1] in without else 2], found[name])
     return found
+
+
+_HEADER = '#include "alfmu.h"\n'
+
+
+def used(files: Mapping[str, str]) -> dict[str, str]:
+    """Return the C files of an FMU without functions, constants and macros that nothing in them uses."""
+    whole = files["alfmu.h"] + files["alfmu.c"]
+    apart = set(re.findall(r"\w+", files["files.c"]))
+    pieces = reached(whole, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
+    header, include, text = "".join(piece for _, piece in pieces).partition(_HEADER)
+    return {**files, "alfmu.h": header, "alfmu.c": include + text}
 
 
 _TYPES = "fmi.h"
@@ -139,7 +151,7 @@ _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 """Folders of the runtime that an FMU needs."""
 
 _APART = ("files.c", "fmi2.c", "fmi3.c")
-"""Files that are not merged, because system headers and the two versions of FMI share names."""
+"""Files that come last or apart, because system headers and the two versions of FMI share names."""
 
 _FEATURE = re.compile(r"^#ifndef WITHOUT_(\w+)\n(.*?)^#else\n(.*?)^#endif\n", re.MULTILINE | re.DOTALL)
 """Matches the alternative declarations in a header, with its feature and without it."""
@@ -165,17 +177,23 @@ def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str
     return _INCLUDE.sub(header, text)
 
 
-_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)
-"""A comment with the space before it, or (as a group) a string or character literal."""
-
-
-_MARGIN = re.compile(r"^(?:    )+", re.MULTILINE)
+_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/""", re.DOTALL)
+"""A comment, or (as a group) a string or character literal."""
 
 
 def _without_comments(text: str) -> str:
     """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
-    text = re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
-    return _MARGIN.sub(lambda found: "\t" * (len(found[0]) // 4), text)
+    kept, end = list[str](), 0
+    for found in _COMMENT.finditer(text):
+        if not found[1]:
+            kept.append(text[end : found.start()].rstrip(" \t"))
+            end = found.end()
+    made = []
+    for line in " ".join([*kept, text[end:]]).splitlines():
+        if bare := line.strip():
+            margin = len(line) - len(line.lstrip())
+            made.append("\t" * (margin // 4) + " " * (margin % 4) + bare + "\n")
+    return "".join(made).lstrip()
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:
@@ -189,9 +207,10 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
     return names
 
 
-def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
-    """Return the library of each platform, shipped with alfmu or built by zig."""
-    return {name: library(name, scene) for name in names}
+def libraries(scene: str, names: Iterable[str], fmi: int = 0) -> dict[str, bytes]:
+    """Return the library of each platform for a version of FMI or for Python (0), shipped with alfmu or built by
+    zig."""
+    return {name: library(name, scene, fmi) for name in names}
 
 
 def component(name: str, scene: bytes) -> dict[str, bytes]:

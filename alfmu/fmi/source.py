@@ -11,8 +11,8 @@ import logging
 import re
 import struct
 import zipfile
-from collections import Counter, defaultdict
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
 from ..equations.interface import default_settings
@@ -28,6 +28,7 @@ from ..runtime.library import DONE, Scene, Unit
 from ..runtime.shipped import installed
 from . import native
 from .constants import Structure, literal, loaded, tables
+from .reached import reached
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -358,52 +359,18 @@ def _prefixed(text: str, fmi: int) -> str:
     return "\n".join([*lines, "#endif\n"]) + text
 
 
-def _chunks(text: str) -> Iterator[str]:
-    """Yield directives, and declarations and definitions at the top level."""
-    chunk, depth = "", 0
-    for line in text.splitlines(keepends=True):
-        chunk += line
-        if chunk.startswith("#"):
-            whole = not line.endswith("\\\n")
-        else:
-            bare = re.sub(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'', "", line)
-            depth += bare.count("{") - bare.count("}")
-            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
-        if whole and (chunk.startswith("#") or not depth):
-            yield chunk
-            chunk = ""
-
-
-_FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
-_DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
-_MACRO = re.compile(r"#define (\w+)")
 _OUTSIDE = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
-_WORD = re.compile(r"\b[A-Za-z_]\w*\b")
+"""Matches public functions."""
 
 
 def _reached(text: str) -> str:
     """Return C without unused functions, constants and macros; all others but the public ones become static."""
-    chunks = list(_chunks(text))
-    owners: dict[str, list[int]] = defaultdict(list)
-    named: list[str] = []
-    kept: set[int] = set()
-    for k, chunk in enumerate(chunks):
-        found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
-        named.append(found[1] if found else "")
-        if found:
-            owners[found[1]].append(k)
-    waiting = [k for k, each in enumerate(named) if not each or _OUTSIDE.fullmatch(each)]
-    while waiting:
-        k = waiting.pop()
-        if k in kept:
-            continue
-        kept.add(k)
-        for word in _WORD.findall(chunks[k]):
-            waiting += [each for each in owners.get(word, ()) if each not in kept]
-    for k in kept:
-        if named[k] and not chunks[k].startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(named[k]):
-            chunks[k] = "static " + chunks[k].removeprefix("extern ")
-    return "".join(chunks[k] for k in sorted(kept))
+    made = []
+    for name, chunk in reached(text, _OUTSIDE.fullmatch):
+        if name and not chunk.startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(name):
+            chunk = "static " + chunk.removeprefix("extern ")
+        made.append(chunk)
+    return "".join(made)
 
 
 def _identifiers(scene: Scene, name: str) -> list[str]:

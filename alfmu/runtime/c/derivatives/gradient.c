@@ -24,7 +24,7 @@ typedef struct {
     int writes;
 } Writing;
 
-static int32_t *begin_run(Writing *w, int32_t kind, int32_t count)
+static int32_t *run_begin(Writing *w, int32_t kind, int32_t count)
 {
     int32_t *operands = w->writes ? w->flat->operands + w->operands : NULL;
     if (w->writes)
@@ -39,7 +39,7 @@ static void write_pass(Writing *w, const int32_t *at, const int32_t *end, int32_
 {
     while (at < end) {
         const int32_t kind = *at++, count = *at++, operands = operand_counts[kind];
-        int32_t *into = begin_run(w, kind, count);
+        int32_t *into = run_begin(w, kind, count);
         for (int32_t k = 0; k < count * operands; k++, at += 2)
             if (into)
                 *into++ = at[0] + pass * at[1];
@@ -59,14 +59,14 @@ static void write_wide(Writing *w, const int32_t *at, const int32_t *end)
             at += body;
         } else if (kind == EACH_KIND) {
             const int32_t each = *at++, operands = operand_counts[each];
-            into = begin_run(w, each, count);
+            into = run_begin(w, each, count);
             for (int32_t pass = 0; into && pass < count; pass++)
                 for (int32_t k = 0; k < operands; k++)
                     *into++ = at[2 * k] + pass * at[2 * k + 1];
             at += 2 * operands;
         } else {
             const int32_t known = kind == GATHER_KIND ? COPY_KIND : kind, words = count * operand_counts[known];
-            into = begin_run(w, known, count);
+            into = run_begin(w, known, count);
             for (int32_t k = 0; into && k < words; k++)
                 into[k] = at[k];
             at += words;
@@ -78,7 +78,7 @@ static void write_narrow(Writing *w, const uint16_t *at, const uint16_t *end)
 {
     while (at < end) {
         const int32_t kind = at[0], count = at[1], words = count * operand_counts[kind];
-        int32_t *into = begin_run(w, kind, count);
+        int32_t *into = run_begin(w, kind, count);
         at += NARROW_HEAD;
         for (int32_t k = 0; into && k < words; k++)
             into[k] = at[k];

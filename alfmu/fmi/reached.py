@@ -1,0 +1,50 @@
+"""C without what nothing in it uses."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+
+_FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
+_DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
+_MACRO = re.compile(r"#define (\w+)")
+_LITERAL = re.compile(r'"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'')
+_WORD = re.compile(r"\b[A-Za-z_]\w*\b")
+
+
+def reached(text: str, public: Callable[[str], object]) -> list[tuple[str, str]]:
+    """Return pieces of C, each with the name that it declares or defines, if any; without functions, constants and
+    macros that public ones never use."""
+    chunks = list(_chunks(text))
+    owners: dict[str, list[int]] = defaultdict(list)
+    named: list[str] = []
+    for k, chunk in enumerate(chunks):
+        found = _MACRO.match(chunk) or _FUNCTION.match(chunk) or _DATA.match(chunk)
+        named.append(found[1] if found else "")
+        if found:
+            owners[found[1]].append(k)
+    waiting = [k for k, each in enumerate(named) if not each or public(each)]
+    kept = set(waiting)
+    while waiting:
+        for word in owners.keys() & _WORD.findall(chunks[waiting.pop()]):
+            more = set(owners.pop(word)) - kept
+            waiting += more
+            kept |= more
+    return [(named[k], chunks[k]) for k in sorted(kept)]
+
+
+def _chunks(text: str) -> Iterator[str]:
+    """Yield directives, and declarations and definitions at the top level."""
+    chunk, depth = "", 0
+    for line in text.splitlines(keepends=True):
+        chunk += line
+        if chunk.startswith("#"):
+            whole = not line.endswith("\\\n")
+        else:
+            bare = _LITERAL.sub("", line) if '"' in line or "'" in line else line
+            depth += bare.count("{") - bare.count("}")
+            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
+        if whole and (chunk.startswith("#") or not depth):
+            yield chunk
+            chunk = ""
