@@ -689,10 +689,9 @@ class Scene:
     def lost(self, M: SX, C: SX, F: SX, xi: SX, q: SX, v: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX]:
         """Return the error of reactions evaluated at a position itself, and the relative error of the position."""
         e, own = self.e, self.settings.inverse_length
-        arms, far = ca.vertcat(*(own if c.unit == "rad" else 1 for c in e.coordinates)), [SX(e.reach)]
-        far += [x for x, c in zip(ca.vertsplit(q), e.coordinates, strict=True) if c.unit == "m"]
+        arms = ca.vertcat(*(own if c.unit == "rad" else 1 for c in e.coordinates))
         off = [ca.sqrt(self._residue(x)) for x in (e.Phi(q, self.p), self.speed(q, v, C), C @ a - xi)]
-        off[0] += EPSILON * own * ca.norm_inf(ca.vertcat(*far))
+        off[0] += EPSILON * self._far(q)
         off[1:] = [x / (ca.sqrt(self._squares(y)) + _TINY) for x, y in zip(off[1:], (v, a), strict=True)]
         forces = [ca.norm_inf(ca.densify(arms * x)) / self.scale for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
         forces.append(own * (v.T @ M @ v) / self.scale)
@@ -744,7 +743,7 @@ class Scene:
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
         """Return whether these residuals (squared) of q and v exceed the tolerance."""
-        return 1 - self._within(left[0], q) * self._within(left[1], v)
+        return 1 - self._within(left[0], q) * self._within(left[1], q, v)
 
     def along(self, q: SX, *parts: SX) -> tuple[SX, ...]:
         """Return displacements or velocities at q projected onto the constraints."""
@@ -926,11 +925,20 @@ class Scene:
         """
         turned = 1.0 if quick else ca.fmax(1, ca.sumsqr(self._angles(q)))
         lost = turned if near is None else ca.if_else(near, ca.fmax(turned, 1 / self.settings.nothing), turned)
-        return self._within(left[0], q) * self._within(left[1], v, lost)
+        return self._within(left[0], q) * self._within(left[1], q, v, lost)
 
-    def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
-        """Return whether a residual (squared) of x is within the tolerance, or within `larger` times round-off."""
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * self._squares(x))
+    def _within(self, residue: SX, q: SX, v: SX | None = None, larger: SX | float = 1.0) -> SX:
+        """Return whether a residual (squared) of q, or of v at q, is within the tolerance, or within `larger` times
+        round-off of x and of places."""
+        far = self._far(q) ** 2
+        size = ca.fmax(far, self._squares(q)) if v is None else ca.fmax(far, 1) * self._squares(v)
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * size)
+
+    def _far(self, q: SX) -> SX:
+        """Return the largest coordinate of a place, over the size of the smallest loop: redundant constraints agree to
+        this many units of round-off."""
+        lengths = [x for x, c in zip(ca.vertsplit(q), self.e.coordinates, strict=True) if c.unit == "m"]
+        return self.settings.inverse_loop * ca.norm_inf(ca.vertcat(self.e.reach, *lengths))
 
     def _squares(self, x: SX) -> SX:
         """Return the sum of squares of coordinates or velocities; lengths are divided by the mechanism's."""
