@@ -25,8 +25,8 @@ class SceneSettings(NamedTuple, Generic[Number]):
     margin that counts as zero; least distance of positions beside a singular position; whether to continue on the
     branch there (`method.singular`); tolerances of a step with error control, the second also for lengths; one over the
     length of the mechanism, and over the size of its smallest loop; and tolerances over that of the integrator: of a
-    short step, of an explicit step on the branch that replaces an implicit one, and of an implicit step that replaces an
-    explicit one; 1 if limits are taken along the motion, 0 if along the direction stored after the scales.
+    short step, of an explicit step on the branch that replaces an implicit one, and of an implicit step that replaces
+    an explicit one; 1 if limits are taken along the motion, 0 if along the direction stored after the scales.
     """
 
     alpha: Number

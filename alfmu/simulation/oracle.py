@@ -76,12 +76,13 @@ class Instance(Stepped):
         Null vectors of C' do not act on a, so alpha times the round-off of each pass accumulates in lam along them. As
         they do act on tangents, they are removed from the returned lam.
         """
-        scale, left = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300), math.inf
+        sizes, left = self._sizes, math.inf
+        scale = np.abs(F / sizes).max(initial=0.0) / np.abs(M / np.outer(sizes, sizes)).max(initial=1e-300)
 
         def done(da: NDArray, a: NDArray) -> bool:
             nonlocal left
-            left = float(np.linalg.norm(da)) / max(float(np.linalg.norm(a)), TINY)
-            return np.abs(da).max() <= self.settings.tolerance * max(np.abs(a).max(), scale)
+            left = float(np.linalg.norm(sizes * da)) / max(float(np.linalg.norm(sizes * a)), TINY)
+            return np.abs(sizes * da).max() <= self.settings.tolerance * max(np.abs(sizes * a).max(), scale)
 
         zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
