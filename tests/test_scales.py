@@ -3,6 +3,7 @@
 Right values are those of one equation of motion by DOP853, or in closed form.
 """
 
+import re
 from copy import deepcopy
 
 import casadi as ca
@@ -515,6 +516,34 @@ def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
     run = alfmu.simulate(slider_crank(True), 0.3, 0.01)
     right = solve_ivp(rate, (0, 0.3), (0.5, 20.0), "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
     assert np.abs(run["crank.angle"] - right).max() <= 2e-3
+
+
+def test_the_error_of_a_short_crank_in_joint_coordinates_is_estimated(caplog):
+    """A crank of 0.3 mm and a rod of 0.9 m, of which the motion moves only 1e-7 of the masses that C holds."""
+    m, r, l = Mechanism("eccentric"), 3e-4, 0.9
+    crank, rod, slider = m.bar("crank", mass=0.1, length=r), m.bar("rod", mass=1.0, length=l), m.body("s", mass=0.5)
+    free = m.coordinate("th", start=0.5, rate=20.0, independent=True)
+    m.revolute("A", m.ground.at(), crank.start, coordinate=free)
+    m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("q", start=-0.5))
+    m.prismatic("guide", m.ground.at(), slider.at(), coordinate=m.coordinate("x", "m", start=l))
+    m.revolute("C", rod.end, slider.at())
+    m.gravity(0, -9.81)
+    x, w = ca.SX.sym("x"), ca.SX.sym("w")
+    pin = r * ca.vertcat(ca.cos(x), ca.sin(x))
+    middle = pin + ca.vertcat(ca.sqrt(l**2 - pin[1] ** 2), -pin[1]) / 2
+    end, turn = pin[0] + ca.sqrt(l**2 - pin[1] ** 2), -ca.asin(pin[1] / l)
+    inertia = 0.1 * r**2 / 3 + ca.sumsqr(ca.jacobian(middle, x)) + l**2 / 12 * ca.jacobian(turn, x) ** 2
+    inertia += 0.5 * ca.jacobian(end, x) ** 2
+    height = 9.81 * (0.1 * pin[1] / 2 + middle[1])
+    rate = ca.Function("rate", [x, w], [(-ca.jacobian(height, x) - ca.jacobian(inertia, x) * w**2 / 2) / inertia])
+    with caplog.at_level("WARNING"):
+        run = alfmu.simulate(m, 0.3, 0.01)
+    right = solve_ivp(
+        lambda t, y: (y[1], float(rate(*y))),
+        (0, 0.3), (0.5, 20.0), "DOP853", run.time, rtol=1e-12, atol=1e-12,
+    ).y[0]  # fmt: skip
+    [told] = re.findall(r"round-off causes an error of about (\S+),", caplog.text)
+    assert 1e-6 < np.abs(run["crank.angle"] - right).max() <= 2 * float(told) <= 2e-3
 
 
 def test_where_error_control_cannot_go_on_rk4_does():
