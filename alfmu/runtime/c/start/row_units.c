@@ -89,8 +89,8 @@ void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row
 
 /* Return the length of the mechanism: the longest arm at which an angle moves a point; for constraints on lengths alone
    the least radius at which their coefficients turn; 1 m if neither exists. Arms of rows in scaled units are divided by
-   the row's known unit; arms without a known unit count only if no unit is known. `loop` becomes the size of the smallest
-   loop: the least of the longest arms of rows, or that radius. */
+   the row's known unit; arms without a known unit count only if no unit is known. `loop` becomes the size of the
+   smallest loop: the least of the longest arms of rows, or that radius. */
 double units_own_length(Instance *i, const double *q, double *loop)
 {
     const Scene *s = i->scene;
