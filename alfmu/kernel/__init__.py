@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 29
+VERSION = 30
 """Version of scene files, increased whenever their content changes meaning."""

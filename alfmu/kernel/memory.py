@@ -24,9 +24,9 @@ class SceneSettings(NamedTuple, Generic[Number]):
     the pivots contributed by masses; logarithm of the product of all pivots below which a position may be singular;
     margin that counts as zero; least distance of positions beside a singular position; whether to continue on the
     branch there (`method.singular`); tolerances of a step with error control, the second also for lengths; one over the
-    length of the mechanism; and tolerances over that of the integrator: of a short step, of an explicit step on the
-    branch that replaces an implicit one, and of an implicit step that replaces an explicit one; 1 if limits are taken
-    along the motion, 0 if along the direction stored after the scales.
+    length of the mechanism, and over the size of its smallest loop; and tolerances over that of the integrator: of a
+    short step, of an explicit step on the branch that replaces an implicit one, and of an implicit step that replaces
+    an explicit one; 1 if limits are taken along the motion, 0 if along the direction stored after the scales.
     """
 
     alpha: Number
@@ -41,6 +41,7 @@ class SceneSettings(NamedTuple, Generic[Number]):
     absolute: Number
     absolute_length: Number
     inverse_length: Number
+    inverse_loop: Number
     short: Number
     beside: Number
     stiff: Number

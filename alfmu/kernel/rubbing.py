@@ -103,19 +103,17 @@ def _rub(scene: Scene, *known: SX) -> tuple[SX, ...]:
         lam += (presses[j] + units[j]) * change[j]
     after, lam, _ = scene.iterated((M, C, F, xi), (D, L), after, lam, 1)
     lam = _shared(scene, (t, q, v, u), M, C, after, lam)
-    # Balanced forces leave round-off, which may exceed accelerations near zero.
-    tolerance = scene.settings.tolerance
-    left = tolerance**2 * (ca.sumsqr(F) + ca.sumsqr(C.T @ lam)) / (ca.sumsqr(ca.diag(M)) + _TINY)
-    changed = ca.fmax(ca.sumsqr(after - a) - left, 0)
+    changed = ca.fmax(scene.squares(after - a) - scene.left(M, F, C.T @ lam), 0)
     seen = Watch.of(watch)
     # Expected change by one more iteration, as in `Scene.judged`.
     following = changed * ca.fmin(scene.settings.nothing / NOISE_FLOOR / seen.margin, 1) ** 2
-    watch = seen._replace(change=following, size=ca.sumsqr(after)).vector()
+    watch = seen._replace(change=following, size=scene.squares(after)).vector()
     size = sum((lam[row] ** 2 for row in rows), SX(_TINY))
     lacking = sum((x**2 for x in residues), SX(0)) / size
     held = ca.vertcat(lacking, ca.mmin(ca.vertcat(*pivots)))
     # Multipliers converge after accelerations.
-    more = 1 - (following <= tolerance**2 * ca.sumsqr(after) + _TINY) * (lacking <= method.LAW_ENOUGH**2)
+    done = following <= scene.settings.tolerance**2 * scene.squares(after) + _TINY
+    more = 1 - done * (lacking <= method.LAW_ENOUGH**2)
     return after, lam, watch, more, held
 
 

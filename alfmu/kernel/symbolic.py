@@ -252,16 +252,20 @@ class Scene:
         """Return the results of `evaluated` for given M, C, F, xi, without power."""
         D, L = self.factors(self.augmented_mass(*terms[:2]))
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
-        watch = Watch(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D))
+        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(D))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
         """Return a, lam and watch after one more iteration."""
         a, lam, change = self.iterated((M, C, F, xi), (D, L), a, lam, 1)
-        # Balanced forces leave round-off, which may exceed accelerations near zero.
-        left = self.settings.tolerance**2 * ca.sumsqr(F) / (ca.sumsqr(ca.diag(M)) + _TINY)
-        change = ca.fmax(ca.sumsqr(change) - left, 0)
-        return a, lam, Watch.of(watch)._replace(change=change, size=ca.sumsqr(a)).vector()
+        change = ca.fmax(self.squares(change) - self.left(M, F), 0)
+        return a, lam, Watch.of(watch)._replace(change=change, size=self.squares(a)).vector()
+
+    def left(self, M: SX, *forces: SX) -> SX:
+        """Return the accelerations (squared) within the tolerance of forces in balance, which leave round-off: it may
+        exceed accelerations near zero."""
+        size = sum((self.squares(x, -2) for x in forces), SX(0))
+        return self.settings.tolerance**2 * size / (self.squares(ca.diag(M), -4) + _TINY)
 
     def iterated(self, terms: Sequence[SX], factors: tuple[SX, SX], a: SX, lam: SX, most: int) -> tuple[SX, SX, SX]:
         """Return a and lam after `most` iterations, and the last change of a."""
@@ -284,7 +288,7 @@ class Scene:
         M, C, _, xi = self.terms(t, q, v, u)
         D, L = self.factors(self.augmented_mass(M, C))
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
-        return found, Watch(ca.sumsqr(change), ca.sumsqr(found), ca.mmin(D), *self.margin(D)).vector()
+        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(D)).vector()
 
     def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
         """Return the number of failed convergence checks; `limit` is the error allowed after few iterations, by default
@@ -689,11 +693,10 @@ class Scene:
     def lost(self, M: SX, C: SX, F: SX, xi: SX, q: SX, v: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX]:
         """Return the error of reactions evaluated at a position itself, and the relative error of the position."""
         e, own = self.e, self.settings.inverse_length
-        arms, far = ca.vertcat(*(own if c.unit == "rad" else 1 for c in e.coordinates)), [SX(e.reach)]
-        far += [x for x, c in zip(ca.vertsplit(q), e.coordinates, strict=True) if c.unit == "m"]
+        arms = ca.vertcat(*(own if c.unit == "rad" else 1 for c in e.coordinates))
         off = [ca.sqrt(self._residue(x)) for x in (e.Phi(q, self.p), self.speed(q, v, C), C @ a - xi)]
-        off[0] += EPSILON * own * ca.norm_inf(ca.vertcat(*far))
-        off[1:] = [x / (ca.sqrt(self._squares(y)) + _TINY) for x, y in zip(off[1:], (v, a), strict=True)]
+        off[0] += EPSILON * self._far(q)
+        off[1:] = [x / (ca.sqrt(self.squares(y)) + _TINY) for x, y in zip(off[1:], (v, a), strict=True)]
         forces = [ca.norm_inf(ca.densify(arms * x)) / self.scale for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
         forces.append(own * (v.T @ M @ v) / self.scale)
         masses = self.settings.nothing / branch.NOISE_FLOOR
@@ -744,7 +747,7 @@ class Scene:
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
         """Return whether these residuals (squared) of q and v exceed the tolerance."""
-        return 1 - self._within(left[0], q) * self._within(left[1], v)
+        return 1 - self._within(left[0], q) * self._within(left[1], q, v)
 
     def along(self, q: SX, *parts: SX) -> tuple[SX, ...]:
         """Return displacements or velocities at q projected onto the constraints."""
@@ -926,17 +929,27 @@ class Scene:
         """
         turned = 1.0 if quick else ca.fmax(1, ca.sumsqr(self._angles(q)))
         lost = turned if near is None else ca.if_else(near, ca.fmax(turned, 1 / self.settings.nothing), turned)
-        return self._within(left[0], q) * self._within(left[1], v, lost)
+        return self._within(left[0], q) * self._within(left[1], q, v, lost)
 
-    def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
-        """Return whether a residual (squared) of x is within the tolerance, or within `larger` times round-off."""
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * self._squares(x))
+    def _within(self, residue: SX, q: SX, v: SX | None = None, larger: SX | float = 1.0) -> SX:
+        """Return whether a residual (squared) of q, or of v at q, is within the tolerance, or within `larger` times
+        round-off of x and of places."""
+        far = self._far(q) ** 2
+        size = ca.fmax(far, self.squares(q)) if v is None else ca.fmax(far, 1) * self.squares(v)
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * size)
 
-    def _squares(self, x: SX) -> SX:
-        """Return the sum of squares of coordinates or velocities; lengths are divided by the mechanism's."""
+    def _far(self, q: SX) -> SX:
+        """Return the largest coordinate of a place, over the size of the smallest loop: redundant constraints agree to
+        this many units of round-off."""
+        lengths = [x for x, c in zip(ca.vertsplit(q), self.e.coordinates, strict=True) if c.unit == "m"]
+        return self.settings.inverse_loop * ca.norm_inf(ca.vertcat(self.e.reach, *lengths))
+
+    def squares(self, x: SX, power: int = 2) -> SX:
+        """Return the sum of squares of coordinates or of their rates, whose lengths are divided by the mechanism's; of
+        forces with the power -2, of masses with -4."""
         lengths = [i for i, c in enumerate(self.e.coordinates) if c.unit == "m"]
         others = [i for i, c in enumerate(self.e.coordinates) if c.unit != "m"]
-        return ca.sumsqr(x[others]) + self.settings.inverse_length**2 * ca.sumsqr(x[lengths])
+        return ca.sumsqr(x[others]) + self.settings.inverse_length**power * ca.sumsqr(x[lengths])
 
     def _largest(self, residue: SX) -> SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)

@@ -164,6 +164,7 @@ NUMBERS: dict[str, Number] = {
 REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
     "fading": lambda t: FADING / t.e.interval,
+    "farthest": lambda t: t.e.reach,
     "share": lambda t: t.share[0],
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT5_SHORT)[0],

@@ -76,12 +76,13 @@ class Instance(Stepped):
         Null vectors of C' do not act on a, so alpha times the round-off of each pass accumulates in lam along them. As
         they do act on tangents, they are removed from the returned lam.
         """
-        scale, left = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300), math.inf
+        sizes, left = self._sizes, math.inf
+        scale = np.abs(F / sizes).max(initial=0.0) / np.abs(M / np.outer(sizes, sizes)).max(initial=1e-300)
 
         def done(da: NDArray, a: NDArray) -> bool:
             nonlocal left
-            left = float(np.linalg.norm(da)) / max(float(np.linalg.norm(a)), TINY)
-            return np.abs(da).max() <= self.settings.tolerance * max(np.abs(a).max(), scale)
+            left = float(np.linalg.norm(sizes * da)) / max(float(np.linalg.norm(sizes * a)), TINY)
+            return np.abs(sizes * da).max() <= self.settings.tolerance * max(np.abs(sizes * a).max(), scale)
 
         zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
@@ -156,7 +157,7 @@ class Instance(Stepped):
         """
         M, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
-            if self._closed(Phi, C, q):
+            if self._closed(Phi, C, q, q):
                 if not near:
                     break
                 near = False
@@ -164,7 +165,7 @@ class Instance(Stepped):
             M, C, Phi, Cv, solve = self.augmented(q, v)
             self.counters.projection_iterations += 1
         for _ in range(CORRECTIONS):
-            if self._closed(Cv, C, v):
+            if self._closed(Cv, C, q, v):
                 break
             v = self._slower(M, C, Cv, solve, v)
             Cv = self.constraints(q, v)[3]
@@ -174,7 +175,7 @@ class Instance(Stepped):
             if not worst <= GROSS:
                 left = f"{what} = {worst:.1e} at {row} > {GROSS:.0e} after {CORRECTIONS} corrections"
                 raise self._error(OpenError, t, left)
-        self.counters.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
+        self.counters.unprojected += not (self._closed(Phi, C, q, q) and self._closed(Cv, C, q, v))
         return q, v, self._largest(Phi), self._largest(Cv)
 
     def _closer(self, M: NDArray, C: NDArray, Phi: NDArray, solve: method.Solve, q: NDArray) -> NDArray:
@@ -186,10 +187,22 @@ class Instance(Stepped):
         """Return v after a correction (10)."""
         return v + method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
 
-    def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
-        """Return whether residuals of constraints are within the tolerance, or the round-off of their row if larger."""
-        limit = np.maximum(self.settings.tolerance * self.units, 8 * EPS * (abs(C) @ np.abs(x)))
-        return bool((np.abs(residue) <= limit)[self.active].all())
+    def _closed(self, residue: NDArray, C: NDArray, q: NDArray, x: NDArray) -> bool:
+        """Return whether residuals of constraints, of x = q or v, are within the tolerance, or the round-off of their
+        row or of places if larger."""
+        far = self._far(q) * (1.0 if x is q else np.abs(self._sizes * x).max(initial=0.0))
+        limit = 8 * EPS * np.maximum(abs(C) @ np.abs(x), far * self.units)
+        return bool((np.abs(residue) <= np.maximum(self.settings.tolerance * self.units, limit))[self.active].all())
+
+    @property
+    def _sizes(self) -> NDArray:
+        """One over the unit of each coordinate."""
+        return np.array([self.inverse_length if c.unit == "m" else 1.0 for c in self.equations.coordinates])
+
+    def _far(self, q: NDArray) -> float:
+        """Return the largest coordinate of a place, over the size of the smallest loop."""
+        lengths = [abs(x) for x, c in zip(q, self.equations.coordinates, strict=True) if c.unit == "m"]
+        return self.inverse_loop * max(self.equations.reach, *lengths, 0.0)
 
     # Singular positions -------------------------------------------------------------------------------------------
 
@@ -362,13 +375,10 @@ class Instance(Stepped):
         """Return the error of reactions evaluated directly at this position, and the relative error of the position."""
         e, own = self.equations, self.inverse_length
         arms = np.array([own if c.unit == "rad" else 1.0 for c in e.coordinates])
-        sizes = np.array([own if c.unit == "m" else 1.0 for c in e.coordinates])
         (M, C, F, xi), (_, _, Phi, Cv) = self.dynamics(q, v, self.driven, self.time), self.constraints(q, v)
         off = [float(np.linalg.norm((x / self.units)[self.active])) for x in (Phi, Cv, C @ a - xi)]
-        off[0] += (
-            EPS * own * max(e.reach, 0.0, *(abs(x) for x, c in zip(q, e.coordinates, strict=True) if c.unit == "m"))
-        )
-        off[1:] = [x / (float(np.linalg.norm(sizes * y)) + TINY) for x, y in zip(off[1:], (v, a), strict=True)]
+        off[0] += EPS * self._far(q)
+        off[1:] = [x / (float(np.linalg.norm(self._sizes * y)) + TINY) for x, y in zip(off[1:], (v, a), strict=True)]
         forces = [float(np.abs(arms * x).max()) for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
         masses = self.nothing / branch.NOISE_FLOOR
         margin = max(margin - masses, masses / branch.NOISE_FLOOR)

@@ -109,7 +109,7 @@ class Stepped(runtime.Instance, ABC):
         found = dict(zip(SETTINGS, k.tolist(), strict=False))
         self.freedom, self.masses, self.regular = (found[name] for name in ("freedom", "masses", "regular"))
         self.nothing, self.least_distance = found["nothing"], found["least_distance"]
-        self.inverse_length = found["inverse_length"]
+        self.inverse_length, self.inverse_loop = found["inverse_length"], found["inverse_loop"]
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances), e.n * bool(e.l)])
         _, _, inverse_units, inverse_scales, stiffnesses, self.way, _ = np.split(k, ends)
         with np.errstate(divide="ignore", invalid="ignore"):  # the run reports a scale that is not finite

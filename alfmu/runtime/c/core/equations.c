@@ -6,6 +6,7 @@
 
 #include "instance.h"
 #include "interpret.h"
+#include "layout.h"
 #include "record.h"
 #include "scene.h"
 
@@ -112,4 +113,23 @@ double instance_largest(const Instance *i, const double *x)
     for (int c = 0; c < s->n; c++)
         found = fmax(found, fabs(x[c]) / (coordinate_is_length(s, c) ? *i->length : 1.0));
     return found;
+}
+
+/* Compute the limits (l) of |Phi|, or of |Phi-dot| at velocities v: the tolerance, or the round-off of the row, or of
+   places, to which redundant constraints agree: that of the farthest coordinate, over the size of the smallest loop. */
+void constraints_limits(const Instance *i, const double *C, const double *q, const double *v, double *limits)
+{
+    const Scene *s = i->scene;
+    const Pattern *p = &s->constraint;
+    const double *x = v ? v : q;
+    double far = s->farthest / *i->loop;
+    for (int c = 0; c < s->n; c++)
+        far = coordinate_is_length(s, c) ? fmax(far, fabs(q[c]) / *i->loop) : far;
+    far *= v ? instance_largest(i, v) : 1.0;
+    memset(limits, 0, (size_t)s->l * sizeof *limits);
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
+            limits[p->indices[e]] += fabs(C[e] * x[c]);
+    for (int r = 0; r < s->l; r++)
+        limits[r] = fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * fmax(far * i->units[r], limits[r]));
 }

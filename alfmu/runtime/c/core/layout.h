@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 29
+#define SCENE_VERSION 30
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -120,7 +120,8 @@
 enum {
     SETTINGS_ALPHA, SETTINGS_TOLERANCE, SETTINGS_FREEDOM, SETTINGS_MASSES, SETTINGS_REGULAR, SETTINGS_NOTHING,
     SETTINGS_LEAST_DISTANCE, SETTINGS_CONTINUES, SETTINGS_RELATIVE, SETTINGS_ABSOLUTE, SETTINGS_ABSOLUTE_LENGTH,
-    SETTINGS_INVERSE_LENGTH, SETTINGS_SHORT, SETTINGS_BESIDE, SETTINGS_STIFF, SETTINGS_ALONG, SETTINGS
+    SETTINGS_INVERSE_LENGTH, SETTINGS_INVERSE_LOOP, SETTINGS_SHORT, SETTINGS_BESIDE, SETTINGS_STIFF, SETTINGS_ALONG,
+    SETTINGS
 };
 
 enum {
@@ -173,8 +174,8 @@ enum {
     X(irregular) X(sliding) X(laws) X(breaks) X(state_rates) X(stops) X(place) X(bring) X(settle) X(margin)
 
 #define SCENE_REALS(X) \
-    X(no_slope) X(fading) X(share) X(exponent) X(short_share) X(short_exponent) X(stiff_share) X(stiff_exponent) \
-    X(beside_share) X(beside_exponent)
+    X(no_slope) X(fading) X(farthest) X(share) X(exponent) X(short_share) X(short_exponent) X(stiff_share) \
+    X(stiff_exponent) X(beside_share) X(beside_exponent)
 
 #define SCENE_OTHERS(X) \
     X(by_classic) X(by_penalty) X(by_stiffness) X(by_baumgarte) X(by_dae)

@@ -46,6 +46,8 @@ void tables_read_numbers(Reader *r)
         reader_spoil(r, "its choices contradict each other");
     if (s->brakes && s->l > 10000)
         reader_spoil(r, "it has %d constraints, some of them redundant; at most 10000 may be", s->l);
+    if (!(s->farthest >= 0.0 && isfinite(s->farthest)))
+        reader_spoil(r, "its farthest point is at %g m", s->farthest);
     if (!(s->fading >= 0.0 && isfinite(s->fading)))
         reader_spoil(r, "its rate of return to the constraints is %g 1/s", s->fading);
     if (!reader_check_between(s->method, 0, 3) || s->freedom > s->n)

@@ -77,14 +77,16 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
     return *i->rank < active && s->n <= DENSE && rank_at(i, q, held) == (int)*i->rank;
 }
 
-/* Return DONE, or report which constraints contradict each other, judged by the residue |Phi| or |Phi-dot| that
-   first-order corrections leave at a regular position. */
-Outcome agreement_check(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per)
+/* Return DONE, or report which constraints contradict each other, judged by the residue |Phi|, or |Phi-dot| at
+   velocities v, that first-order corrections leave at a regular position. */
+Outcome agreement_check(
+    Instance *i, const unsigned char *held, const double *q, const double *v, const double *open)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties);
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
-    double *weights = arena_alloc(i, (size_t)s->l), *residue = arena_alloc(i, count), *left = arena_alloc(i, count);
+    double *weights = arena_alloc(i, (size_t)s->l), *residue = arena_alloc(i, count), *left = arena_alloc(i, count),
+           *limits = arena_alloc(i, (size_t)s->l);
     int row = 0;
     char names[300] = "";
     Outcome outcome = DONE;
@@ -96,23 +98,17 @@ Outcome agreement_check(Instance *i, const unsigned char *held, const double *q,
     for (int r = 0; r < s->l; r++)
         residue[r] = weights[r] * open[r];
     if (is_regular_place(i, held, q)) {
-        double off;
-        char rounded[120] = "";
         find_uncorrectable(i, &J, residue, left);
+        constraints_limits(i, J.constraints.values, q, v, limits);
         for (int r = 1; r < s->l; r++)
-            if (fabs(left[r]) / i->units[r] > fabs(left[row]) / i->units[row])
+            if (fabs(left[r]) / limits[r] > fabs(left[row]) / limits[row])
                 row = r;
         list_joints(s, left, names, sizeof names);
-        off = fabs(left[row]) / i->units[row];
-        if (off < ROUGH)
-            snprintf(rounded, sizeof rounded,
-                "; if they agree but for round-off, as they may far from the origin, use solver.tolerance %.0e",
-                pow(10.0, ceil(log10(off)) + 2.0));
-        if (off > i->values[s->tolerance])
+        if (fabs(left[row]) > limits[row])
             outcome = instance_say(i, FAILED,
                 "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
-                "make their lengths, offsets and laws agree, or leave one of them out%s",
-                s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per, rounded);
+                "make their lengths, offsets and laws agree, or leave one of them out",
+                s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, v ? "/s" : "");
     }
     arena_release(i, arena);
     return outcome;

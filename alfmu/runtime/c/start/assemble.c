@@ -243,7 +243,7 @@ Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double
     Outcome outcome;
     Mark begin;
     function_call_recorded(i, s->guesses, x, y);
-    own = s->l ? units_own_length(i, guess) : 1.0;
+    own = s->l ? units_own_length(i, guess, i->loop) : 1.0;
     *i->length = own < 1 / ALIKE || own > ALIKE ? own : 1.0; /* unit of displacements */
     loops = loops_new(i, held, own);
     if (!isfinite(linear_norm(guess, s->n)))

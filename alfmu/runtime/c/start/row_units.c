@@ -89,8 +89,9 @@ void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row
 
 /* Return the length of the mechanism: the longest arm at which an angle moves a point; for constraints on lengths alone
    the least radius at which their coefficients turn; 1 m if neither exists. Arms of rows in scaled units are divided by
-   the row's known unit; arms without a known unit count only if no unit is known. */
-double units_own_length(Instance *i, const double *q)
+   the row's known unit; arms without a known unit count only if no unit is known. `loop` becomes the size of the
+   smallest loop: the least of the longest arms of rows, or that radius. */
+double units_own_length(Instance *i, const double *q, double *loop)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
@@ -98,7 +99,8 @@ double units_own_length(Instance *i, const double *q)
     double *C = arena_alloc(i, entries), *turned = arena_alloc(i, entries), *there = arena_alloc(i, n),
            *zeros = arena_alloc(i, n);
     double *size = arena_alloc(i, l), *moved = arena_alloc(i, l), *bent = arena_alloc(i, l),
-           *reached = arena_alloc(i, l), known = 0.0, arm = 0.0, radius = INFINITY, found;
+           *reached = arena_alloc(i, l), known = 0.0, arm = 0.0, radius = INFINITY, least = INFINITY,
+           found;
     Range *sizes = (Range *)arena_alloc(i, 3 * entries), *amplitudes = (Range *)arena_alloc(i, 3 * entries);
     Row_units *told = (Row_units *)arena_alloc(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
@@ -119,6 +121,7 @@ double units_own_length(Instance *i, const double *q)
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
             known = fmax(known, unit > 0.0 ? reached[r] / unit : 0.0);
             arm = fmax(arm, reached[r]);
+            least = reached[r] > SAME * arm ? fmin(least, reached[r] / (unit > 0.0 ? unit : 1.0)) : least;
         }
     for (int k = 0; k < RANKED && arm == 0.0; k++) { /* A displacement along the radius turns nothing: try several. */
         memset(size, 0, l * sizeof *size);
@@ -139,8 +142,10 @@ double units_own_length(Instance *i, const double *q)
                 radius = fmin(radius, moved[r] * size[r] / bent[r]);
     }
     found = known > 0.0 ? known : arm > 0.0 ? arm : radius;
+    found = found >= 1e-300 && found < 1e12 ? found : 1.0;
+    *loop = fmin(fmin(least, radius), found);
     arena_release(i, arena);
-    return found >= 1e-300 && found < 1e12 ? found : 1.0;
+    return found;
 }
 
 /* Return the constant coefficient of a row, that of a length if it has lengths. */

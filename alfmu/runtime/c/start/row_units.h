@@ -33,7 +33,7 @@ void range_widen(Range *range, double x);
 int range_is_constant(Range range);
 void units_sample_coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes);
 void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row_units *told);
-double units_own_length(Instance *i, const double *q);
+double units_own_length(Instance *i, const double *q, double *loop);
 double units_constant(const Row_units *row);
 int units_are_telling(const Row_units *row, Sum sum);
 double units_of_row(const Row_units *row);

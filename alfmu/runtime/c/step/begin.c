@@ -55,10 +55,10 @@ static Outcome check_agreed(Instance *i, const unsigned char *held, const double
     double *C = arena_alloc(i, (size_t)s->constraint.entries), *phi = arena_alloc(i, l), *cv = arena_alloc(i, l);
     Outcome outcome = DONE;
     constraints_evaluate(i, q, v, NULL, C, phi, cv);
-    if (!projection_is_closed(i, phi, C, q))
-        outcome = agreement_check(i, held, q, phi, "");
-    if (outcome == DONE && !projection_is_closed(i, cv, C, v))
-        outcome = agreement_check(i, held, q, cv, "/s");
+    if (!projection_is_closed(i, phi, C, q, NULL))
+        outcome = agreement_check(i, held, q, NULL, phi);
+    if (outcome == DONE && !projection_is_closed(i, cv, C, q, v))
+        outcome = agreement_check(i, held, q, v, cv);
     arena_release(i, arena);
     return outcome;
 }

@@ -47,6 +47,7 @@ static size_t layout_parts(Instance *i, double *numbers)
         {&i->rank, 1},
         {&i->largest_penalty, 1},
         {&i->length, 1},
+        {&i->loop, 1},
         {&i->peaks, (int)scene_peaks_length(s)},
         {&i->jacobian, s->entries},
         {&i->exchange, scene_exchange_variables(s) + EXCHANGE_TIMES},
@@ -183,7 +184,7 @@ void instance_reset(Instance *i)
     i->stabilisation[0] = ZETA;
     i->stabilisation[1] = OMEGA;
     *i->projection = -1.0;
-    *i->length = 1.0;
+    *i->length = *i->loop = 1.0;
     for (int k = 0; k < s->parameters; k++)
         i->values[k] = v[k].start;
     v += s->parameters;

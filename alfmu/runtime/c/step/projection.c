@@ -13,21 +13,15 @@
 #include "scene.h"
 #include "settings.h"
 
-/* Return whether |Phi| or |Phi-dot| of every row is within the tolerance, or within the round-off of the row. */
-int projection_is_closed(Instance *i, const double *residue, const double *C, const double *x)
+/* Return whether |Phi|, or |Phi-dot| at velocities v, of every row in force is within its limit. */
+int projection_is_closed(Instance *i, const double *residue, const double *C, const double *q, const double *v)
 {
-    const Scene *s = i->scene;
-    const Pattern *p = &s->constraint;
     const size_t arena = arena_mark(i);
-    double *sizes = arena_alloc(i, (size_t)s->l);
+    double *limits = arena_alloc(i, (size_t)i->scene->l);
     int all = 1;
-    memset(sizes, 0, (size_t)s->l * sizeof *sizes);
-    for (int c = 0; c < s->n; c++)
-        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
-            sizes[p->indices[e]] += fabs(C[e] * x[c]);
-    for (int r = 0; r < s->l; r++)
-        all &= !(i->penalty[r] > 0.0)
-            || fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sizes[r]);
+    constraints_limits(i, C, q, v, limits);
+    for (int r = 0; r < i->scene->l; r++)
+        all &= !(i->penalty[r] > 0.0) || fabs(residue[r]) <= limits[r];
     arena_release(i, arena);
     return all;
 }
@@ -47,7 +41,7 @@ Outcome projection_apply(Instance *i, double *q, double *v)
     Outcome outcome = DONE;
     for (int pass = 0; pass < CORRECTIONS; pass++) {
         constraints_evaluate(i, q, v, NULL, C, phi, cv);
-        if (projection_is_closed(i, phi, C, q))
+        if (projection_is_closed(i, phi, C, q, NULL))
             break;
         function_call_recorded(i, s->place, x, y);
         memcpy(q, next, n * sizeof *q);
@@ -55,7 +49,7 @@ Outcome projection_apply(Instance *i, double *q, double *v)
     }
     for (int pass = 0; pass < CORRECTIONS; pass++) {
         constraints_evaluate(i, q, v, NULL, C, phi, cv);
-        if (projection_is_closed(i, cv, C, v))
+        if (projection_is_closed(i, cv, C, q, v))
             break;
         function_call_recorded(i, s->settle, at, settled);
         memcpy(v, next, n * sizeof *v);

@@ -188,6 +188,7 @@ void settings_upload(Instance *i)
         = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
     k[SETTINGS_ABSOLUTE_LENGTH] = k[SETTINGS_ABSOLUTE] * *i->length;
     k[SETTINGS_INVERSE_LENGTH] = 1 / *i->length;
+    k[SETTINGS_INVERSE_LOOP] = 1 / *i->loop;
     k[SETTINGS_BESIDE] =
         s->method == 1 ? step_tolerance(s->beside_share, s->beside_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;

@@ -125,6 +125,7 @@ static Outcome check_state(Instance *i)
         {"a unit", i->units, s->l},
         {"a scale", i->scales, s->n},
         {"a length", i->length, 1},
+        {"a length", i->loop, 1},
         {"a direction", instance_field(i, s->k) + scene_way(s), scene_matrix(s) - scene_way(s)},
         {"a compliance", i->compliances, s->compliances},
         {"a lock", i->discrete, s->held},
