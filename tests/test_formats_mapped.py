@@ -528,8 +528,9 @@ def test_replicas_name_what_is_wrong(tmp_path: Path):
         ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
     ):
         path.write_text(REPLICAS.replace(old, new))
-        with pytest.raises(alfmu.InputError, match=said):
+        with pytest.raises(alfmu.InputError, match=said) as refused:
             alfmu.imported(path)
+        assert "does not map" not in str(refused.value)  # as a second reason
 
 
 def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
