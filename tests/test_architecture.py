@@ -11,7 +11,7 @@ import pytest
 
 import alfmu
 from alfmu.fmi.export import RUN_SIDE
-from alfmu.runtime import pipeline
+from alfmu.runtime import build, pipeline
 
 PACKAGE = Path(alfmu.__file__).parent
 
@@ -218,3 +218,18 @@ def test_an_export_goes_through_its_stops_in_their_order(tmp_path, uncached, mon
     finally:
         sys.setprofile(None)
     assert entered == list(range(len(stops)))
+
+
+def test_functions_of_c_release_scratch_memory_before_each_return():
+    """A function that returns with memory taken lets it overflow after some hundred calls in one step."""
+    kept, marked = [], 0
+    for path in build.sources():
+        for found in re.finditer(r"(?ms)^(\w[^;{}]*)\)\n\{\n(.*?)^\}", path.read_text()):
+            if "arena_mark" in found[2]:
+                marked, taken = marked + 1, False
+                for line in found[2].splitlines():
+                    taken = (taken or "arena_alloc(" in line or "_new(i" in line) and "arena_release(" not in line
+                    if taken and line.strip().startswith("return"):
+                        kept.append(f"{path.name}: {found[1]}")
+    assert marked > 50
+    assert not kept

@@ -333,12 +333,14 @@ def bead() -> alfmu.Mechanism:
 
 def test_members_whose_redundant_constraints_would_brake():
     batch = Batch(bead(), 3)
+    batch.time = 2.0
     batch.set("k", [0.0, 2.0, 5.0])
     batch.set("force", [1.0, 2.0, 3.0])
     assert not batch.equations.survey.brakes
     assert not batch.initialize().any()
     assert batch.equations.survey.brakes
     batch.step(0.5)
+    assert batch.time.tolist() == [2.5] * 3
     np.testing.assert_allclose(batch.get("place"), 0.5 + np.array([1.0, 2.0, 3.0]) / 8, rtol=1e-12)
     other = Batch(bead(), 2)
     other.initialize([0])
@@ -390,6 +392,9 @@ def test_members_whose_redundant_constraints_would_brake():
         (lambda b: Batch("four_bar.fmu", 2), "four_bar.fmu is an FMU; give the mechanism instead"),
         (lambda b: Batch(alfmu.Recipe("four_bar"), 2), "four_bar is of the type Recipe; give a name, a file"),
         (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
+        (lambda b: Batch(Instance("four_bar"), 2, outputs=["link1.angle"]), "a batch of an instance has its outputs"),
+        (lambda b: setattr(b, "time", np.nan), "four_bar: the time of the start is nan; give one finite number"),
+        (lambda b: (b.initialize(), setattr(b, "time", 1.0)), "four_bar: the time is fixed once a member is initialis"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),
         (lambda b: Batch("four_bar", 2, {"solver.method": "euler"}), "euler"),
     ],

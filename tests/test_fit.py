@@ -2,6 +2,7 @@
 
 import logging
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -132,6 +133,17 @@ def test_other_first_guesses_lead_out_of_a_local_minimum():
     assert found["c"] == pytest.approx(9.0, rel=1e-7)
     assert found["start.angle"] == pytest.approx(0.4, rel=1e-7)
     assert found.runs > 64
+
+
+def test_a_first_guess_without_derivatives_is_left_out():
+    """The torque is the root of p + 0.5; the only other guess is p = -0.5, where its derivative is infinite."""
+    m = swung()
+    m.drive(m.joints[0], ca.sqrt(m.parameter("p", 0.0, "1") + 0.5))
+    time, torque = np.linspace(0.0, 2.0, 21), 0.6
+    angle = torque + (0.5 - torque) * np.cos(time)
+    data = alfmu.Result("measured", time, ("bar.angle",), {"bar.angle": "rad"}, angle[:, None])
+    found = alfmu.fit(m, data, {"p": 0.4}, bounds={"p": (-1.5, 0.5)}, starts=np.int64(1))
+    assert found["p"] == pytest.approx(torque**2 - 0.5, rel=1e-7)
 
 
 def test_runs_side_by_side_are_those_one_after_the_other():

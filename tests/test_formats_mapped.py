@@ -528,8 +528,9 @@ def test_replicas_name_what_is_wrong(tmp_path: Path):
         ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
     ):
         path.write_text(REPLICAS.replace(old, new))
-        with pytest.raises(alfmu.InputError, match=said):
+        with pytest.raises(alfmu.InputError, match=said) as refused:
             alfmu.imported(path)
+        assert "does not map" not in str(refused.value)  # as a second reason
 
 
 def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
@@ -572,6 +573,7 @@ def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
     text = path.read_text()
     for old, new, said in (
         ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0.3 0.2 0.4'/>", "damping differs along x and y"),
+        ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0 0 -1'/>", "damping is -1; it must not be negative"),
         ("<drake:screw_thread_pitch value='0.05'/>", "", "it has no <drake:screw_thread_pitch>"),
         ("type='ball'", "type='revolute'", "a joint of type 'revolute' does not map"),
     ):

@@ -134,8 +134,7 @@ class File:
         every(root.all("option"), self._option)
         self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
         every(root.all("default"), self._default)
-        with self.linkage.trying():
-            replicated(root, self._euler)
+        replicated(root, self._euler)
         self._sections()
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)

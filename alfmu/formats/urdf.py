@@ -256,6 +256,8 @@ class File:
         for dynamics in joint.node.all(*_RESISTING):
             given = Reading(dynamics)
             sizes = given.numbers("damping", 3, sizes)
+            if min(sizes) < 0:
+                given.fail("damping", f"damping is {min(sizes):g}; it must not be negative")
             given.refuse({"friction": "a planar joint has damping alone"})
             if sizes[0] != sizes[1] and abs(normal[2]) < 1:
                 dynamics.fail("its damping differs along x and y, which are known only for an axis along z")

@@ -43,6 +43,9 @@ _WORSE = 1e3
 _NEAREST = 4
 """Number of other first guesses from which the search begins [1]."""
 
+_BLOCK = 1024
+"""Largest number of first guesses whose runs are in memory together [1]."""
+
 _TOLERANCE = 1e-12
 """Relative change of the sum of squares, and of the numbers, at which the fit ends [1]."""
 
@@ -128,8 +131,9 @@ def fit(
     guesses. `bounds` overrides bounds of the mechanism. Residuals of a column are divided by its standard deviation in
     `deviations`, by default by the range of the column, or if it is constant by the largest value in its unit.
     `starts` is a number of other first guesses, evenly distributed within the bounds: one run is made with each, and
-    the search begins at the nearest of them, too, as a search from one guess may end in a local minimum. `progress` is
-    called with the number of the run and the root mean square of its weighted residuals.
+    the search begins at the nearest of them, too, as a search from one guess may end in a local minimum; guesses at
+    which a run or its derivatives fail are left out. `progress` is called with the number of the run and the root mean
+    square of its weighted residuals.
 
     The covariance follows from the residuals, so it describes errors of measurement, not of the model. Combinations of
     numbers that the data do not determine cause a warning. Raises InputError if a name or number is invalid, if units
@@ -157,7 +161,7 @@ def fit(
         k = int(np.argmax(outside))
         raise InputError(f"{runs.by[k]} begins at {first[k]:g}, outside its bounds [{low[k]:g}, {high[k]:g}]")
     problem = _Problem(runs, measured, seen, known, sizes, progress)
-    ended = min((problem.ended(x, low, high, scale) for x in [first, *problem.others(low, high, starts)]), key=_cost)
+    ended = problem.best([first, *problem.others(low, high, starts)], low, high, scale)
     covariance = _covariance(runs, problem, ended.x, np.array(scale), ended.active_mask == 0)
     result = problem.result(ended.x)
     left = np.where(known, seen - np.column_stack([result[name] for name in measured]), 0.0)
@@ -174,10 +178,6 @@ def fit(
         runs=problem.made,
         said=str(ended.message),
     )
-
-
-def _cost(ended: OptimizeResult) -> float:
-    return float(ended.cost)
 
 
 def _runs(
@@ -326,7 +326,25 @@ class _Problem:
         self._make(x)
         return (self._slopes / self._sizes[:, None])[self._known]
 
-    def ended(
+    def best(
+        self,
+        guesses: list[NDArray[np.float64]],
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
+        scale: list[float],
+    ) -> OptimizeResult:
+        """Return the best end of searches from first guesses, without those at which no search can begin."""
+        ends, errors = list[OptimizeResult](), list[AlfmuError]()
+        for guess in guesses:
+            try:
+                ends.append(self._ended(guess, low, high, scale))
+            except AlfmuError as error:
+                errors.append(error)
+        if not ends:
+            raise errors[0]
+        return min(ends, key=lambda end: float(end.cost))
+
+    def _ended(
         self, first: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], scale: list[float]
     ) -> OptimizeResult:
         """Search from a first guess."""
@@ -344,7 +362,7 @@ class _Problem:
     def others(self, low: NDArray[np.float64], high: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
         """Return the nearest of other first guesses within the bounds; their runs are made side by side."""
         runs = self._runs
-        if isinstance(count, bool) or not isinstance(count, int) or count < 0:
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise InputError(f"{runs.unit.name}: starts is {count!r}; it must be a whole number, 0 or above")
         if not count:
             return []
@@ -354,13 +372,17 @@ class _Problem:
                 f"{runs.unit.name}: other first guesses of {name} need bounds; give them, or leave out starts"
             )
         guesses = low + (high - low) * np.array([*evenly(len(low), count)])
-        with collected():  # a guess that fails is left out
-            found = runs.side_by_side(guesses, self._measured)
+        sizes = np.concatenate([self._apart(part) for part in np.split(guesses, range(_BLOCK, len(guesses), _BLOCK))])
         self.made += count
-        left = ((found - self._seen) / self._sizes)[:, self._known]
-        sizes = np.sqrt((left**2).mean(axis=1))
         nearest = np.argsort(sizes)[:_NEAREST]
         return [guesses[k] for k in nearest if np.isfinite(sizes[k])]
+
+    def _apart(self, guesses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return root mean squares of the weighted residuals of guesses, NaN for those that fail."""
+        with collected():  # their warnings are not those of the fit
+            found = self._runs.side_by_side(guesses, self._measured)
+        left = ((found - self._seen) / self._sizes)[:, self._known]
+        return np.sqrt((left**2).mean(axis=1))
 
     def result(self, x: NDArray[np.float64]) -> Result:
         self._make(x)

@@ -92,6 +92,8 @@ class Batch:
                 raise InputError(f"{e.name}: a batch of {given!r} {what}; give a whole number from 1 to 2147483647")
         if parameters is not None and not isinstance(parameters, Mapping):
             raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
+        if unit and (outputs is not None or kernel != DEFAULT):
+            raise InputError(f"{e.name}: a batch of an instance has its outputs and kernel; leave both options out")
         if kernel == "oracle":
             raise InputError(f"{e.name}: the oracle has no batches; use the kernel vm or compiled")
         own = dict(parameters or {})
@@ -224,8 +226,12 @@ class Batch:
 
     @time.setter
     def time(self, value: float) -> None:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise InputError(f"{self.name}: the time of the start is {value!r}; give one finite number of seconds")
+        if self._ready.any():
+            raise InputError(f"{self.name}: the time is fixed once a member is initialised; reset it first")
         for time in self._times:
-            time.value = value
+            time.value = float(value)
 
     @property
     def initialized(self) -> _Mask:
@@ -354,9 +360,11 @@ class Batch:
             )
         names = [name for name, r in self._scene.references.items() if self._kept(r)]
         self._ready[:] = False
-        values = self.get(*names)
+        values, times = self.get(*names), self.time
         self._take(with_brakes(self.equations))
         self.set_many(names, values.reshape(self.count, -1))
+        for time, old in zip(self._times, times.tolist(), strict=True):
+            time.value = old
 
     def _kept(self, reference: int) -> bool:
         return reference < self._scene.first_output and self._scene.types[reference] != "String"

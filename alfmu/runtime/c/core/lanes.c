@@ -47,8 +47,9 @@ static BY_PROCESSOR void operate(
     SINE_COSINE_IN_LANES(static inline __attribute__((always_inline)), name##_sine_cosine, width) \
     static target void name(const uint16_t *at, const uint16_t *end, Lanes *registers) \
     { \
-        typedef struct { \
+        typedef union { \
             name##_sine_cosine_real part[LANES / width]; \
+            Lanes lanes; \
         } Register; \
         Register *const r = (Register *)(void *)registers; \
         enum { parts = LANES / width }; \
@@ -75,9 +76,8 @@ static BY_PROCESSOR void operate(
                 break; \
             default: { \
                 const int operands = 1 + IS_BINARY(head); \
-                Lanes *to = registers + (d - r); \
-                for (; count; count--, at += operands, to++) \
-                    operate(head, registers + at[0], registers + at[operands - 1], to); \
+                for (; count; count--, at += operands, d++) \
+                    operate(head, &r[at[0]].lanes, &r[at[operands - 1]].lanes, &d->lanes); \
             } \
             } \
         } \

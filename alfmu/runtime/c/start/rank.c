@@ -280,7 +280,7 @@ void rank_freeze(Instance *i)
     const int rank = (int)*i->rank;
     double *zeros, *weighted, *sizes, *matrix = instance_field(i, s->k) + scene_matrix(s);
     Matrix C;
-    if (!s->brakes || rank < 1 || rank > s->l || s->n > DENSE)
+    if (!s->brakes || rank < 1 || rank > s->l || rank > s->n || s->n > DENSE)
         return;
     C = matrix_new(i, &s->constraint);
     zeros = arena_alloc(i, n);

@@ -131,12 +131,15 @@ Outcome diagnose_laws(Instance *i, double end)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n;
-    double *q = arena_alloc(i, n), *before = arena_alloc(i, n), t = *instance_time(i), open = t, speed = 0.0, dt;
-    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    double *q, *before, t = *instance_time(i), open = t, speed = 0.0, dt;
+    unsigned char *held;
     char label[100] = "";
     Loops loops;
     if (!s->timed || !s->l)
         return DONE;
+    q = arena_alloc(i, n);
+    before = arena_alloc(i, n);
+    held = (unsigned char *)arena_alloc(i, (size_t)s->l);
     for (int r = 0; r < s->l; r++)
         held[r] = i->penalty[r] > 0.0;
     for (int k = 0; k < s->frictions; k++) /* A joint that sticks may slip. */
