@@ -719,9 +719,10 @@ def test_without_a_compiler(monkeypatch, tmp_path, built):
 def test_a_library_in_the_cache_is_kept_and_built_again_where_it_was_damaged(monkeypatch, tmp_path):
     made = []
 
-    def written(name: str, path: Path) -> None:
+    def written(name: str, folder: Path, fmi: list[int]) -> None:
         made.append(name)
-        path.write_bytes(f"library {len(made)}".encode())
+        for version in fmi:
+            (folder / build.file_name(name, version)).write_bytes(f"library {len(made)}".encode())
 
     monkeypatch.setattr(build, "build", written)
     monkeypatch.setenv("ALFMU_CACHE", str(tmp_path))

@@ -119,9 +119,14 @@ double units_own_length(Instance *i, const double *q, double *loop)
     for (int r = 0; r < s->l; r++)
         if (!strcmp(s->rows[r].unit, "m")) {
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
-            known = fmax(known, unit > 0.0 ? reached[r] / unit : 0.0);
+            size[r] = unit > 0.0 ? reached[r] / unit : 0.0;
+            known = fmax(known, size[r]);
             arm = fmax(arm, reached[r]);
-            least = reached[r] > SAME * arm ? fmin(least, reached[r] / (unit > 0.0 ? unit : 1.0)) : least;
+        }
+    for (int r = 0; r < s->l; r++)
+        if (!strcmp(s->rows[r].unit, "m")) {
+            const double own = known > 0.0 ? size[r] : reached[r];
+            least = own > SAME * (known > 0.0 ? known : arm) ? fmin(least, own) : least;
         }
     for (int k = 0; k < RANKED && arm == 0.0; k++) { /* A displacement along the radius turns nothing: try several. */
         memset(size, 0, l * sizeof *size);
