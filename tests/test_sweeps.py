@@ -414,6 +414,7 @@ from pathlib import Path
 taken = crew._Work._next
 def following(work, most):
     if work.store.finished >= 16:
+        sys.dont_write_bytecode = True
         resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
     return taken(work, 8)
 crew._Work._next = following
