@@ -187,7 +187,6 @@ BY_PROCESSOR void lanes_scatter(
 
 #endif
 
-
 double *lanes_align(double *place)
 {
     const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
