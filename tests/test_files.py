@@ -178,7 +178,7 @@ def test_a_folder_for_a_while_goes_even_where_its_process_is_killed(tmp_path, mo
 
 @contextmanager
 def full_disk(size: int) -> Iterator[None]:
-    """No file can have more bytes; nor does Python write bytecode, which other processes would load as it is cut off."""
+    """No file can have more bytes. Python writes no bytecode then, as other processes would load it cut off."""
     before, writes = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
