@@ -5,6 +5,7 @@ one pendulum; momentum over each impact by hand.
 """
 
 import fmpy
+import fmpy.validation
 import numpy as np
 import pytest
 from scenes import double_pendulum, initialized, made, readings

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import casadi as ca
 import fmpy
+import fmpy.validation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
