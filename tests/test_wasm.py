@@ -4,6 +4,7 @@ import zipfile
 from pathlib import Path
 
 import fmpy
+import fmpy.validation
 import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
