@@ -381,7 +381,10 @@ def by_pinocchio_in_cpp(p: Problem, frequency: float, mu: float, lcaba: bool = F
         how = [int(lcaba), frequency, mu, value, len(p.times), round(p.every / value)]
         text = " ".join(x if isinstance(x, str) else repr(float(x)) for x in (*how, *about, *start.ravel(), *tau))
         text = text.replace(".0 ", " ")
-        done = subprocess.run([driver], input=text, capture_output=True, text=True, check=True, timeout=60)
+        done = subprocess.run([driver], input=text, capture_output=True, text=True, check=False, timeout=60)
+        if done.returncode:
+            why = done.stderr.rpartition("what():")[2].strip()
+            raise RuntimeError(f"the program in C++ ended with code {done.returncode}: {why}")
         first, *lines = done.stdout.splitlines()
         rows = np.array([line.split() for line in lines], float)
         q, forces = rows[:, : len(bodies)][:, order], rows[:, len(bodies) :]
