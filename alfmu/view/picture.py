@@ -44,7 +44,7 @@ from .surface import FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
 MAX_FRAMES = 750
 """Largest number of frames of a GIF; a longer motion has fewer frames per second."""
 
-COLORS_OF_ICON = 64
+COLORS_OF_ICON = 48
 """Number of colours of the icon of a plane mechanism, whose colours are flat: half the size of an icon with
 all shades."""
 
