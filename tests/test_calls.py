@@ -56,6 +56,7 @@ GOOD: dict[str, Callable[[SimpleNamespace], dict[str, Any]]] = {
     "derivative": lambda x: {"state": x.given["state"], "rate": 1.0},
     "output": lambda x: {"name": "n", "expression": x.th},
     "watch": lambda x: {"name": "n", "marker": x.arm.end},
+    "trace": lambda x: {"name": "n", "marker": x.arm.end},
     "measure": lambda x: {},
     "event": lambda x: {"time": 1.0},
     "measured_joints": lambda x: {},

@@ -197,4 +197,4 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert errors == sorted(errors, reverse=True)
     assert Path("cost.png").stat().st_size > 20_000
     assert main([*asked, "-o", "table.txt"]) == 1
-    assert "the name of a file for a table must end in .csv" in capsys.readouterr().err
+    assert "table.txt: the name of a file for a table must end in .csv" in capsys.readouterr().err

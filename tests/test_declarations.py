@@ -783,8 +783,10 @@ def test_unknown_attributes_suggest_the_nearest_builder(line, meant):
         exec(line, names)
 
 
-def test_bookkeeping_of_a_mechanism_is_not_listed():
+def test_bookkeeping_of_a_mechanism_is_not_listed_and_becomes_private():
     m = Mechanism("odd")
     listed = {name for name in dir(m) if not name.startswith("_")}
     assert not listed & set(BOOKKEEPING)
     assert {"parameters", "coordinates", "bodies", "joints", "revolute", "gravity"} <= listed
+    with pytest.warns(DeprecationWarning, match="closures becomes private in the next version"):
+        assert m.closures == tuple(Mechanism.closures.of(m))

@@ -472,7 +472,7 @@ RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
         ([*RUN, "-o", "r.csv", "--plot", "model.fmu"], "model.fmu: the name of a file for a plot"),
         (
             ["animate", "in.csv", "-o", "model.fmu", "--mechanism", "four_bar"],
-            "the name of a file for a film must end in",
+            "model.fmu: the name of a file for a film must end in",
         ),
     ],
     ids=["json", "fmu", "beside", "default", "inputs", "plot", "film"],

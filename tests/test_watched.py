@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from alfmu import DeclarationError, Mechanism, simulate
+from alfmu import DeclarationError, Mechanism, derive, simulate
 from alfmu.view.picture import drawing
 from alfmu.view.shapes import geometry
 
@@ -46,6 +46,13 @@ def test_a_point_in_space_has_three_components():
     expected |= {"vx": -np.sin(angle) * rate, "vy": 0 * angle, "vz": -np.cos(angle) * rate}
     for name, values in expected.items():
         assert np.abs(result[f"end.{name}"] - values).max() < 1e-9, name
+
+
+def test_the_former_name_declares_the_same():
+    m = arm()
+    m.trace("middle", m.bodies[0].at(0.4))
+    assert [point.name for point in m.watched] == ["tip", "middle"]
+    assert {"middle.x", "middle.vy"} <= {v.name for v in derive(m).outputs}
 
 
 def test_a_picture_holds_the_trail_and_everything_else_where_it_stands():

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
 from importlib.metadata import entry_points
 from numbers import Real
 from pathlib import Path
@@ -150,8 +150,14 @@ class Recipe(Brief):
     for the default of its kind."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
+    interval: InitVar[float | None] = None
+    """Former name of `communication_step`."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, interval: float | None) -> None:
+        if interval is not None:
+            if self.communication_step is not None:
+                raise InputError(f"recipe of {self}: give communication_step or its former name interval, not both")
+            object.__setattr__(self, "communication_step", interval)
         for name, (good, what) in _FORM.items():
             value = getattr(self, name)
             if name in _LISTS and isinstance(value, Iterable):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import inspect
 import math
 import re
+import sys
+import warnings
 from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -82,10 +84,10 @@ MEANT = {
 BOOKKEEPING = (
     *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
     *("gravity_vector", "kinetic", "laws", "loads", "measured", "measured_joints", "measured_springs", "measures_all"),
-    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties"),
+    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
     *("instants", "watched"),
 )
-"""Names for other modules of alfmu; `dir` does not list them."""
+"""Public names that users do not need: they are hidden from listings and become private."""
 
 _Part = TypeVar("_Part")
 _Related = TypeVar("_Related", bound=Relation)
@@ -104,6 +106,8 @@ class _Parts(Generic[_Part]):
     def __get__(self, mechanism: Declaration | None, owner: type) -> Self | tuple[_Part, ...]:
         if mechanism is None:
             return self
+        if self._name in BOOKKEEPING and not sys._getframe(1).f_globals.get("__name__", "").startswith("alfmu."):
+            warnings.warn(f"Mechanism.{self._name} becomes private in the next version", DeprecationWarning, 2)
         return tuple(self.of(mechanism))
 
     def __set__(self, mechanism: Declaration, value: Never) -> None:

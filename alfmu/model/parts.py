@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from typing import Any, ClassVar, Protocol
 
 import casadi as ca
@@ -405,8 +405,14 @@ class Experiment:
     """Default of `solver.step_size` [s]."""
     communication_step: float | None = None
     """Time between two rows of the result [s]; None for the step size of the solver."""
+    interval: InitVar[float | None] = None
+    """Former name of `communication_step`."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, interval: float | None) -> None:
+        if interval is not None:
+            if self.communication_step is not None:
+                raise DeclarationError("an experiment takes communication_step or its former name interval, not both")
+            object.__setattr__(self, "communication_step", interval)
         for name in ("stop_time", "step_size", "communication_step"):
             value = getattr(self, name)
             optional = value is None and name == "communication_step"

@@ -289,6 +289,10 @@ class Quantities(Declaration):
         self._own((marker,), f"watched point {name}")
         Declaration.watched.of(self).append(Watched(name, marker, description))
 
+    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+        """Former name of `watch`."""
+        self.watch(name, marker, description)
+
     def measure(self, *of: AnyJoint | Spring | str) -> None:
         """Add outputs of joints and springs, given as objects or names; of all of them if none is given.
 
