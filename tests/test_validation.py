@@ -611,7 +611,10 @@ def test_mistakes_of_the_command_are_told(springs, capsys, tmp_path):
     path = str(springs("2"))
     for arguments, words in (
         ([path, "--checks", "stat.restored"], "there is no check 'stat.restored'"),
-        ([path, "-o", "report.pdf"], "report.pdf: the name of a file for a report must end in .html, .md, .svg or .json"),
+        (
+            [path, "-o", "report.pdf"],
+            "report.pdf: the name of a file for a report must end in .html, .md, .svg or .json",
+        ),
         ([path, "--tolerance", "-1"], "timeout and tolerance are above zero"),
         ([str(tmp_path / "none.fmu")], "none.fmu"),
         ([], "validate takes an .fmu file"),
