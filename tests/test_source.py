@@ -18,10 +18,10 @@ from test_left_out import WARNINGS, block, by_a_compiler, led
 import alfmu
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
-from alfmu.kernel.again import shortened
 from alfmu.kernel.form import Call, Choice
 from alfmu.kernel.memory import TALLY
 from alfmu.kernel.scene import AGAIN, CALLS
+from alfmu.kernel.shorten import shortened
 from alfmu.runtime import build
 from alfmu.simulation import run
 

@@ -16,10 +16,10 @@ from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
 from ..equations.interface import default_settings
-from ..kernel.again import shortened
 from ..kernel.arrangement import KINDS, NARROW_HEAD, OPERANDS
 from ..kernel.complete import FUNCTIONS, smallest
 from ..kernel.form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Program, Routine, Steps, Traced, called, every
+from ..kernel.shorten import shortened
 from ..kernel.tables import PROGRAMS, identified, packed
 from ..model.errors import ExportError
 from ..model.settings import internal_steps

@@ -7,13 +7,13 @@ from dataclasses import replace
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..model.making import getting_ready
-from .again import alike
 from .controlled import whole
 from .exchange import ACCELERATIONS, obstacle
 from .form import Traced, called
 from .joined import joined
 from .lanes import laned
 from .memory import Layout
+from .shorten import alike
 from .standalone import READ, standalone
 from .trace import SHARING
 
