@@ -1,7 +1,7 @@
 """The kernel: the method traced over a mechanism's equations into flat functions and programs.
 
-Other rooms import `again`, `alternatives`, `arrangement`, `complete`, `controlled`, `exchange`, `form`, `joined`,
-`kinks`, `memory`, `stream`, `symbolic`, `tables`, `thresholds`, `trace`.
+Other rooms import `alternatives`, `arrangement`, `complete`, `controlled`, `exchange`, `form`, `joined`, `kinks`,
+`memory`, `shorten`, `stream`, `symbolic`, `tables`, `thresholds`, `trace`.
 """
 
 __all__ = ["DEFAULT", "KERNELS", "VERSION"]
