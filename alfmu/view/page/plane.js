@@ -48,7 +48,8 @@ class Plane extends Picture {
       if (Number.isFinite(along)) this.travel[i] = [Math.min(range[0], along), Math.max(range[1], along)];
     });
     const base = Math.max(0.62, Math.min(this.width / 640, this.height / 480, 1.25));
-    const margin = 104 * base, old = this.fit;
+    const margin = 104 * base, old = this.whole ? null : this.fit;
+    this.whole = false;
     let spans = [0, 1].map((k) => this.high[k] - this.low[k]);
     if (Math.max(...spans) < 1e-9) spans = [1, 1];
     const room = [this.width - margin, this.height - margin];
@@ -73,7 +74,7 @@ class Plane extends Picture {
     this.low = [...this.about.low];
     this.high = [...this.about.high];
     this.travel = this.about.travel.map((range) => [...range]);
-    this.fit = null;
+    this.whole = true;
   }
 
   draw(row) {
