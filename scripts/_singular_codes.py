@@ -5,7 +5,6 @@ To add a code, write a function that takes a problem and returns a simulation, a
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
 import os
@@ -16,11 +15,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from _singular_problems import GROUND, Body, Closure, Problem, Run
+from _singular_problems import GROUND, Problem, Run
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgelsy
 
@@ -29,24 +28,19 @@ from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
 from alfmu.runtime.pipeline import prepared, with_defaults
 from alfmu.studies.peers import solved
+from alfmu.studies.trees import (
+    Found,
+    Simulation,
+    axes_points,
+    by_exudyn,
+    by_mujoco,
+    pinocchio_model,
+    places,
+    poses,
+    skew,
+)
 
 TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
-
-
-class Found(NamedTuple):
-    """Results of a run up to its end."""
-
-    places: NDArray
-    """Positions (k, m, 3) [m] of the points and of both sides of each measured closure."""
-    force: NDArray | None
-    """Force (k, 2) [N] of the first closure on its second body."""
-    seconds: float
-    """Processor time of the run [s], without preparation."""
-    stopped: str = ""
-
-
-Simulation = Callable[[Run, float], Found]
-"""Function that runs from a start with a step [s] or a tolerance."""
 
 
 @dataclass(frozen=True)
@@ -63,62 +57,6 @@ class Code:
     variants: Sequence[dict[str, float]] = ({},)
     """Candidate arguments of `build`: each problem uses those with the least error at a medium setting, a long row the
     first ones."""
-
-
-class Unable(Exception):
-    """The code has no such joint or constraint."""
-
-
-# Kinematics of the tree -------------------------------------------------------------------------------------------
-
-
-def judged(p: Problem) -> list[tuple[str, Sequence[float]]]:
-    """Return body and local position of each judged point."""
-    sides = [(c.first, c.first_at, c.second, c.second_at) for c in p.seen]
-    return [*p.points.values(), *(pair for a, x, b, y in sides for pair in ((a, x), (b, y)))]
-
-
-def skew(a: Sequence[float]) -> NDArray:
-    x, y, z = a
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], float)
-
-
-def poses(p: Problem, q: NDArray) -> dict[str, tuple[NDArray, NDArray]]:
-    """Return attitude (k, 3, 3) and origin (k, 3) of every body for coordinates (k, n)."""
-    k = len(q)
-    found = {GROUND: (np.broadcast_to(np.eye(3), (k, 3, 3)), np.zeros((k, 3)))}
-    for body, x in zip(p.bodies, q.T, strict=True):
-        R, o = found[body.parent]
-        o, K = o + R @ np.array(body.at, float), skew(body.axis)
-        if body.joint == "prismatic":
-            found[body.name] = R, o + (R @ np.array(body.axis, float)) * x[:, None]
-        else:
-            s, c = np.sin(x)[:, None, None], np.cos(x)[:, None, None]
-            found[body.name] = R @ (np.eye(3) + s * K + (1 - c) * K @ K), o
-    return found
-
-
-def places(p: Problem, q: NDArray) -> NDArray:
-    """Return positions (k, m, 3) of the judged points for coordinates (k, n)."""
-    at = poses(p, q)
-    return np.stack([at[body][1] + at[body][0] @ np.array(x, float) for body, x in judged(p)], 1)
-
-
-def chosen(p: Problem, name: str) -> Body:
-    return next(body for body in p.bodies if body.name == name)
-
-
-def axes_points(c: Closure) -> list[tuple[Sequence[float], Sequence[float]]]:
-    """Return pairs of points that a closure keeps together: for a hinge two pairs on its axis, 0.2 m apart."""
-    if c.kind == "point":
-        return [(c.first_at, c.second_at)]
-    if c.kind == "distance":
-        raise Unable("has no constraint that keeps a distance")
-    pairs = []
-    for x in (-0.1, 0.1):
-        first, second = np.array(c.first_at) + x * np.array(c.axis), np.array(c.second_at) + x * np.array(c.second_axis)
-        pairs.append((first.tolist(), second.tolist()))
-    return pairs
 
 
 # alfmu ------------------------------------------------------------------------------------------------------------
@@ -140,14 +78,15 @@ def declared(p: Problem) -> alfmu.Mechanism:
         m = alfmu.load(name, **options)
         bodies: dict[str, Any] = {body.name: body for body in m.bodies}
     else:
-        m, bodies = _mechanism(p)
-    for i, (body, x) in enumerate(judged(p)):
+        m, bodies = mechanism(p)
+    for i, (body, x) in enumerate(p.read):
         if body != GROUND:
             m.watch(f"point{i}", bodies[body].at(*(x[:2] if p.planar else x)))
     return m
 
 
-def _mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
+def mechanism(p: Problem) -> tuple[alfmu.Mechanism, dict[str, Any]]:
+    """Return the alfmu mechanism of a problem, and its bodies."""
     m = alfmu.Mechanism(p.name, p.title)
     run, planar = p.runs[0], p.planar
     bodies: dict[str, Any] = {GROUND: m.ground if planar else m.spatial_ground}
@@ -195,23 +134,23 @@ def given(p: Problem, run: Run, e: alfmu.Equations) -> dict[str, float]:
 
 def _columns(p: Problem, e: alfmu.Equations) -> list[str]:
     """Return the names of the outputs to read."""
-    names = [f"point{i}.{axis}" for i, (body, _) in enumerate(judged(p)) if body != GROUND for axis in "xyz"]
+    names = [f"point{i}.{axis}" for i, (body, _) in enumerate(p.read) if body != GROUND for axis in "xyz"]
     force = [f"{p.closures[0].name}.force.{axis}" for axis in "xy"]
     known = {v.name for v in e.outputs}
     return [name for name in names if name in known] + [x for x in force if x in known and p.reactions != "none"]
 
 
 def _seen(p: Problem, names: Sequence[str], values: NDArray) -> tuple[NDArray, NDArray | None]:
-    """Return positions and force from values (k, names) of outputs."""
-    found = np.zeros((len(values), len(judged(p)), 3))
-    for i, (body, x) in enumerate(judged(p)):
+    """Return positions and forces from values (k, names) of outputs."""
+    found = np.zeros((len(values), len(p.read), 3))
+    for i, (body, x) in enumerate(p.read):
         found[:, i] = x if body == GROUND else 0.0
     for name, column in zip(names, values.T, strict=True):
         if name.startswith("point"):
             point, axis = name.removeprefix("point").split(".")
             found[:, int(point), "xyz".index(axis)] = column
     force = [i for i, name in enumerate(names) if ".force." in name]
-    return found, values[:, force] if len(force) == 2 else None
+    return found, values[:, None, force] if len(force) == 2 else None
 
 
 def _settings(tolerance: float) -> dict[str, float]:
@@ -270,37 +209,15 @@ def by_fmu(p: Problem) -> Simulation:
 # Pinocchio --------------------------------------------------------------------------------------------------------
 
 
-def tree(p: Problem, parent: str = GROUND) -> list[Body]:
-    """Return the bodies carried by a body, depth first as Pinocchio requires."""
-    return [x for body in p.bodies if body.parent == parent for x in (body, *tree(p, body.name))]
-
-
 def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
     """Run Pinocchio: a tree with `CONTACT_3D`, Baumgarte's stabilisation of a frequency [1/s], and RK4 in NumPy."""
     import pinocchio as pin
 
-    model, ids = pin.Model(), {GROUND: 0}
-    model.gravity.linear = np.array(p.gravity, float)
-
-    def at(x: Sequence[float]) -> Any:
-        return pin.SE3(np.eye(3), np.array(x, float))
-
-    for body in tree(p):
-        kind = pin.JointModelRevoluteUnaligned if body.joint == "revolute" else pin.JointModelPrismaticUnaligned
-        joint = model.addJoint(ids[body.parent], kind(np.array(body.axis, float)), at(body.at), body.name)
-        inertia = pin.Inertia(body.mass, np.array(body.center, float), np.array(body.inertia, float))
-        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-        ids[body.name] = joint
-    order = [model.joints[ids[body.name]].idx_q for body in p.bodies]
+    model, closures, order = pinocchio_model(pin, p, frequency)
     models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for c in p.closures:
-        for first, second in axes_points(c):
-            one = pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_3D, model, ids[c.first], at(first), ids[c.second], at(second), pin.LOCAL
-            )
-            one.m_baumgarte_parameters.Kp, one.m_baumgarte_parameters.Kd = frequency**2, 2 * frequency
-            models.append(one)
-            datas.append(one.createData())
+    for one in closures:
+        models.append(one)
+        datas.append(one.createData())
     data, n = model.createData(), model.nv
     if lcaba:
         pin.computeJointMinimalOrdering(model, data, models)
@@ -334,7 +251,7 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
                 forces.append(np.array(data.lambda_c[:3]))
         seconds, q = time.process_time() - begin, np.array(states)[:, order]
         R = poses(p, q)[p.closures[0].first][0]
-        force = -np.einsum("kij,kj->ki", R, np.array(forces))[:, :2] if forces else None
+        force = -np.einsum("kij,kj->ki", R, np.array(forces))[:, None] if forces else None
         return Found(places(p, q), force, seconds, "" if len(q) == len(p.times) else "the state is NaN")
 
     return simulate
@@ -364,7 +281,7 @@ def pinocchio_driver() -> Path:
 
 def by_pinocchio_in_cpp(p: Problem, frequency: float, mu: float, lcaba: bool = False) -> Simulation:
     """Run Pinocchio, called in C++ as `by_pinocchio` calls it in Python."""
-    driver, bodies = pinocchio_driver(), tree(p)
+    driver, bodies = pinocchio_driver(), p.carried()
     ids = {GROUND: 0, **{body.name: k for k, body in enumerate(bodies, 1)}}
     order = [ids[body.name] - 1 for body in p.bodies]
     points = [(c, first, second) for c in p.closures for first, second in axes_points(c)]
@@ -389,201 +306,8 @@ def by_pinocchio_in_cpp(p: Problem, frequency: float, mu: float, lcaba: bool = F
         rows = np.array([line.split() for line in lines], float)
         q, forces = rows[:, : len(bodies)][:, order], rows[:, len(bodies) :]
         R = poses(p, q)[p.closures[0].first][0]
-        force = -np.einsum("kij,kj->ki", R, forces)[:, :2] if forces.size else None
+        force = -np.einsum("kij,kj->ki", R, forces)[:, None] if forces.size else None
         return Found(places(p, q), force, float(first), "" if len(q) == len(p.times) else "the state is NaN")
-
-    return simulate
-
-
-# MuJoCo -----------------------------------------------------------------------------------------------------------
-
-
-def by_mujoco(p: Problem, hardness: float) -> Simulation:
-    """Run MuJoCo with RK4, `connect` and tendons of fixed length; the stiffness is `hardness` over the step squared."""
-    import mujoco
-
-    mujoco.set_mju_user_warning(lambda text: None)
-
-    def numbers(x: Sequence[float]) -> str:
-        return " ".join(repr(float(each)) for each in x)
-
-    children: dict[str, list[Body]] = {}
-    for body in p.bodies:
-        children.setdefault(body.parent, []).append(body)
-    sites: dict[str, list[str]] = {}
-    loops, tendons = [], []
-    for i, c in enumerate(p.closures):
-        pairs = [(c.first_at, c.second_at)] if c.kind == "distance" else axes_points(c)
-        for j, pair in enumerate(pairs):
-            for side, body, x in zip("ab", (c.first, c.second), pair, strict=True):
-                sites.setdefault(body, []).append(f'<site name="{i}{side}{j}" pos="{numbers(x)}"/>')
-            if c.kind == "distance":
-                tendons.append(f'<spatial name="{i}"><site site="{i}a{j}"/><site site="{i}b{j}"/></spatial>')
-                loops.append(f'<tendon tendon1="{i}" polycoef="{c.length} 0 0 0 0"/>')
-            else:
-                loops.append(f'<connect site1="{i}a{j}" site2="{i}b{j}"/>')
-
-    def text(body: Body, joints: str = "", at: Sequence[float] | None = None) -> str:
-        kind = "hinge" if body.joint == "revolute" else "slide"
-        joints += f'<joint name="{body.name}" type="{kind}" axis="{numbers(body.axis)}"/>'
-        at, below = body.at if at is None else at, children.get(body.name, [])
-        if body.mass == 0 and len(below) == 1 and not any(below[0].at) and body.name not in sites:
-            return text(below[0], joints, at)  # bodies may have several joints
-        J = np.array(body.inertia) + 1e-9 * np.eye(3) * (body.mass > 0)
-        full = numbers([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])
-        mass = f'<inertial pos="{numbers(body.center)}" mass="{body.mass}" fullinertia="{full}"/>'
-        inner = "".join(sites.get(body.name, [])) + "".join(map(text, below))
-        return f'<body name="{body.name}" pos="{numbers(at)}">{joints}{mass}{inner}</body>'
-
-    tree = "".join(sites.get(GROUND, [])) + "".join(map(text, children[GROUND]))
-    xml = f"""<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>
-<option gravity="{numbers(p.gravity)}" integrator="RK4" solver="Newton" tolerance="1e-14" iterations="5">
-<flag contact="disable" refsafe="disable" autoreset="disable"/></option>
-<worldbody>{tree}</worldbody><tendon>{"".join(tendons)}</tendon><equality>{"".join(loops)}</equality></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    order = [model.joint(body.name).qposadr[0] for body in p.bodies]
-    reacts = p.closures[0].kind == "point"
-
-    def simulate(run: Run, value: float) -> Found:
-        stiffness = hardness / value**2
-        model.opt.timestep = value
-        model.eq_solref[:], model.eq_solimp[:, :3] = (-stiffness, -2 * math.sqrt(stiffness)), (0.9999, 0.9999, 1)
-        mujoco.mj_resetData(model, data)
-        data.qpos[order], data.qvel[order], data.qfrc_applied[order[0]] = run.q, run.v, run.torque
-        states, forces, each, begin = [], [], round(p.every / value), time.process_time()
-        for k in range(len(p.times)):
-            if k:
-                mujoco.mj_step(model, data, each)
-            mujoco.mj_forward(model, data)
-            if not np.isfinite(data.qpos).all():
-                break
-            states.append(data.qpos[order].copy())
-            forces.append(-data.efc_force[:2] if reacts else None)
-        seconds = time.process_time() - begin
-        stopped = "" if len(states) == len(p.times) else "the state is NaN"
-        return Found(places(p, np.array(states)), np.array(forces) if reacts else None, seconds, stopped)
-
-    return simulate
-
-
-# Exudyn -----------------------------------------------------------------------------------------------------------
-
-
-def by_exudyn(p: Problem) -> Simulation:
-    """Run Exudyn: generalized alpha on rigid bodies in redundant coordinates."""
-    import sys
-
-    sys.exudynFast = True  # type: ignore[attr-defined]
-    with contextlib.redirect_stdout(None):
-        import exudyn as exu
-        from exudyn import itemInterface as item
-        from exudyn.rigidBodyUtilities import RigidBodyInertia
-    exu.config.printToConsole = False
-    kinds = exu.OutputVariableType
-
-    def simulate(run: Run, value: float) -> Found:
-        mbs = exu.SystemContainer().AddSystem()
-        ground = mbs.CreateGround()
-        at = poses(p, np.array([run.q]))
-        speeds = {GROUND: (np.zeros(3), np.zeros(3))}
-        items = {GROUND: ground}
-        center = {GROUND: np.zeros(3)}
-        for body, rate in zip(p.bodies, run.v, strict=True):
-            (R, o), (u, w) = (x[0] for x in at[body.name]), speeds[body.parent]
-            axis = at[body.parent][0][0] @ np.array(body.axis, float)
-            u = u + np.cross(w, o - at[body.parent][1][0])
-            u, w = (u + axis * rate, w) if body.joint == "prismatic" else (u, w + axis * rate)
-            speeds[body.name] = u, w
-            c = R @ np.array(body.center, float)
-            center[body.name] = np.array(body.center, float)
-            inertia = RigidBodyInertia(body.mass, np.array(body.inertia, float))
-            items[body.name] = mbs.CreateRigidBody(
-                referencePosition=o + c,
-                referenceRotationMatrix=R,
-                initialVelocity=u + np.cross(w, c),
-                initialAngularVelocity=w,
-                inertia=inertia,
-                gravity=list(p.gravity),
-                create2D=p.planar,
-            )
-
-        def local(body: str, x: Sequence[float]) -> list[float]:
-            return (np.array(x, float) - center[body]).tolist()
-
-        def markers(first: str, x: Sequence[float], second: str, y: Sequence[float], rigid: bool = False) -> list:
-            kind = item.MarkerBodyRigid if rigid else item.MarkerBodyPosition
-            pairs = ((first, x), (second, y))
-            return [mbs.AddMarker(kind(bodyNumber=items[body], localPosition=local(body, at))) for body, at in pairs]
-
-        def hinge(first: str, second: str, at: NDArray, axis: NDArray) -> Any:
-            return mbs.CreateRevoluteJoint(bodyNumbers=[items[first], items[second]], position=at, axis=axis)
-
-        for body in p.bodies:
-            R, o = at[body.parent][0][0], at[body.name][1][0]
-            if not p.planar:
-                hinge(body.parent, body.name, o, R @ np.array(body.axis, float))
-            elif body.joint == "revolute":
-                ends = markers(body.parent, body.at, body.name, (0, 0, 0))
-                mbs.AddObject(item.ObjectJointRevolute2D(markerNumbers=ends))
-            else:
-                ends = markers(body.parent, body.at, body.name, (0, 0, 0), True)
-                normal = [-body.axis[1], body.axis[0], 0]
-                mbs.AddObject(
-                    item.ObjectJointPrismatic2D(markerNumbers=ends, axisMarker0=list(body.axis), normalMarker1=normal)
-                )
-        joints = []
-        for c in p.closures:
-            R, o = (x[0] for x in at[c.first])
-            place = o + R @ np.array(c.first_at, float)
-            if c.kind == "distance":
-                ends = markers(c.first, c.first_at, c.second, c.second_at)
-                joints.append(mbs.AddObject(item.ObjectConnectorDistance(markerNumbers=ends, distance=c.length)))
-            elif c.kind == "hinge":
-                joints.append(hinge(c.first, c.second, place, R @ np.array(c.axis, float)))
-            elif p.planar:
-                ends = markers(c.first, c.first_at, c.second, c.second_at)
-                joints.append(mbs.AddObject(item.ObjectJointRevolute2D(markerNumbers=ends)))
-            else:
-                bodies = [items[c.first], items[c.second]]
-                joints.append(mbs.CreateSphericalJoint(bodyNumbers=bodies, position=place))
-        if run.torque:
-            marker = mbs.AddMarker(item.MarkerBodyRigid(bodyNumber=items[p.bodies[0].name]))
-            mbs.AddLoad(item.LoadTorqueVector(markerNumber=marker, loadVector=[0, 0, run.torque]))
-        kept = {"storeInternal": True, "writeToFile": False}
-        sensors = [
-            mbs.AddSensor(
-                item.SensorBody(
-                    bodyNumber=items[body], localPosition=local(body, x), outputVariableType=kinds.Position, **kept
-                )
-            )
-            for body, x in judged(p)
-        ]
-        reacts = p.planar and p.closures[0].kind == "point"
-        if reacts:
-            felt = mbs.AddSensor(item.SensorObject(objectNumber=joints[0], outputVariableType=kinds.Force, **kept))
-        mbs.Assemble()
-        settings = exu.SimulationSettings()
-        settings.solution.sensors.writePeriod = p.every
-        settings.solution.file.write = False
-        settings.show.computationTime = False
-        settings.linearSolver.solverType = exu.LinearSolverType.EigenDense
-        settings.linearSolver.ignoreSingularJacobian = True
-        march = settings.timeIntegration
-        march.endTime, march.numberOfSteps, march.verboseMode = p.stop, round(p.stop / value), 0
-        march.newton.useModifiedNewton = True
-        stopped, begin = "", time.process_time()
-        try:
-            mbs.SolveDynamic(settings, solverType=exu.DynamicSolverType.GeneralizedAlpha)
-        except Exception as error:
-            stopped = " ".join(str(error).split("[Python")[0].split()) or type(error).__name__
-        seconds = time.process_time() - begin
-        columns = [mbs.GetSensorStoredData(each) for each in sensors]
-        k = min(map(len, columns))
-        if not k:
-            return Found(np.zeros((0, len(sensors), 3)), None, seconds, stopped or "no result")
-        force = -mbs.GetSensorStoredData(felt)[:k, 1:3] if reacts else None
-        return Found(np.stack([each[:k, 1:] for each in columns], 1), force, seconds, stopped)
 
     return simulate
 
@@ -697,8 +421,7 @@ def by_scipy(p: Problem, frequency: float) -> Simulation:
         begin = time.process_time()
         states = solved(rate, np.array([*run.q, *run.v]), "DOP853", value, p.times)
         seconds = time.process_time() - begin
-        reacts = p.planar and p.closures[0].kind == "point"
-        force = np.array([-solve(y)[1][:2] for y in states]) if reacts else None
+        force = np.array([[-solve(y)[1][:2]] for y in states]) if p.forces_are_read else None
         stopped = "" if len(states) == len(p.times) else "no step succeeds"
         return Found(places(p, states[:, :n]), force, seconds, stopped)
 

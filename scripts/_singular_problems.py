@@ -1,9 +1,8 @@
 """The ten problems of the singular benchmark, and their exact motions in 30 digits, independent of alfmu.
 
-Each problem is a tree of rigid bodies on hinges and sliders whose loops are closed by constraints. The frame of a body
-is at its joint, parallel to the frame of its parent if the coordinate is zero. The exact motion follows one branch in
-minimal coordinates s: from centre and direction of every body over s, second-order Taylor arithmetic derives Lagrange's
-equations, and the extrapolated midpoint rule integrates them.
+Each problem is a tree of rigid bodies whose loops are closed by constraints (`alfmu.studies.trees`). The exact motion
+follows one branch in minimal coordinates s: from centre and direction of every body over s, second-order Taylor
+arithmetic derives Lagrange's equations, and the extrapolated midpoint rule integrates them.
 """
 
 from __future__ import annotations
@@ -19,57 +18,18 @@ import numpy as np
 from mpmath import mp, mpf, nstr
 from numpy.typing import NDArray
 
+from alfmu.studies.trees import GROUND, Body, Closure, Tree
+from alfmu.studies.trees import Start as Run
+
 FOLDER = Path(__file__).parents[1] / "docs" / "singular_benchmark"
 DIGITS, KEPT = 30, 20
 """Decimal digits of the arithmetic and of the tables."""
 
-GROUND = "ground"
 DOWN = (0.0, -9.81, 0.0)
 
-# Declaration ------------------------------------------------------------------------------------------------------
-
 
 @dataclass
-class Body:
-    """A rigid body on its joint: `at` and `axis` in the parent's frame, other quantities in its own [m, kg, kg.m2]."""
-
-    name: str
-    parent: str
-    at: Sequence[float]
-    mass: float
-    center: Sequence[float]
-    inertia: Sequence[Sequence[float]]
-    joint: str = "revolute"
-    axis: Sequence[float] = (0.0, 0.0, 1.0)
-
-
-@dataclass
-class Closure:
-    """A constraint between points of two bodies: `point` (they coincide), `hinge` (so do axes through them, with the
-    same numbers in both frames), `distance` (they stay apart by `length` [m])."""
-
-    name: str
-    first: str
-    first_at: Sequence[float]
-    second: str
-    second_at: Sequence[float]
-    kind: str = "point"
-    axis: Sequence[float] | None = None
-    second_axis: Sequence[float] | None = None
-    length: float | None = None
-
-
-@dataclass
-class Run:
-    """A start, with all coordinates in the order of bodies, and the torque on the first body from the ground [N.m]."""
-
-    q: list[float]
-    v: list[float]
-    torque: float = 0.0
-
-
-@dataclass
-class Problem:
+class Problem(Tree):
     """A problem: the content of its JSON file."""
 
     name: str
@@ -94,16 +54,16 @@ class Problem:
         return np.round(self.every * np.arange(round(self.stop / self.every) + 1), 9)
 
     @property
-    def planar(self) -> bool:
-        return not any(body.axis[2] == 0 if body.joint == "revolute" else body.axis[2] for body in self.bodies) and all(
-            body.axis[0] == body.axis[1] == 0 for body in self.bodies if body.joint == "revolute"
-        )
-
-    @property
     def seen(self) -> list[Closure]:
         """Return the closures whose gaps are measured: of a long row the first, the middle and the last, else all."""
         n = len(self.closures)
         return self.closures if n < 10 else [self.closures[k] for k in (0, n // 2, n - 1)]
+
+    @property
+    def read(self) -> list[tuple[str, Sequence[float]]]:
+        """Return body and local position of each judged point."""
+        sides = [(c.first, c.first_at, c.second, c.second_at) for c in self.seen]
+        return [*self.points.values(), *(pair for a, x, b, y in sides for pair in ((a, x), (b, y)))]
 
 
 def plain(problem: Problem) -> dict[str, Any]:

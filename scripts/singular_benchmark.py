@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from _singular_codes import CATALOGUE, CODES, Found, Simulation, declared, given, judged
+from _singular_codes import CATALOGUE, CODES, Found, Simulation, declared, given
 from _singular_problems import FOLDER, PROBLEMS, Motion, Problem, loaded, table, write_reference
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -70,10 +70,10 @@ def errors(problem: Problem, found: Found, reference: dict[str, NDArray], branch
     off = [np.linalg.norm(branch - x, axis=2).max(1).min() for x in seen]
     row = {"error [m]": float(np.linalg.norm(seen - exact, axis=2).max(initial=0.0))}
     row |= {"off the branch [m]": float(max(off, default=0.0)), "gap [m]": float(np.abs(gaps).max(initial=0.0))}
-    if found.force is not None and "force.x" in reference:
+    if found.forces is not None and "force.x" in reference:
         wanted = np.column_stack([reference["force.x"], reference["force.y"]])[:k]
         kept = np.isfinite(wanted)
-        row["force error [N]"] = float(np.abs(found.force - wanted)[kept].max(initial=0.0))
+        row["force error [N]"] = float(np.abs(found.forces[:, 0, :2] - wanted)[kept].max(initial=0.0))
     return row
 
 
@@ -92,7 +92,7 @@ def measured(name: str, code: str) -> None:
                 for _ in range(again * (found.seconds < BRIEF)):
                     found = min(found, simulate(run, value), key=lambda x: x.seconds)
             except Exception as error:
-                found = Found(np.empty((0, len(judged(problem)), 3)), None, 0.0, _said(error))
+                found = Found(np.empty((0, len(problem.read), 3)), None, 0.0, _said(error))
             off = errors(problem, found, reference, branch)
             seconds += found.seconds
             kept += not found.stopped and off["off the branch [m]"] <= BRANCH

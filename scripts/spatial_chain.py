@@ -13,11 +13,14 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from _singular_codes import mechanism
+from _singular_problems import Problem, Run
 from _study import clocked
 
 import alfmu
 from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared
+from alfmu.studies.trees import GROUND, Body, pinocchio_model
 
 AXES = [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0)]
 CENTER, NEXT, STEP, STEPS = (0.1, 0.02, 0.05), (0.1, 0.0, 0.3), 1e-3, 1000
@@ -30,30 +33,29 @@ def inertia(i: int) -> np.ndarray:
     return np.trace(E) * np.eye(3) - E
 
 
-def chain(bodies: int) -> alfmu.Mechanism:
+def chain(count: int) -> Problem:
     """Return the chain; angle number i starts at 0.1 i rad."""
-    m = alfmu.Mechanism("chain")
-    m.gravity(0, 0, -9.81)
-    before = m.spatial_ground.at()
-    for i in range(bodies):
-        angle = m.coordinate(f"angle{i}", "rad", start=0.1 * (i + 1), independent=True)
-        body = m.spatial_body(f"body{i}", mass=1.0 + i, inertia=inertia(i), center=CENTER, relative=True)
-        m.spatial_revolute(f"hinge{i}", before, body.at(), axis=AXES[i % 6], coordinate=angle)
-        before = body.at(*NEXT)
-    return m
+    bodies = [
+        Body(
+            f"body{i}",
+            f"body{i - 1}" if i else GROUND,
+            NEXT if i else (0.0, 0.0, 0.0),
+            1.0 + i,
+            CENTER,
+            inertia(i),
+            axis=AXES[i % 6],
+        )
+        for i in range(count)
+    ]
+    start, names = Run(0.1 * np.arange(1, count + 1), np.zeros(count)), [body.name for body in bodies]
+    return Problem("chain", "Chain", bodies, [], {}, [start], STEP * STEPS, names, (0.0, 0.0, -9.81))
 
 
 def aba(bodies: int) -> Callable[..., np.ndarray]:
     """Return Pinocchio's recursion for the same chain: a function of q, v and torques that returns accelerations."""
     import pinocchio as pin
 
-    model, parent = pin.Model(), 0
-    model.gravity.linear = np.array([0, 0, -9.81])
-    joints = {(1, 0, 0): pin.JointModelRX, (0, 1, 0): pin.JointModelRY, (0, 0, 1): pin.JointModelRZ}
-    for i in range(bodies):
-        place = pin.SE3(np.eye(3), np.array(NEXT) if i else np.zeros(3))
-        parent = model.addJoint(parent, joints[AXES[i % 6]](), place, f"hinge{i}")
-        model.appendBodyToJoint(parent, pin.Inertia(1.0 + i, np.array(CENTER), inertia(i)), pin.SE3.Identity())
+    model, _, _ = pinocchio_model(pin, chain(bodies))
     return partial(pin.aba, model, model.createData())
 
 
@@ -67,7 +69,7 @@ def main() -> None:
         """Return the time of a step [us] in the fastest of several runs of STEPS steps."""
         return 1e6 * min(clocked(run).repeat(times, 1)) / STEPS
 
-    equations = alfmu.derive(chain(6))
+    equations = alfmu.derive(mechanism(chain(6))[0])
     print(f"operations of M, f - d: {equations.functions['dynamics'].n_instructions()}")
     steps, ends = {}, {}
     for kernel in ("vm", "compiled"):

@@ -13,7 +13,7 @@ from alfmu.studies import peers
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import POSITION, REACTION, Case, Judge
 from alfmu.studies.report import PROFILES, report, time_at
-from alfmu.studies.rivals import TUNED
+from alfmu.studies.rivals import TUNED, not_installed
 
 pytestmark = pytest.mark.slow
 
@@ -29,11 +29,11 @@ def folder(tmp_path_factory, quick_compiler):
         alone = tuple(replace(x, missing="not installed") if x.name in OTHERS.values() else x for x in TUNED)
         patch.setattr("alfmu.studies.report.TUNED", alone)
         effort = replace(effort, horizon=1.0, factors=(1, 1 / 2, 1 / 4), tolerances=(1e-5, 1e-6))
-        report(list(peers.MECHANISMS), made, effort=effort, profile="peers", quick=True)
+        report(list(peers.MACHINES), made, effort=effort, profile="peers", quick=True)
     return made
 
 
-@pytest.fixture(scope="module", params=peers.MECHANISMS)
+@pytest.fixture(scope="module", params=list(peers.MACHINES))
 def judged(request):
     """Equations from the start of the profile, their judge over 1 s, and the points."""
     equations = with_defaults(alfmu.derive(alfmu.load(request.param)), PROFILES["peers"][0].given)
@@ -51,7 +51,7 @@ def test_the_reference_is_tighter_than_what_it_judges(judged):
     equations, judge, times = judged
     assert all(row[POSITION] < 1e-11 for row in judge.errors_of_reference(times))
     assert np.ptp(judge.reference.energies(times)) < 1e-11
-    angle = judge.reference.outputs(times)[:, judge.names.index(peers.ANGLE[equations.name])]
+    angle = judge.reference.outputs(times)[:, judge.names.index(peers.MACHINES[equations.name].names[0])]
     start = PROFILES["peers"][0].given
     assert angle[0] == start["start.angle"] == 0.0
     assert 0.8 < angle[1] / (start["start.angular_velocity"] * times[1]) < 1.0
@@ -74,7 +74,7 @@ def test_an_installed_code_simulates_the_same_mechanism(judged, package):
 def test_rows_of_a_study_without_other_codes(folder):
     made = rows(folder, "errors")
     assert {(r["mechanism"], r["code"]) for r in made} == {
-        (mechanism, code) for mechanism in peers.MECHANISMS for code in ("alfmu", "SciPy stabilised")
+        (mechanism, code) for mechanism in peers.MACHINES for code in ("alfmu", "SciPy stabilised")
     }
     for row in (r for r in made if not r["note"]):
         assert 0 < float(row["least [s]"]) <= float(row["median [s]"])
@@ -82,11 +82,11 @@ def test_rows_of_a_study_without_other_codes(folder):
         assert float(row[POSITION]) < 1e-3
         assert float(row[REACTION]) < 0.1
     skipped = {(r["mechanism"], r["code"]) for r in rows(folder, "skipped")}
-    assert skipped >= {(mechanism, code) for mechanism in peers.MECHANISMS for code in OTHERS.values()}
+    assert skipped >= {(mechanism, code) for mechanism in peers.MACHINES for code in OTHERS.values()}
 
 
 def test_alfmu_converges_with_order_4_and_kernels_agree(folder):
-    for mechanism in peers.MECHANISMS:
+    for mechanism in peers.MACHINES:
         own = [r for r in rows(folder, "errors") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
         error = {(r["way"], r["method"], round(float(r["value"]), 6)): float(r[POSITION]) for r in own}
         for form in ("", ", joint", ", joint, lean"):
@@ -128,8 +128,8 @@ def test_what_is_not_installed_is_seen(monkeypatch):
             raise PackageNotFoundError(package)
         return version(package)
 
-    monkeypatch.setattr("alfmu.studies.peers.version", missing)
-    assert {peer.name for peer in peers.TUNED if not peer.installed} == set(OTHERS.values())
+    monkeypatch.setattr("alfmu.studies.rivals.version", missing)
+    assert {package for package in (*OTHERS, "scipy") if not_installed(package)} == set(OTHERS)
 
 
 def test_run_times_are_compared_at_equal_error_and_never_beyond_it():

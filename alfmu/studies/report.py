@@ -257,7 +257,7 @@ class Study(cases.Study):
             self.derived = with_defaults(self.derived, effort.given)
         self.compared: Sequence[str] = ()
         if effort.ways:
-            self.compared = [peers.ANGLE[self.name], *peers.REACTIONS[self.name]]
+            self.compared = peers.MACHINES[self.name].names
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
         self.chapters: list[paper.Chapter] = []
         """Chapters of the paper's study."""
@@ -751,9 +751,9 @@ def report(
         if not names:
             raise InputError(f"the paper's study is about {', '.join(ABOUT)}; name one of them")
     if effort.ways:
-        names = [name for name in names if name in peers.MECHANISMS]
+        names = [name for name in names if name in peers.MACHINES]
         if not names:
-            raise InputError(f"other codes are tuned to {', '.join(peers.MECHANISMS)}; name one of them")
+            raise InputError(f"other codes are tuned to {', '.join(peers.MACHINES)}; name one of them")
     effort = replace(effort, total=min(effort.total, effort.each * len(names)))
     bounds = {
         "longest simulated time [s]": effort.horizon,
