@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -123,7 +123,7 @@ def sources(
     found = {
         "alfmu.h": text,
         "files.c": apart.replace("#include <", f"{_HEADER}#include <", 1),
-        "alfmu.c": "".join([_HEADER, *sorted(system), bodies, last]),
+        "alfmu.c": "".join([_HEADER, *sorted(system), *_hidden(bodies), last]),
     }
     if not instead:
         found["alfmu.c"] = _IN_SOURCES.sub("", found["alfmu.c"])
@@ -133,6 +133,13 @@ def sources(
 
 
 _HEADER = '#include "alfmu.h"\n'
+
+
+def _hidden(text: str) -> Iterator[str]:
+    """Yield C whose functions are visible within the library only, for importers that compile it without options."""
+    for each in ("push(hidden)", text, "pop"):
+        pragma = f"#if defined(__GNUC__) && !defined(_WIN32)\n#pragma GCC visibility {each}\n#endif\n"
+        yield text if each is text else pragma
 
 
 def used(files: Mapping[str, str]) -> dict[str, str]:
@@ -170,8 +177,7 @@ def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str
         name = found[1]
         if name in there:
             return ""
-        if not name.startswith("internal_"):  # these are included more than once
-            there.add(name)
+        there.add(name)
         return _with_headers(headers[name], headers, there)
 
     return _INCLUDE.sub(header, text)

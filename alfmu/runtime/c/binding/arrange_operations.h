@@ -7,8 +7,6 @@
 
 #include "operations.h"
 
-#include "internal_begin.h"
-
 /* Arrays that are freed together. */
 typedef struct Room_block {
     struct Room_block *before;
@@ -39,7 +37,5 @@ int arrange_less(const int a[3], const int b[3]);
 void arrange_push(Heap *heap, int first, int second, int third);
 void arrange_pop(Heap *heap, int taken[3]);
 void arrange_add(Operations *o, int kind, int made, int other);
-
-#include "internal_end.h"
 
 #endif

@@ -5,8 +5,6 @@
 
 #include "arrange_operations.h"
 
-#include "internal_begin.h"
-
 /* A function whose sums are being found. */
 typedef struct {
     Room room;
@@ -24,7 +22,5 @@ typedef struct {
 void arrange_sums(Sums *f);
 void without_differences(Sums *f);
 void arrange_write(Sums *f, int k);
-
-#include "internal_end.h"
 
 #endif

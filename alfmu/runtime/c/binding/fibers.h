@@ -3,8 +3,6 @@
 #ifndef ALFMU_FIBERS_H
 #define ALFMU_FIBERS_H
 
-#include "internal_begin.h"
-
 typedef struct Fiber Fiber;
 
 /* Return a fiber for some work; NULL if the platform has no fibers, or without memory. */
@@ -14,7 +12,5 @@ void fiber_free(Fiber *f);
 /* fiber_enter runs a fiber until it calls fiber_leave, which returns when the fiber is entered again. */
 void fiber_enter(Fiber *f);
 void fiber_leave(Fiber *f);
-
-#include "internal_end.h"
 
 #endif

@@ -1,6 +1,5 @@
 /* Functions besides those of FMI: scenes and instances for a binding such as library.py. */
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -9,6 +8,7 @@
 #endif
 
 #include "balance.h"
+#include "baseline.h"
 #include "begin.h"
 #include "border.h"
 #include "fmi.h"

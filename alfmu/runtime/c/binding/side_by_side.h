@@ -7,8 +7,6 @@
 #include "instance.h"
 #include "lanes.h"
 
-#include "internal_begin.h"
-
 typedef struct {
     Instance *instances[LANES];
     const double *const *x[LANES]; /* arguments and results of a function, by lane */
@@ -19,7 +17,5 @@ typedef struct {
 
 void group_run_program(const Group *g, int program);
 void group_call_function(const Group *g, int function);
-
-#include "internal_end.h"
 
 #endif

@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 /* A run in one call: communication points, inputs and requested variables at each of them. */
 typedef struct {
     const double *times; /* communication points, the start first */
@@ -22,7 +20,5 @@ typedef struct {
 
 /* Make a run and return the number of its rows; `done` counts completed communication steps during the run. */
 long whole_run_make(Instance *i, const Run *r, long *done, Outcome *outcome);
-
-#include "internal_end.h"
 
 #endif

@@ -7,10 +7,10 @@
 
 #include "driving_inputs.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "message.h"

@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_MOVING_INPUTS
 /* The points of an input: their number, the order of their derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
@@ -27,7 +25,5 @@ Outcome inputs_aim(Instance *i, double start, double h);
 static inline void inputs_begin(Instance *i, double time) { (void)i, (void)time; }
 static inline Outcome inputs_aim(Instance *i, double start, double h) { return (void)i, (void)start, (void)h, DONE; }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -1,9 +1,9 @@
 #include "equations.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

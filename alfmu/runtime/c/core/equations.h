@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 void pattern_spread(const Pattern *pattern, const double *values, double *dense, int rows);
 void constraints_evaluate(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv);
@@ -20,7 +18,5 @@ int coordinate_is_length(const Scene *s, int coordinate);
 int coordinate_is_angle(const Scene *s, int coordinate);
 double instance_largest(const Instance *i, const double *x);
 void constraints_limits(const Instance *i, const double *C, const double *q, const double *v, double *limits);
-
-#include "internal_end.h"
 
 #endif

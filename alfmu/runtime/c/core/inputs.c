@@ -1,7 +1,6 @@
 #include "inputs.h"
 
-#include <math.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -3,10 +3,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 void inputs_within(const Instance *i, double from, double time, double *u, double *du);
-
-#include "internal_end.h"
 
 #endif

@@ -9,13 +9,11 @@
 
 #include <assert.h>
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 
+#include "baseline.h"
 #include "layout.h"
 #include "scene.h"
-
-#include "internal_begin.h"
 
 #ifndef MESSAGE
 #define MESSAGE 1024 /* most characters of a message */
@@ -218,7 +216,5 @@ static inline double instance_least_step(const Instance *i)
 {
     return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
 }
-
-#include "internal_end.h"
 
 #endif

@@ -4,11 +4,11 @@
 #include "interpret.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "lanes.h"
 #include "linear.h"

@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 void function_evaluate(const Function *f, double *r, double *values);
 
 /* Call a function of the scene on arrays. */
@@ -27,7 +25,5 @@ void program_run(Instance *i, int program);
 
 /* Call a function on arrays of the instance, recorded if there is a tape. */
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y);
-
-#include "internal_end.h"
 
 #endif

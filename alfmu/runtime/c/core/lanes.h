@@ -3,9 +3,8 @@
 #ifndef ALFMU_LANES_H
 #define ALFMU_LANES_H
 
+#include "baseline.h"
 #include "scene.h"
-
-#include "internal_begin.h"
 
 #define LANES 8 /* argument sets of a function evaluated at once; directions of derivatives in a block */
 
@@ -51,7 +50,5 @@ void lanes_scatter(const double *rows, int lanes, const uint16_t *from, double *
 
 /* Return the first address from `place` on at which lanes are aligned with cache lines. */
 double *lanes_align(double *place);
-
-#include "internal_end.h"
 
 #endif

@@ -1,9 +1,10 @@
 #include "linear.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
+
+#include "baseline.h"
 
 #define SWEEPS 60
 #define SURE 1e-8 /* share of the largest singular value, below which a rank is uncertain */

@@ -5,8 +5,6 @@
 
 #include <stddef.h>
 
-#include "internal_begin.h"
-
 /* Envelope of the lower half of a sparse symmetric matrix and of its factors: the order of the rows keeps entries near
    the diagonal, and each row is stored from its first entry on. */
 typedef struct {
@@ -55,7 +53,5 @@ void linear_factor(
     int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
 
 void linear_solve(int n, int s, const double *a, const double *order, const double *const *right, double *x);
-
-#include "internal_end.h"
 
 #endif

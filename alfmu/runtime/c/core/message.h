@@ -6,15 +6,12 @@
 #include <stddef.h>
 
 #include "instance.h"
-
-#include "internal_begin.h"
+#include "text.h"
 
 /* Set the message of an instance and return the outcome. */
 Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...) PRINTF_LIKE(3, 4);
 
 void instance_warn(Instance *i, int of, const char *format, ...);
 const char *instance_row_label(const Instance *i, int row, char *label, size_t size);
-
-#include "internal_end.h"
 
 #endif

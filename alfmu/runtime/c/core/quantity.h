@@ -3,13 +3,9 @@
 #ifndef ALFMU_QUANTITY_H
 #define ALFMU_QUANTITY_H
 
-#include "internal_begin.h"
-
 #define QUANTITY 64 /* characters */
 
 /* Write a value with its unit, an angle also in degrees; return `text`. */
 const char *quantity_in_unit(const char *unit, double value, char *text);
-
-#include "internal_end.h"
 
 #endif

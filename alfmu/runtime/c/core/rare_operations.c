@@ -1,7 +1,6 @@
 #include "rare_operations.h"
 
-#include <math.h>
-
+#include "baseline.h"
 #include "operations.h"
 
 #define VALUE(kind, value) \

@@ -3,13 +3,9 @@
 #ifndef ALFMU_RARE_OPERATIONS_H
 #define ALFMU_RARE_OPERATIONS_H
 
-#include "internal_begin.h"
-
 /* Value of a rare operation for its operands a and b, and its partial derivatives. */
 double operation_value(int kind, double a, double b);
 
 void operation_partials(int kind, double a, double b, double of[2]);
-
-#include "internal_end.h"
 
 #endif

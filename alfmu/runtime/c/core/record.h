@@ -15,8 +15,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 typedef enum {
     CALLED,       /* a function; words: places of arguments and results; numbers: arguments */
     COPIED,       /* words: to, from, count */
@@ -147,7 +145,5 @@ static inline void tape_correction(Instance *i, const double *rows, const double
 }
 static inline void tape_holding(Instance *i, const double *q, const double *matrix) { (void)i, (void)q, (void)matrix; }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -10,8 +10,6 @@
 #include "layout.h"
 #include "linear.h"
 
-#include "internal_begin.h"
-
 /* Compiled code of a function: arguments, results, workspace. */
 typedef void Compiled(const double *const *x, double *const *y, double *w);
 
@@ -188,7 +186,5 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes);
 
 void scene_free(Scene *s);
-
-#include "internal_end.h"
 
 #endif

@@ -5,11 +5,7 @@
 
 #include "scene_reader.h"
 
-#include "internal_begin.h"
-
 void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...);
 void functions_read(Reader *r);
-
-#include "internal_end.h"
 
 #endif

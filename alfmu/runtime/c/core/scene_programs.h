@@ -6,10 +6,6 @@
 #include "scene.h"
 #include "scene_reader.h"
 
-#include "internal_begin.h"
-
 void programs_read(Reader *r);
-
-#include "internal_end.h"
 
 #endif

@@ -8,8 +8,6 @@
 
 #include "scene.h"
 
-#include "internal_begin.h"
-
 typedef struct {
     const unsigned char *at, *end;
     Scene *scene;
@@ -36,7 +34,5 @@ uint16_t *narrow_integers(Reader *r, size_t *found);
 double *reader_reals(Reader *r, size_t *found);
 const int *reader_places(Reader *r, int count, int least, int end, const char *what);
 int reader_check_between(int value, int least, int end);
-
-#include "internal_end.h"
 
 #endif

@@ -7,8 +7,6 @@
 
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* Values stored after the peaks: whether the start of the previous step is known, its time, q and v. */
 enum { KNOWN_BEFORE, TIME_BEFORE, STATE_BEFORE };
 
@@ -31,7 +29,5 @@ int scene_exchanged(const Scene *s);
 int scene_exchange_variables(const Scene *s);
 
 size_t scene_peaks_length(const Scene *s);
-
-#include "internal_end.h"
 
 #endif

@@ -1,10 +1,10 @@
 #include "scene_tables.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "linear.h"

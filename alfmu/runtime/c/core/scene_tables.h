@@ -7,8 +7,6 @@
 #include "scene.h"
 #include "scene_reader.h"
 
-#include "internal_begin.h"
-
 /* Nonzeros of a matrix as a graph whose nodes and edges are its rows and columns. */
 typedef struct {
     const Pattern *pattern;
@@ -27,7 +25,5 @@ void tables_read_pattern(Reader *r, Pattern *made, int rows, int columns);
 void tables_order_envelope(
     Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count);
 void tables_read_leaps(Reader *r);
-
-#include "internal_end.h"
 
 #endif

@@ -1,9 +1,10 @@
 #include "text.h"
 
 #include <float.h>
-#include <math.h>
 #include <stdarg.h>
 #include <stddef.h>
+
+#include "baseline.h"
 
 typedef struct {
     char *to;

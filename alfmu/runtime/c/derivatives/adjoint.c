@@ -4,11 +4,11 @@
 #include "adjoint.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "function_adjoints.h"
 #include "gradient.h"
 #include "input_derivatives.h"

@@ -6,10 +6,6 @@
 #include "gradient.h"
 #include "record.h"
 
-#include "internal_begin.h"
-
 void adjoints_along(Gradient *g, Mark from);
-
-#include "internal_end.h"
 
 #endif

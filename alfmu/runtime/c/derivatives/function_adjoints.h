@@ -5,10 +5,6 @@
 
 #include "gradient.h"
 
-#include "internal_begin.h"
-
 void adjoints_through(const Flat *flat, const double *r, double *ar);
-
-#include "internal_end.h"
 
 #endif

@@ -6,14 +6,10 @@
 #include "gradient.h"
 #include "lanes.h"
 
-#include "internal_begin.h"
-
 void tangent_along(Lanes *d, double partial, const Lanes *tangent);
 
 /* Propagate tangents, or adjoints, through a function whose registers hold the values, if the arguments have their
    tangents, or the results their adjoints. */
 BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr);
-
-#include "internal_end.h"
 
 #endif

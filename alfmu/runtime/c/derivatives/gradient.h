@@ -11,8 +11,6 @@
 #include "record.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_DERIVATIVES
 /* A function as runs of equal operations on registers, with loops unrolled. */
 typedef struct {
@@ -59,7 +57,5 @@ void gradient_free(Gradient *g);
 #else
 static inline void gradient_free(struct Gradient *g) { (void)g; }
 #endif
-
-#include "internal_end.h"
 
 #endif

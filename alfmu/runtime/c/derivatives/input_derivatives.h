@@ -6,8 +6,6 @@
 #include "gradient.h"
 #include "record.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_MOVING_INPUTS
 void aimed_tangents(Gradient *g, const Entry *e);
 void aimed_adjoints(Gradient *g, const Entry *e);
@@ -15,7 +13,5 @@ void aimed_adjoints(Gradient *g, const Entry *e);
 static inline void aimed_tangents(Gradient *g, const Entry *e) { (void)g, (void)e; }
 static inline void aimed_adjoints(Gradient *g, const Entry *e) { (void)g, (void)e; }
 #endif
-
-#include "internal_end.h"
 
 #endif

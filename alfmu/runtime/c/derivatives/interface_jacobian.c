@@ -6,10 +6,10 @@
 
 #include "interface_jacobian.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "gradient.h"
 #include "instance.h"
 #include "lanes.h"

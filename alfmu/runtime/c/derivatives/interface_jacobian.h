@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_INTERFACE_JACOBIAN
 Outcome jacobian_begin(Instance *i);
 void jacobian_along(Instance *i);
@@ -16,7 +14,5 @@ static inline Outcome jacobian_begin(Instance *i) { return (void)i, DONE; }
 static inline void jacobian_along(Instance *i) { (void)i; }
 static inline Outcome jacobian_end(Instance *i) { return (void)i, DONE; }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -7,11 +7,11 @@
 
 #include "start_derivatives.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "function_adjoints.h"
 #include "function_tangents.h"
 #include "gradient.h"

@@ -6,15 +6,11 @@
 #include "gradient.h"
 #include "record.h"
 
-#include "internal_begin.h"
-
 void closed_tangents(Gradient *g, const Entry *e);
 void closed_adjoints(Gradient *g, const Entry *e);
 void rated_tangents(Gradient *g, const Entry *e);
 void rated_adjoints(Gradient *g, const Entry *e);
 void held_tangents(Gradient *g, const Entry *e);
 void held_adjoints(Gradient *g, const Entry *e);
-
-#include "internal_end.h"
 
 #endif

@@ -6,11 +6,11 @@
 #include "tangent.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "function_tangents.h"
 #include "gradient.h"
 #include "input_derivatives.h"

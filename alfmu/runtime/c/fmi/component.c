@@ -2,12 +2,12 @@
 
 #include "component.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "begin.h"
 #include "driving_inputs.h"
 #include "instance.h"

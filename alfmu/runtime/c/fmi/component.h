@@ -4,13 +4,11 @@
 #ifndef ALFMU_COMPONENT_H
 #define ALFMU_COMPONENT_H
 
-#include <math.h>
 #include <stddef.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
-
-#include "internal_begin.h"
 
 #ifndef NO_MEMORY
 #define NO_MEMORY "there is not enough memory"
@@ -92,7 +90,5 @@ Status component_forget(Component *c, void **state, const char *call);
 Status component_state_size(Component *c, void *state, size_t *size, const char *call);
 Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call);
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call);
-
-#include "internal_end.h"
 
 #endif

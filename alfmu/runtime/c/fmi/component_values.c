@@ -1,10 +1,10 @@
 #include "component_values.h"
 
-#include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
+#include "baseline.h"
 #include "component.h"
 #include "exchange.h"
 #include "instance.h"

@@ -7,8 +7,6 @@
 
 #include "component.h"
 
-#include "internal_begin.h"
-
 Status component_get(Component *c, const unsigned *references, size_t count, void *values, size_t value_count,
     Value_type form, const char *call);
 Status component_set(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
@@ -20,7 +18,5 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
     const char *call);
-
-#include "internal_end.h"
 
 #endif

@@ -22,6 +22,10 @@
 #include <dlfcn.h>
 #endif
 
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden) /* for importers that compile this file without options */
+#endif
+
 #define LARGEST_FILE (1 << 30)
 
 static int digit_of(char c)
@@ -157,3 +161,7 @@ unsigned char *files_read(const char *folder, const char *name, size_t *size)
     fclose(file);
     return bytes;
 }
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif

@@ -5,8 +5,6 @@
 
 #include <stddef.h>
 
-#include "internal_begin.h"
-
 #define LONGEST_PATH 4096
 
 /* Return the path (LONGEST_PATH) of a URI such as file:///tmp/a%20b; other texts are paths already. */
@@ -17,7 +15,5 @@ void files_own_resources(char *path);
 
 /* Return the content of a file, which the caller frees; NULL if it cannot be read. */
 unsigned char *files_read(const char *folder, const char *name, size_t *size);
-
-#include "internal_end.h"
 
 #endif

@@ -1,10 +1,10 @@
 /* FMI 2.0 for co-simulation and Model Exchange. */
 
-#include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "border.h"
 #include "component.h"
 #include "component_values.h"

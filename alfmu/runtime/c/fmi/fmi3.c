@@ -1,9 +1,9 @@
 /* FMI 3.0 for co-simulation, without event mode, and Model Exchange: scalar variables, no clocks. */
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "border.h"
 #include "component.h"
 #include "component_values.h"

@@ -1,9 +1,9 @@
 #include "model_exchange.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "component.h"
 #include "exchange.h"
 #include "instance.h"

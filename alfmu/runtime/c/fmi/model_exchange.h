@@ -8,8 +8,6 @@
 #include "component.h"
 #include "text.h"
 
-#include "internal_begin.h"
-
 /* Vectors that the host requests; the first three are stored in this order. */
 typedef enum { STATES, RATES, INDICATORS, NOMINALS } Exchanged;
 
@@ -56,7 +54,5 @@ static inline Status exchange_none(Component *c, const char *call)
 #define exchange_accepted(c, enter, call) exchange_none(c, call)
 #define exchange_updated(c, event, call) exchange_none(c, ((void)(event), call))
 #endif
-
-#include "internal_end.h"
 
 #endif

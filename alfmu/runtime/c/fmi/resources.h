@@ -7,11 +7,7 @@
 
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* Load the scene from the resources folder of an FMU, given as a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
-
-#include "internal_end.h"
 
 #endif

@@ -5,12 +5,8 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome agreement_check(
     Instance *i, const unsigned char *held, const double *q, const double *v, const double *open);
 void agreement_warn_of_second_order(Instance *i, const unsigned char *held, const double *q);
-
-#include "internal_end.h"
 
 #endif

@@ -1,10 +1,10 @@
 #include "assemble.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "equations.h"
 #include "guesses.h"
 #include "instance.h"

@@ -5,10 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double *v);
-
-#include "internal_end.h"
 
 #endif

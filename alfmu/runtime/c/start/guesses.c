@@ -1,10 +1,10 @@
 #include "guesses.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

@@ -7,11 +7,7 @@
 #include "loops.h"
 #include "record.h"
 
-#include "internal_begin.h"
-
 void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q);
 void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin);
-
-#include "internal_end.h"
 
 #endif

@@ -1,10 +1,10 @@
 #include "least_squares.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "linear.h"

@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* A sparse matrix. */
 typedef struct {
     const Pattern *pattern;
@@ -33,7 +31,5 @@ double rows_squared(Instance *i, const Rows *J, double *a);
 void rows_least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x);
 
 void rows_least_correction(Instance *i, const Rows *J, const double *r, int most, double *x);
-
-#include "internal_end.h"
 
 #endif

@@ -9,8 +9,6 @@
 #include "least_squares.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* The equations that an assembly solves: the gaps of the rows in force, and the start values. */
 typedef struct {
     const unsigned char *held;
@@ -33,7 +31,5 @@ void loops_beside_guess(
     const Instance *i, const Loops *loops, const double *guess, double size, int k, double *q);
 const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t size);
 double loops_way(const Instance *i, const Loops *loops, const double *from, const double *to, int *most);
-
-#include "internal_end.h"
 
 #endif

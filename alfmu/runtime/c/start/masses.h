@@ -5,10 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome masses_check(Instance *i, const double *q, const unsigned char *held);
-
-#include "internal_end.h"
 
 #endif

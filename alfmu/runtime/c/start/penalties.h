@@ -5,10 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 void penalties_default(Instance *i, const double *q, double *penalties);
-
-#include "internal_end.h"
 
 #endif

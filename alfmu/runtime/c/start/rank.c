@@ -1,10 +1,10 @@
 #include "rank.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

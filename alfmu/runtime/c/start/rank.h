@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "least_squares.h"
 
-#include "internal_begin.h"
-
 void rank_weighted_rows(Instance *i, const double *q, const double *weights, Matrix C, double *phi);
 int rank_at(Instance *i, const double *q, const unsigned char *held);
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x);
@@ -15,7 +13,5 @@ void rank_freeze(Instance *i);
 int rank_close(Instance *i, const double *there, const double *v, double *near);
 void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);
-
-#include "internal_end.h"
 
 #endif

@@ -7,8 +7,6 @@
 #include "layout.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* S1: displacements to positions near the start; the first is zero. */
 static const double side_places[] = {0.0, ASIDE};
 #define SIDE_PLACES (int)(sizeof side_places / sizeof *side_places)
@@ -37,7 +35,5 @@ double units_own_length(Instance *i, const double *q, double *loop);
 double units_constant(const Row_units *row);
 int units_are_telling(const Row_units *row, Sum sum);
 double units_of_row(const Row_units *row);
-
-#include "internal_end.h"
 
 #endif

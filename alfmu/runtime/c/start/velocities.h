@@ -6,11 +6,7 @@
 #include "instance.h"
 #include "loops.h"
 
-#include "internal_begin.h"
-
 Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v);
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way);
-
-#include "internal_end.h"
 
 #endif

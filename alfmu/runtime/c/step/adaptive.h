@@ -5,14 +5,10 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_ERROR_CONTROL
 int step_adaptive(Instance *i, double end, long tries);
 #else
 static inline int step_adaptive(Instance *i, double end, long tries) { return (void)i, (void)end, (void)tries, 0; }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -1,7 +1,6 @@
 #include "balance.h"
 
-#include <math.h>
-
+#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "layout.h"

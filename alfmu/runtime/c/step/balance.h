@@ -5,14 +5,10 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 /* Velocity [m/s, rad/s] below which the energy of a motion is too small to judge the balance. */
 #define SLOW_MOTION 1e-5
 
 void instance_balance(Instance *i);
 void balance_tell_step_error(Instance *i);
-
-#include "internal_end.h"
 
 #endif

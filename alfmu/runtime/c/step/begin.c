@@ -1,13 +1,13 @@
 #include "begin.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "agreement.h"
 #include "assemble.h"
 #include "balance.h"
+#include "baseline.h"
 #include "diagnosis.h"
 #include "driving_inputs.h"
 #include "equations.h"

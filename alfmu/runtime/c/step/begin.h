@@ -5,11 +5,7 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome instance_initialize(Instance *i);
 Outcome instance_begin(Instance *i, double start, double stop);
-
-#include "internal_end.h"
 
 #endif

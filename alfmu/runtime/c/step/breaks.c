@@ -8,10 +8,10 @@
 #include "breaks.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "inputs.h"
 #include "instance.h"
 #include "interpret.h"

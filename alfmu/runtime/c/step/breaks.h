@@ -8,8 +8,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* Most breaks in a communication step. */
 #define MOST_BREAKS 4096
 
@@ -23,7 +21,5 @@ static inline Outcome breaks_found(Instance *i, double begin, double end)
     return (void)i, (void)begin, (void)end, DONE;
 }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 /* Cost of a patient step, whose loops stop on convergence, in quick steps. */
 #define PATIENT_STEP 10
 
@@ -18,7 +16,5 @@ Outcome diagnose_laws(Instance *i, double end);
 Outcome diagnose_too_much(Instance *i);
 Outcome diagnose_interrupted(Instance *i);
 Outcome diagnose_derivatives(Instance *i);
-
-#include "internal_end.h"
 
 #endif

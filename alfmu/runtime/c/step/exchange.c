@@ -7,10 +7,10 @@
 
 #include "exchange.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "breaks.h"
 #include "equations.h"
 #include "friction.h"

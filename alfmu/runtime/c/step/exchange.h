@@ -9,8 +9,6 @@
 #include "outputs.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* Times [s] stored after the variables of Model Exchange: the present laws hold between FROM and UNTIL, the laws after
    the next event from BEHIND on. */
 enum { FROM, UNTIL, BEHIND, EXCHANGE_TIMES };
@@ -50,7 +48,5 @@ static inline Outcome exchange_or_read(Instance *i, int wanted)
 {
     return wanted || i->flags.mode ? exchange_read(i) : instance_read(i);
 }
-
-#include "internal_end.h"
 
 #endif

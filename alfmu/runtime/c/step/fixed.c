@@ -1,9 +1,9 @@
 #include "fixed.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interface_jacobian.h"
 #include "interpret.h"

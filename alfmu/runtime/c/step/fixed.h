@@ -5,15 +5,11 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 int run_is_ended(Instance *i);
 int step_can_reuse(const Instance *i);
 int step_reuse_is_near(const Instance *i);
 void step_commit(Instance *i);
 long step_fixed(Instance *i, long steps, double dt);
 int step_fixed_whole(Instance *i, double start, double h, long *made);
-
-#include "internal_end.h"
 
 #endif

@@ -10,11 +10,11 @@
 #include "friction.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_FRICTION
 double *friction_slip(const Instance *i, int k);
 int friction_count_sticking(const Instance *i);
@@ -28,7 +26,5 @@ static inline int friction_jammed(Instance *i) { return (void)i, 0; }
 static inline Outcome friction_say_jam(Instance *i) { return (void)i, DONE; }
 static inline Outcome friction_begin(Instance *i) { return (void)i, DONE; }
 #endif
-
-#include "internal_end.h"
 
 #endif

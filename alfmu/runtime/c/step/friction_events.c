@@ -1,10 +1,10 @@
 #include "friction_events.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "fixed.h"
 #include "friction.h"
 #include "instance.h"

@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_FRICTION
 void friction_distances(Instance *i, double *found);
 Outcome friction_cover(Instance *i, double start, double h, double dt);
@@ -17,7 +15,5 @@ static inline Outcome friction_cover(Instance *i, double start, double h, double
     return (void)i, (void)start, (void)h, (void)dt, DONE;
 }
 #endif
-
-#include "internal_end.h"
 
 #endif

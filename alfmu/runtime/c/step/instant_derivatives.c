@@ -4,12 +4,12 @@
 
 #include "instant_derivatives.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
 #include "adjoint.h"
+#include "baseline.h"
 #include "begin.h"
 #include "diagnosis.h"
 #include "exchange.h"

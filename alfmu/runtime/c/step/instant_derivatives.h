@@ -9,8 +9,6 @@
 #include "message.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_DERIVATIVES
 /* Differentiate outputs with respect to inputs and, before the run, to parameters and start values: along a direction
    of the knowns, or backwards for weights of the unknowns. */
@@ -30,7 +28,5 @@ static inline Outcome instance_sweep(Instance *i, const unsigned *unknowns, size
         "%s: it was exported without derivatives; export it as --kind native with --derivatives", i->scene->name);
 }
 #endif
-
-#include "internal_end.h"
 
 #endif

@@ -7,9 +7,9 @@
 
 #include "jumps.h"
 
-#include <math.h>
 #include <stddef.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

@@ -8,8 +8,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_LAWS
 size_t laws_room(const Scene *s);
 Outcome laws_checked(Instance *i, double end);
@@ -19,7 +17,5 @@ static inline size_t laws_room(const Scene *s) { return (void)s, 0; }
 static inline Outcome laws_checked(Instance *i, double end) { return (void)i, (void)end, DONE; }
 static inline Outcome laws_begun(Instance *i, Outcome outcome) { return (void)i, outcome; }
 #endif
-
-#include "internal_end.h"
 
 #endif

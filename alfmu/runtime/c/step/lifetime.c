@@ -1,10 +1,10 @@
 #include "lifetime.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "breaks.h"
 #include "exchange.h"
 #include "gradient.h"

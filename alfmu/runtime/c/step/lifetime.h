@@ -8,8 +8,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 /* Return how many numbers an instance of a scene has, if it finds its start itself (`starts`) or only makes steps. */
 size_t instance_length(const Scene *s, int starts);
 
@@ -28,7 +26,5 @@ void instance_borrow(Instance *i, double *lent, int starts);
 Instance *instance_new(const Scene *s);
 void instance_free(Instance *i);
 void instance_reset(Instance *i);
-
-#include "internal_end.h"
 
 #endif

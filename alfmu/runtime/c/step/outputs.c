@@ -1,10 +1,10 @@
 #include "outputs.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "balance.h"
+#include "baseline.h"
 #include "diagnosis.h"
 #include "friction.h"
 #include "instance.h"

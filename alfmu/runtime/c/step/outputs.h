@@ -7,15 +7,11 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome instance_set(Instance *i, int reference, double value);
 Outcome instance_tolerate(Instance *i, double tolerance);
 int outputs_read_away(Instance *i);
 Outcome instance_read(Instance *i);
 int outputs_read_quickly(Instance *i);
 Outcome outputs_get_many(Instance *i, const int *references, int count, double *values);
-
-#include "internal_end.h"
 
 #endif

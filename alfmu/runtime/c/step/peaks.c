@@ -7,10 +7,10 @@
 
 #include "peaks.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "inputs.h"
 #include "instance.h"
 #include "outputs.h"

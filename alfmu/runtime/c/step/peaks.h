@@ -8,8 +8,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_PEAKS
 size_t peaks_room(const Scene *s);
 void peaks_broken(Instance *i);
@@ -21,7 +19,5 @@ static inline void peaks_broken(Instance *i) { (void)i; }
 static inline void peaks_begin(Instance *i) { (void)i; }
 static inline void peaks_along(Instance *i, const double *begin) { (void)i, (void)begin; }
 #endif
-
-#include "internal_end.h"
 
 #endif

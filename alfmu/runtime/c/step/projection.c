@@ -1,9 +1,9 @@
 #include "projection.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

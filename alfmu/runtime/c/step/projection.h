@@ -5,13 +5,9 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 int projection_is_closed(Instance *i, const double *residue, const double *C, const double *q, const double *v);
 Outcome projection_apply(Instance *i, double *q, double *v);
 Outcome projection_close(Instance *i, double t);
 void projection_watch_gaps(Instance *i);
-
-#include "internal_end.h"
 
 #endif

@@ -4,11 +4,11 @@
 #include "robust.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "adaptive.h"
+#include "baseline.h"
 #include "diagnosis.h"
 #include "equations.h"
 #include "fixed.h"

@@ -5,12 +5,8 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome step_robust(Instance *i, double start, double dt);
 Outcome step_rk4(Instance *i, double start, double dt);
 Outcome step_adaptive_to(Instance *i, double end, double dt, int once);
-
-#include "internal_end.h"
 
 #endif

@@ -1,11 +1,11 @@
 #include "run.h"
 
 #include <float.h>
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "balance.h"
+#include "baseline.h"
 #include "begin.h"
 #include "breaks.h"
 #include "diagnosis.h"

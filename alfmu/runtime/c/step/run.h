@@ -7,14 +7,10 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_ready(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
-
-#include "internal_end.h"
 
 #endif

@@ -2,10 +2,10 @@
 
 #include "settings.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

@@ -8,8 +8,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 int settings_instant(const Scene *s);
 int settings_formulation(const Instance *i);
 int settings_project(const Instance *i);
@@ -33,7 +31,5 @@ int settings_usual(Instance *i);
 const char *settings_method_name(const Instance *i);
 Outcome settings_update_rank(Instance *i, const double *q, const double *v);
 double settings_margin(Instance *i, const double *q);
-
-#include "internal_end.h"
 
 #endif

@@ -2,10 +2,10 @@
 
 #include "state.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "exchange.h"
 #include "instance.h"
 #include "layout.h"

@@ -7,15 +7,11 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 void instance_remember(Instance *i);
 void instance_go_back(Instance *i);
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
 int state_whole(const Instance *i, const unsigned char *state, size_t size);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
-
-#include "internal_end.h"
 
 #endif

@@ -5,15 +5,11 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_SWITCHES
 Outcome topology_change(Instance *i, const double *on);
 Outcome topology_take_effect(Instance *i);
 #else
 static inline Outcome topology_take_effect(Instance *i) { return (void)i, DONE; }
 #endif
-
-#include "internal_end.h"
 
 #endif

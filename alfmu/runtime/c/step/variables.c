@@ -2,10 +2,10 @@
 
 #include "variables.h"
 
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "message.h"
 #include "scene.h"

@@ -6,8 +6,6 @@
 #include "instance.h"
 #include "scene.h"
 
-#include "internal_begin.h"
-
 Outcome variable_check(Instance *i, const Variable *v, double value);
 Outcome check_changeable(Instance *i, const Variable *v);
 void variable_changed_start(Instance *i, int changed);
@@ -18,7 +16,5 @@ Outcome instance_set_slope(Instance *i, int reference, double value);
 const double *instance_place(const Instance *i, int reference);
 double instance_get(const Instance *i, int reference);
 void instance_get_many(const Instance *i, const int *references, int count, double *values);
-
-#include "internal_end.h"
 
 #endif

@@ -4,10 +4,10 @@
 
 #include "way.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
+#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

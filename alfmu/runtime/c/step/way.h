@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#include "internal_begin.h"
-
 #ifndef WITHOUT_LIMITS
 void way_begin(Instance *i, const unsigned char *held, const double *q, const double *v);
 void way_update(Instance *i);
@@ -18,7 +16,5 @@ static inline void way_begin(Instance *i, const unsigned char *held, const doubl
 
 static inline void way_update(Instance *i) { (void)i; }
 #endif
-
-#include "internal_end.h"
 
 #endif
