@@ -648,12 +648,16 @@ def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
     whole = [path for path in build.sources(folders) if path.name != "fmi2.c"]
     apart = {"files": ["files.c"], "alfmu": ["fmi.h", "fmi3.c"]}
     files = {name: [path for path in whole if path.name in own] for name, own in apart.items()}
-    files["alfmu"] = [
-        *(path for path in whole if path.suffix == ".c" and path not in (*files["files"], *files["alfmu"])),
-        *files["alfmu"],
-    ]
+    hidden = [path for path in whole if path.suffix == ".c" and path not in (*files["files"], *files["alfmu"])]
     for name, texts in files.items():
         own = [line for path in texts for line in preprocessed(path) if not line.startswith("#include")]
+        if name == "alfmu":  # what is not FMI's is hidden from an importer that compiles it
+            begin, end = (
+                ["#if defined(__GNUC__) && !defined(_WIN32)", f"#pragma GCC visibility {each}", "#endif"]
+                for each in ("push(hidden)", "pop")
+            )
+            bodies = [line for path in hidden for line in preprocessed(path) if not line.startswith("#include")]
+            own = [*begin, *bodies, *end, *own]
         bare = [line for line in preprocessed(tmp_path / f"{name}.c") if not line.startswith("#include")]
         assert own == bare, name
 
@@ -675,6 +679,25 @@ def test_sources_leave_out_what_is_never_called(tmp_path):
     assert found[0] == found[1]
     assert "scene_compiled" in native.sources(2)["alfmu.c"]
     assert "scene_compiled" not in "".join(native.used(native.sources(2)).values())
+
+
+@by_a_compiler
+@pytest.mark.skipif(sys.platform != "linux", reason="reads symbols by nm")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_importer_that_compiles_the_sources_exports_the_functions_of_fmi_alone(fmi, tmp_path):
+    """And those of several versions, which GCC exports although they are hidden."""
+    several = {"_init", "_fini"}
+    for each, text in native.sources(fmi).items():
+        (tmp_path / each).write_text(text, encoding="ascii")
+        several |= set(re.findall(r"^BY_PROCESSOR void (\w+)\(", text, re.MULTILINE))
+    command = [*build.compiler(), "-O0", "-fPIC", "-shared", "alfmu.c", "files.c", "-o", "made.so", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    said = subprocess.run(
+        ["nm", "-D", "--defined-only", tmp_path / "made.so"], capture_output=True, text=True, check=True
+    )
+    names = {line.split()[-1].removesuffix(".resolver") for line in said.stdout.splitlines()}
+    assert {name for name in names if not name.startswith(f"fmi{fmi}")} <= several
+    assert f"fmi{fmi}DoStep" in names
 
 
 def preprocessed(path: Path) -> list[str]:

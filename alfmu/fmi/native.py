@@ -111,7 +111,7 @@ def sources(
     absent = {file for name, feature in FEATURES.items() if name in without for file in feature.files}
     paths = [path for path in build.sources(_FOLDERS) if path.name not in absent]
     files = {path.name: path.read_text(encoding="ascii") for path in paths} | dict(instead)
-    files = {name: _without_comments(text) for name, text in files.items()}
+    files = {name: _without_comments(text).replace("#pragma once\n", "") for name, text in files.items()}
     headers = {name for name in files if name.endswith(".h")} - {_TYPES}
     text = "".join(f"#define WITHOUT_{name}\n" for name in FEATURES if name in without)
     text += _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())

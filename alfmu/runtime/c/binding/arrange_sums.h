@@ -1,7 +1,6 @@
 /* Finds sums of products in a function. */
 
-#ifndef ALFMU_ARRANGE_SUMS_H
-#define ALFMU_ARRANGE_SUMS_H
+#pragma once
 
 #include "arrange_operations.h"
 
@@ -22,5 +21,3 @@ typedef struct {
 void arrange_sums(Sums *f);
 void without_differences(Sums *f);
 void arrange_write(Sums *f, int k);
-
-#endif

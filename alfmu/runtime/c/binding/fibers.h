@@ -1,7 +1,6 @@
 /* Fibers: functions with stacks of their own in one thread, which can be suspended and resumed. */
 
-#ifndef ALFMU_FIBERS_H
-#define ALFMU_FIBERS_H
+#pragma once
 
 typedef struct Fiber Fiber;
 
@@ -12,5 +11,3 @@ void fiber_free(Fiber *f);
 /* fiber_enter runs a fiber until it calls fiber_leave, which returns when the fiber is entered again. */
 void fiber_enter(Fiber *f);
 void fiber_leave(Fiber *f);
-
-#endif

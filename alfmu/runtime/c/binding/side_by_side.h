@@ -1,8 +1,7 @@
 /* Programs and functions run for several instances of a scene at the same time, each in a lane of its own. Results
    are those of one instance after the other, to the last bit. */
 
-#ifndef ALFMU_SIDE_BY_SIDE_H
-#define ALFMU_SIDE_BY_SIDE_H
+#pragma once
 
 #include "instance.h"
 #include "lanes.h"
@@ -17,5 +16,3 @@ typedef struct {
 
 void group_run_program(const Group *g, int program);
 void group_call_function(const Group *g, int function);
-
-#endif

@@ -1,7 +1,6 @@
 /* A run in one call, for bindings. */
 
-#ifndef ALFMU_WHOLE_RUN_H
-#define ALFMU_WHOLE_RUN_H
+#pragma once
 
 #include "instance.h"
 
@@ -20,5 +19,3 @@ typedef struct {
 
 /* Make a run and return the number of its rows; `done` counts completed communication steps during the run. */
 long whole_run_make(Instance *i, const Run *r, long *done, Outcome *outcome);
-
-#endif

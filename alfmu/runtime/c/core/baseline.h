@@ -1,8 +1,7 @@
 /* Selects versions of C library functions that every glibc has, so that a library built with a newer one also runs on
    older systems. The newer versions differ only in errno. */
 
-#ifndef ALFMU_BASELINE_H
-#define ALFMU_BASELINE_H
+#pragma once
 
 #include <math.h> /* defines the macros of the C library */
 
@@ -19,6 +18,4 @@ ALFMU_OLD(acos) ALFMU_OLD(acosh) ALFMU_OLD(asin) ALFMU_OLD(asinh) ALFMU_OLD(atan
 ALFMU_OLD(cos) ALFMU_OLD(cosh) ALFMU_OLD(erf) ALFMU_OLD(exp) ALFMU_OLD(expm1) ALFMU_OLD(fmod) ALFMU_OLD(hypot)
 ALFMU_OLD(log) ALFMU_OLD(log1p) ALFMU_OLD(pow) ALFMU_OLD(remainder) ALFMU_OLD(sin) ALFMU_OLD(sinh) ALFMU_OLD(tan)
 ALFMU_OLD(tanh)
-#endif
-
 #endif

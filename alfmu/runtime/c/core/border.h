@@ -1,8 +1,7 @@
 /* The floating-point environment of a host, which may have unmasked traps or changed the rounding mode: during a call
    nothing traps, and results are the same for every host. If the host changed nothing, a call reads two registers. */
 
-#ifndef ALFMU_BORDER_H
-#define ALFMU_BORDER_H
+#pragma once
 
 #include <stdint.h>
 
@@ -115,5 +114,3 @@ static inline void border_out(const Border *b)
         border_out(&border); \
         return given; \
     } while (0)
-
-#endif

@@ -1,7 +1,6 @@
 /* Driving inputs: the motions that they prescribe within a communication step. */
 
-#ifndef ALFMU_DRIVING_INPUTS_H
-#define ALFMU_DRIVING_INPUTS_H
+#pragma once
 
 #include "instance.h"
 #include "scene.h"
@@ -24,6 +23,4 @@ Outcome inputs_aim(Instance *i, double start, double h);
 #else
 static inline void inputs_begin(Instance *i, double time) { (void)i, (void)time; }
 static inline Outcome inputs_aim(Instance *i, double start, double h) { return (void)i, (void)start, (void)h, DONE; }
-#endif
-
 #endif

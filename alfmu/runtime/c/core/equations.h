@@ -1,7 +1,6 @@
 /* Constraints and energies of an instance at any position and velocity. */
 
-#ifndef ALFMU_EQUATIONS_H
-#define ALFMU_EQUATIONS_H
+#pragma once
 
 #include "instance.h"
 #include "scene.h"
@@ -18,5 +17,3 @@ int coordinate_is_length(const Scene *s, int coordinate);
 int coordinate_is_angle(const Scene *s, int coordinate);
 double instance_largest(const Instance *i, const double *x);
 void constraints_limits(const Instance *i, const double *C, const double *q, const double *v, double *limits);
-
-#endif

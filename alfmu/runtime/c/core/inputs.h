@@ -1,8 +1,5 @@
-#ifndef ALFMU_INPUTS_H
-#define ALFMU_INPUTS_H
+#pragma once
 
 #include "instance.h"
 
 void inputs_within(const Instance *i, double from, double time, double *u, double *du);
-
-#endif

@@ -4,8 +4,7 @@
    comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
    alfmu/kernel/memory.py, and on the workspace after it. */
 
-#ifndef ALFMU_INSTANCE_H
-#define ALFMU_INSTANCE_H
+#pragma once
 
 #include <assert.h>
 #include <float.h>
@@ -216,5 +215,3 @@ static inline double instance_least_step(const Instance *i)
 {
     return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
 }
-
-#endif

@@ -1,7 +1,6 @@
 /* Runs the functions and programs of a scene. */
 
-#ifndef ALFMU_INTERPRET_H
-#define ALFMU_INTERPRET_H
+#pragma once
 
 #include "instance.h"
 #include "scene.h"
@@ -25,5 +24,3 @@ void program_run(Instance *i, int program);
 
 /* Call a function on arrays of the instance, recorded if there is a tape. */
 void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y);
-
-#endif

@@ -1,7 +1,6 @@
 /* Numbers in lanes: several values of a number side by side, for vector instructions of the processor. */
 
-#ifndef ALFMU_LANES_H
-#define ALFMU_LANES_H
+#pragma once
 
 #include "baseline.h"
 #include "scene.h"
@@ -50,5 +49,3 @@ void lanes_scatter(const double *rows, int lanes, const uint16_t *from, double *
 
 /* Return the first address from `place` on at which lanes are aligned with cache lines. */
 double *lanes_align(double *place);
-
-#endif

@@ -1,7 +1,6 @@
 /* Linear algebra: small dense matrices, stored by columns, and sparse symmetric ones within an envelope. */
 
-#ifndef ALFMU_LINEAR_H
-#define ALFMU_LINEAR_H
+#pragma once
 
 #include <stddef.h>
 
@@ -53,5 +52,3 @@ void linear_factor(
     int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order);
 
 void linear_solve(int n, int s, const double *a, const double *order, const double *const *right, double *x);
-
-#endif

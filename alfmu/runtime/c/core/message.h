@@ -1,7 +1,6 @@
 /* Messages of an instance: the reason of a failure, and warnings that are given once in a run. */
 
-#ifndef ALFMU_MESSAGE_H
-#define ALFMU_MESSAGE_H
+#pragma once
 
 #include <stddef.h>
 
@@ -13,5 +12,3 @@ Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...) PRIN
 
 void instance_warn(Instance *i, int of, const char *format, ...);
 const char *instance_row_label(const Instance *i, int row, char *label, size_t size);
-
-#endif

@@ -6,8 +6,7 @@
    tallies) has the place -1. Tangents and adjoints belong to places, so that values kept in memory between calls need
    no entry. */
 
-#ifndef ALFMU_RECORD_H
-#define ALFMU_RECORD_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -144,6 +143,4 @@ static inline void tape_correction(Instance *i, const double *rows, const double
     (void)i, (void)rows, (void)columns, (void)q, (void)v, (void)x, (void)lam, (void)part;
 }
 static inline void tape_holding(Instance *i, const double *q, const double *matrix) { (void)i, (void)q, (void)matrix; }
-#endif
-
 #endif

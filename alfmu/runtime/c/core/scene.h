@@ -1,8 +1,7 @@
 /* A scene: the equations of a mechanism as functions and programs, its variables and its sizes, as a scene file holds
    them. Brackets after a pointer give the number of its values; alfmu/fmi/constants.py reads them. */
 
-#ifndef ALFMU_SCENE_H
-#define ALFMU_SCENE_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -186,5 +185,3 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity, int in_lanes);
 
 void scene_free(Scene *s);
-
-#endif

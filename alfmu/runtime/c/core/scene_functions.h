@@ -1,11 +1,8 @@
 /* Reads the functions of a scene file and checks every place in them. */
 
-#ifndef ALFMU_SCENE_FUNCTIONS_H
-#define ALFMU_SCENE_FUNCTIONS_H
+#pragma once
 
 #include "scene_reader.h"
 
 void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...);
 void functions_read(Reader *r);
-
-#endif

@@ -1,7 +1,6 @@
 /* Reads the numbers and texts of a scene file; keeps the first error. */
 
-#ifndef ALFMU_SCENE_READER_H
-#define ALFMU_SCENE_READER_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -34,5 +33,3 @@ uint16_t *narrow_integers(Reader *r, size_t *found);
 double *reader_reals(Reader *r, size_t *found);
 const int *reader_places(Reader *r, int count, int least, int end, const char *what);
 int reader_check_between(int value, int least, int end);
-
-#endif

@@ -1,7 +1,6 @@
 /* Sizes that follow from the tables of a scene. */
 
-#ifndef ALFMU_SCENE_SIZES_H
-#define ALFMU_SCENE_SIZES_H
+#pragma once
 
 #include <stddef.h>
 
@@ -29,5 +28,3 @@ int scene_exchanged(const Scene *s);
 int scene_exchange_variables(const Scene *s);
 
 size_t scene_peaks_length(const Scene *s);
-
-#endif

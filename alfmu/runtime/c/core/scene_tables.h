@@ -1,7 +1,6 @@
 /* Reads the tables of a scene file: variables, switches, patterns of matrices, orders of unknowns. */
 
-#ifndef ALFMU_SCENE_TABLES_H
-#define ALFMU_SCENE_TABLES_H
+#pragma once
 
 #include "linear.h"
 #include "scene.h"
@@ -25,5 +24,3 @@ void tables_read_pattern(Reader *r, Pattern *made, int rows, int columns);
 void tables_order_envelope(
     Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count);
 void tables_read_leaps(Reader *r);
-
-#endif

@@ -1,8 +1,7 @@
 /* The sine and the cosine of an angle, for numbers and for vectors, with the same bits on every processor. Errors are
    below 0.8 units in the last place. */
 
-#ifndef ALFMU_SINE_COSINE_H
-#define ALFMU_SINE_COSINE_H
+#pragma once
 
 #include <math.h>
 #include <stdint.h>
@@ -75,5 +74,3 @@ static inline void sine_cosine(double angle, double *sine, double *cosine)
             (*cosine)[lane] = c; \
         } \
     }
-
-#endif

@@ -1,7 +1,6 @@
 /* Text whose numbers have a decimal point in every locale of the host. */
 
-#ifndef ALFMU_TEXT_H
-#define ALFMU_TEXT_H
+#pragma once
 
 #include <stdarg.h>
 #include <stddef.h>
@@ -17,5 +16,3 @@
 void write_list(char *text, size_t size, const char *format, va_list arguments);
 
 void write_text(char *text, size_t size, const char *format, ...) PRINTF_LIKE(3, 4);
-
-#endif

@@ -1,7 +1,6 @@
 /* Tangents through one function of a scene. */
 
-#ifndef ALFMU_FUNCTION_TANGENTS_H
-#define ALFMU_FUNCTION_TANGENTS_H
+#pragma once
 
 #include "gradient.h"
 #include "lanes.h"
@@ -11,5 +10,3 @@ void tangent_along(Lanes *d, double partial, const Lanes *tangent);
 /* Propagate tangents, or adjoints, through a function whose registers hold the values, if the arguments have their
    tangents, or the results their adjoints. */
 BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr);
-
-#endif

@@ -1,7 +1,6 @@
 /* Storage for the derivatives of an instance: tangents, adjoints, and functions as flat lists of operations. */
 
-#ifndef ALFMU_GRADIENT_H
-#define ALFMU_GRADIENT_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -56,6 +55,4 @@ Gradient *gradient_new(Instance *i, int directions);
 void gradient_free(Gradient *g);
 #else
 static inline void gradient_free(struct Gradient *g) { (void)g; }
-#endif
-
 #endif

@@ -1,7 +1,6 @@
 /* Derivatives of the polynomials of driving inputs. */
 
-#ifndef ALFMU_INPUT_DERIVATIVES_H
-#define ALFMU_INPUT_DERIVATIVES_H
+#pragma once
 
 #include "gradient.h"
 #include "record.h"
@@ -12,6 +11,4 @@ void aimed_adjoints(Gradient *g, const Entry *e);
 #else
 static inline void aimed_tangents(Gradient *g, const Entry *e) { (void)g, (void)e; }
 static inline void aimed_adjoints(Gradient *g, const Entry *e) { (void)g, (void)e; }
-#endif
-
 #endif

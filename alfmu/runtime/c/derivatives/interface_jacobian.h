@@ -1,7 +1,6 @@
 /* The interface Jacobian: outputs at the end of a communication step by inputs held over it. */
 
-#ifndef ALFMU_INTERFACE_JACOBIAN_H
-#define ALFMU_INTERFACE_JACOBIAN_H
+#pragma once
 
 #include "instance.h"
 
@@ -13,6 +12,4 @@ Outcome jacobian_end(Instance *i);
 static inline Outcome jacobian_begin(Instance *i) { return (void)i, DONE; }
 static inline void jacobian_along(Instance *i) { (void)i; }
 static inline Outcome jacobian_end(Instance *i) { return (void)i, DONE; }
-#endif
-
 #endif

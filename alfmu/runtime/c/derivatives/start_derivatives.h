@@ -1,7 +1,6 @@
 /* Derivatives of the start: of the assembly, the start velocities and a frozen rank. */
 
-#ifndef ALFMU_START_DERIVATIVES_H
-#define ALFMU_START_DERIVATIVES_H
+#pragma once
 
 #include "gradient.h"
 #include "record.h"
@@ -12,5 +11,3 @@ void rated_tangents(Gradient *g, const Entry *e);
 void rated_adjoints(Gradient *g, const Entry *e);
 void held_tangents(Gradient *g, const Entry *e);
 void held_adjoints(Gradient *g, const Entry *e);
-
-#endif

@@ -1,8 +1,7 @@
 /* Common part of FMI 2 and FMI 3: an instance behind a handle, its phase, its log, and the functions of both. The
    argument `call` is the name of the FMI function that the host called. */
 
-#ifndef ALFMU_COMPONENT_H
-#define ALFMU_COMPONENT_H
+#pragma once
 
 #include <stddef.h>
 
@@ -90,5 +89,3 @@ Status component_forget(Component *c, void **state, const char *call);
 Status component_state_size(Component *c, void *state, size_t *size, const char *call);
 Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call);
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call);
-
-#endif

@@ -1,7 +1,6 @@
 /* Values and derivatives of a component, by arrays of references. */
 
-#ifndef ALFMU_COMPONENT_VALUES_H
-#define ALFMU_COMPONENT_VALUES_H
+#pragma once
 
 #include <stddef.h>
 
@@ -18,5 +17,3 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
     const char *call);
-
-#endif

@@ -1,7 +1,6 @@
 /* Paths and files, whatever the system. */
 
-#ifndef ALFMU_FILES_H
-#define ALFMU_FILES_H
+#pragma once
 
 #include <stddef.h>
 
@@ -15,5 +14,3 @@ void files_own_resources(char *path);
 
 /* Return the content of a file, which the caller frees; NULL if it cannot be read. */
 unsigned char *files_read(const char *folder, const char *name, size_t *size);
-
-#endif

@@ -1,7 +1,6 @@
 /* The binary interface of FMI 2.0 and 3.0 as far as this runtime supports it: types and statuses. */
 
-#ifndef ALFMU_FMI_H
-#define ALFMU_FMI_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -77,5 +76,3 @@ typedef void (*fmi3IntermediateUpdateCallback)(fmi3InstanceEnvironment environme
 typedef void (*fmi3ClockUpdateCallback)(fmi3InstanceEnvironment environment);
 typedef void (*fmi3LockPreemptionCallback)(void);
 typedef void (*fmi3UnlockPreemptionCallback)(void);
-
-#endif

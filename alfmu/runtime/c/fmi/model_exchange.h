@@ -1,7 +1,6 @@
 /* The functions of Model Exchange that FMI 2 and FMI 3 share. */
 
-#ifndef ALFMU_MODEL_EXCHANGE_H
-#define ALFMU_MODEL_EXCHANGE_H
+#pragma once
 
 #include <stddef.h>
 
@@ -53,6 +52,4 @@ static inline Status exchange_none(Component *c, const char *call)
 #define exchange_count(c, which, count, call) exchange_none(c, ((void)(count), call))
 #define exchange_accepted(c, enter, call) exchange_none(c, call)
 #define exchange_updated(c, event, call) exchange_none(c, ((void)(event), call))
-#endif
-
 #endif

@@ -1,7 +1,6 @@
 /* Finds the scene among the resources of an FMU. */
 
-#ifndef ALFMU_RESOURCES_H
-#define ALFMU_RESOURCES_H
+#pragma once
 
 #include <stddef.h>
 
@@ -9,5 +8,3 @@
 
 /* Load the scene from the resources folder of an FMU, given as a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
-
-#endif

@@ -1,7 +1,6 @@
 /* Memory of instances from a static arena. Each block follows its length, which is negative while it is in use. */
 
-#ifndef ALFMU_MEMORY_H
-#define ALFMU_MEMORY_H
+#pragma once
 
 #include <stddef.h>
 #include <string.h>
@@ -41,5 +40,3 @@ static void memory_give(void *given)
     if (given)
         ((Cell *)given)[-1].length *= -1;
 }
-
-#endif

@@ -1,7 +1,6 @@
 /* Plain C has no messages: they are neither written nor evaluated. */
 
-#ifndef ALFMU_MESSAGE_H
-#define ALFMU_MESSAGE_H
+#pragma once
 
 #include "instance.h"
 
@@ -20,5 +19,3 @@ static Outcome message_outcome(Outcome outcome)
 #define instance_say(i, outcome, ...) (write_text((i)->text, 0, __VA_ARGS__), message_outcome(outcome))
 #define instance_warn(i, of, ...) \
     (write_text((i)->warning, 0, __VA_ARGS__), (i)->warns = 1, (void)((i)->flags.warned |= (of)))
-
-#endif

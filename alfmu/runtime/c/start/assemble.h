@@ -1,10 +1,7 @@
 /* Closes the loops from the start values, and looks for other assemblies near them. */
 
-#ifndef ALFMU_ASSEMBLE_H
-#define ALFMU_ASSEMBLE_H
+#pragma once
 
 #include "instance.h"
 
 Outcome start_assemble(Instance *i, const unsigned char *held, double *q, double *v);
-
-#endif

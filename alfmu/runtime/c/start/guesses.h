@@ -1,7 +1,6 @@
 /* Start values that the assembly missed or that were given in degrees, and assemblies beyond the limits of stops. */
 
-#ifndef ALFMU_GUESSES_H
-#define ALFMU_GUESSES_H
+#pragma once
 
 #include "instance.h"
 #include "loops.h"
@@ -9,5 +8,3 @@
 
 void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q);
 void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin);
-
-#endif

@@ -1,7 +1,6 @@
 /* The matrix of the assembly, and corrections of least norm by it. */
 
-#ifndef ALFMU_LEAST_SQUARES_H
-#define ALFMU_LEAST_SQUARES_H
+#pragma once
 
 #include "instance.h"
 #include "scene.h"
@@ -31,5 +30,3 @@ double rows_squared(Instance *i, const Rows *J, double *a);
 void rows_least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x);
 
 void rows_least_correction(Instance *i, const Rows *J, const double *r, int most, double *x);
-
-#endif

@@ -1,7 +1,6 @@
 /* The residue of an assembly, and Gauss-Newton steps that close its loops. */
 
-#ifndef ALFMU_LOOPS_H
-#define ALFMU_LOOPS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -31,5 +30,3 @@ void loops_beside_guess(
     const Instance *i, const Loops *loops, const double *guess, double size, int k, double *q);
 const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t size);
 double loops_way(const Instance *i, const Loops *loops, const double *from, const double *to, int *most);
-
-#endif

@@ -1,7 +1,6 @@
 /* Ranks of the constraints: degrees of freedom, redundancy, scales of pivots, and the rank that a step freezes. */
 
-#ifndef ALFMU_RANK_H
-#define ALFMU_RANK_H
+#pragma once
 
 #include "instance.h"
 #include "least_squares.h"
@@ -13,5 +12,3 @@ void rank_freeze(Instance *i);
 int rank_close(Instance *i, const double *there, const double *v, double *near);
 void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);
-
-#endif

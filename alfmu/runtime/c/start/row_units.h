@@ -1,7 +1,6 @@
 /* The length of a mechanism and the units of its constraints, found from their coefficients. */
 
-#ifndef ALFMU_ROW_UNITS_H
-#define ALFMU_ROW_UNITS_H
+#pragma once
 
 #include "instance.h"
 #include "layout.h"
@@ -35,5 +34,3 @@ double units_own_length(Instance *i, const double *q, double *loop);
 double units_constant(const Row_units *row);
 int units_are_telling(const Row_units *row, Sum sum);
 double units_of_row(const Row_units *row);
-
-#endif

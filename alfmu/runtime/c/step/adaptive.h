@@ -1,7 +1,6 @@
 /* Internal steps of an integrator with error control. */
 
-#ifndef ALFMU_ADAPTIVE_H
-#define ALFMU_ADAPTIVE_H
+#pragma once
 
 #include "instance.h"
 
@@ -9,6 +8,4 @@
 int step_adaptive(Instance *i, double end, long tries);
 #else
 static inline int step_adaptive(Instance *i, double end, long tries) { return (void)i, (void)end, (void)tries, 0; }
-#endif
-
 #endif

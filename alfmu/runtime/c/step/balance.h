@@ -1,7 +1,6 @@
 /* The energy balance of a run and the warnings that follow from it. */
 
-#ifndef ALFMU_BALANCE_H
-#define ALFMU_BALANCE_H
+#pragma once
 
 #include "instance.h"
 
@@ -10,5 +9,3 @@
 
 void instance_balance(Instance *i);
 void balance_tell_step_error(Instance *i);
-
-#endif

@@ -1,7 +1,6 @@
 /* Times at which forces, laws of motion or rates of states jump or have a kink. */
 
-#ifndef ALFMU_BREAKS_H
-#define ALFMU_BREAKS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -20,6 +19,4 @@ static inline Outcome breaks_found(Instance *i, double begin, double end)
 {
     return (void)i, (void)begin, (void)end, DONE;
 }
-#endif
-
 #endif

@@ -1,7 +1,6 @@
 /* Finds the reason why a step or an evaluation failed. */
 
-#ifndef ALFMU_DIAGNOSIS_H
-#define ALFMU_DIAGNOSIS_H
+#pragma once
 
 #include "instance.h"
 
@@ -16,5 +15,3 @@ Outcome diagnose_laws(Instance *i, double end);
 Outcome diagnose_too_much(Instance *i);
 Outcome diagnose_interrupted(Instance *i);
 Outcome diagnose_derivatives(Instance *i);
-
-#endif

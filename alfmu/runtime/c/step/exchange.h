@@ -1,7 +1,6 @@
 /* Model Exchange: an importer integrates coordinates, their rates and the states of first-order equations. */
 
-#ifndef ALFMU_EXCHANGE_H
-#define ALFMU_EXCHANGE_H
+#pragma once
 
 #include <stddef.h>
 
@@ -48,5 +47,3 @@ static inline Outcome exchange_or_read(Instance *i, int wanted)
 {
     return wanted || i->flags.mode ? exchange_read(i) : instance_read(i);
 }
-
-#endif

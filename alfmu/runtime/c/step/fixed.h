@@ -1,7 +1,6 @@
 /* Internal RK4 steps of fixed length, by the tiers quick, careful and branch. */
 
-#ifndef ALFMU_FIXED_H
-#define ALFMU_FIXED_H
+#pragma once
 
 #include "instance.h"
 
@@ -11,5 +10,3 @@ int step_reuse_is_near(const Instance *i);
 void step_commit(Instance *i);
 long step_fixed(Instance *i, long steps, double dt);
 int step_fixed_whole(Instance *i, double start, double h, long *made);
-
-#endif

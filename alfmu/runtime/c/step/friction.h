@@ -1,7 +1,6 @@
 /* Dry friction that follows from the load: which joints stick and which slide. */
 
-#ifndef ALFMU_FRICTION_H
-#define ALFMU_FRICTION_H
+#pragma once
 
 #include "instance.h"
 
@@ -25,6 +24,4 @@ static inline void friction_reset(Instance *i) { (void)i; }
 static inline int friction_jammed(Instance *i) { return (void)i, 0; }
 static inline Outcome friction_say_jam(Instance *i) { return (void)i, DONE; }
 static inline Outcome friction_begin(Instance *i) { return (void)i, DONE; }
-#endif
-
 #endif

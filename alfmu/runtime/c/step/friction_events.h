@@ -1,7 +1,6 @@
 /* Steps up to the events of dry friction. */
 
-#ifndef ALFMU_FRICTION_EVENTS_H
-#define ALFMU_FRICTION_EVENTS_H
+#pragma once
 
 #include "instance.h"
 
@@ -14,6 +13,4 @@ static inline Outcome friction_cover(Instance *i, double start, double h, double
 {
     return (void)i, (void)start, (void)h, (void)dt, DONE;
 }
-#endif
-
 #endif

@@ -1,7 +1,6 @@
 /* Derivatives of outputs at an instant: by inputs, and before the run by parameters and start values. */
 
-#ifndef ALFMU_INSTANT_DERIVATIVES_H
-#define ALFMU_INSTANT_DERIVATIVES_H
+#pragma once
 
 #include <stddef.h>
 
@@ -27,6 +26,4 @@ static inline Outcome instance_sweep(Instance *i, const unsigned *unknowns, size
     return instance_say(i, REFUSED,
         "%s: it was exported without derivatives; export it as --kind native with --derivatives", i->scene->name);
 }
-#endif
-
 #endif

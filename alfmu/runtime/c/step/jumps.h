@@ -1,7 +1,6 @@
 /* Laws of motion that jump or are not finite. */
 
-#ifndef ALFMU_JUMPS_H
-#define ALFMU_JUMPS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -16,6 +15,4 @@ Outcome laws_begun(Instance *i, Outcome outcome);
 static inline size_t laws_room(const Scene *s) { return (void)s, 0; }
 static inline Outcome laws_checked(Instance *i, double end) { return (void)i, (void)end, DONE; }
 static inline Outcome laws_begun(Instance *i, Outcome outcome) { return (void)i, outcome; }
-#endif
-
 #endif

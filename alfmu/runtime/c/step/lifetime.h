@@ -1,7 +1,6 @@
 /* Makes, resets and frees instances, and lays out their memory. */
 
-#ifndef ALFMU_LIFETIME_H
-#define ALFMU_LIFETIME_H
+#pragma once
 
 #include <stddef.h>
 
@@ -26,5 +25,3 @@ void instance_borrow(Instance *i, double *lent, int starts);
 Instance *instance_new(const Scene *s);
 void instance_free(Instance *i);
 void instance_reset(Instance *i);
-
-#endif

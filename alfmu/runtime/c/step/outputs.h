@@ -1,7 +1,6 @@
 /* Evaluates the outputs at this instant, by the first of several tiers that can. */
 
-#ifndef ALFMU_OUTPUTS_H
-#define ALFMU_OUTPUTS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -13,5 +12,3 @@ int outputs_read_away(Instance *i);
 Outcome instance_read(Instance *i);
 int outputs_read_quickly(Instance *i);
 Outcome outputs_get_many(Instance *i, const int *references, int count, double *values);
-
-#endif

@@ -1,7 +1,6 @@
 /* Largest magnitudes of outputs within a communication step. */
 
-#ifndef ALFMU_PEAKS_H
-#define ALFMU_PEAKS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -18,6 +17,4 @@ static inline size_t peaks_room(const Scene *s) { return (void)s, 0; }
 static inline void peaks_broken(Instance *i) { (void)i; }
 static inline void peaks_begin(Instance *i) { (void)i; }
 static inline void peaks_along(Instance *i, const double *begin) { (void)i, (void)begin; }
-#endif
-
 #endif

@@ -1,7 +1,6 @@
 /* Projections (10) onto the constraints, by loops that stop on convergence. */
 
-#ifndef ALFMU_PROJECTION_H
-#define ALFMU_PROJECTION_H
+#pragma once
 
 #include "instance.h"
 
@@ -9,5 +8,3 @@ int projection_is_closed(Instance *i, const double *residue, const double *C, co
 Outcome projection_apply(Instance *i, double *q, double *v);
 Outcome projection_close(Instance *i, double t);
 void projection_watch_gaps(Instance *i);
-
-#endif

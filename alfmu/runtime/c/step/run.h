@@ -1,7 +1,6 @@
 /* Communication steps, from the checks before a step to the outputs after it. */
 
-#ifndef ALFMU_RUN_H
-#define ALFMU_RUN_H
+#pragma once
 
 #include <stddef.h>
 
@@ -12,5 +11,3 @@ Outcome instance_ready(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
-
-#endif

@@ -1,7 +1,6 @@
 /* Settings of a run, passed to the programs of the scene. */
 
-#ifndef ALFMU_SETTINGS_H
-#define ALFMU_SETTINGS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -31,5 +30,3 @@ int settings_usual(Instance *i);
 const char *settings_method_name(const Instance *i);
 Outcome settings_update_rank(Instance *i, const double *q, const double *v);
 double settings_margin(Instance *i, const double *q);
-
-#endif

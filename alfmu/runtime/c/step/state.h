@@ -1,7 +1,6 @@
 /* Saving, checking and restoring the state of an instance. */
 
-#ifndef ALFMU_STATE_H
-#define ALFMU_STATE_H
+#pragma once
 
 #include <stddef.h>
 
@@ -13,5 +12,3 @@ size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
 int state_whole(const Instance *i, const unsigned char *state, size_t size);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
-
-#endif

@@ -1,7 +1,6 @@
 /* Boolean inputs that take effect: changes of the constraints in force, and impacts. */
 
-#ifndef ALFMU_TOPOLOGY_H
-#define ALFMU_TOPOLOGY_H
+#pragma once
 
 #include "instance.h"
 
@@ -10,6 +9,4 @@ Outcome topology_change(Instance *i, const double *on);
 Outcome topology_take_effect(Instance *i);
 #else
 static inline Outcome topology_take_effect(Instance *i) { return (void)i, DONE; }
-#endif
-
 #endif

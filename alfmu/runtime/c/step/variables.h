@@ -1,7 +1,6 @@
 /* Checking, setting and getting values of variables by reference. */
 
-#ifndef ALFMU_VARIABLES_H
-#define ALFMU_VARIABLES_H
+#pragma once
 
 #include "instance.h"
 #include "scene.h"
@@ -16,5 +15,3 @@ Outcome instance_set_slope(Instance *i, int reference, double value);
 const double *instance_place(const Instance *i, int reference);
 double instance_get(const Instance *i, int reference);
 void instance_get_many(const Instance *i, const int *references, int count, double *values);
-
-#endif

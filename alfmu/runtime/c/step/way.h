@@ -1,7 +1,6 @@
 /* Finds the direction along which a limit at a singular position is taken, if it is not the motion's. */
 
-#ifndef ALFMU_WAY_H
-#define ALFMU_WAY_H
+#pragma once
 
 #include "instance.h"
 
@@ -15,6 +14,4 @@ static inline void way_begin(Instance *i, const unsigned char *held, const doubl
 }
 
 static inline void way_update(Instance *i) { (void)i; }
-#endif
-
 #endif
