@@ -2,11 +2,9 @@
 
 #include "arrange.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "arrange_operations.h"
 #include "arrange_sums.h"
+#include "baseline.h"
 #include "operations.h"
 
 #define MOST_OPERANDS 9

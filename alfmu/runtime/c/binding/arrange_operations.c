@@ -1,7 +1,8 @@
 #include "arrange_operations.h"
 
-#include <stddef.h>
 #include <stdlib.h>
+
+#include "baseline.h"
 
 #define MOST_INTEGERS ((size_t)1 << 29)
 

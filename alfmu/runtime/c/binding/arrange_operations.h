@@ -3,8 +3,7 @@
 #ifndef ALFMU_ARRANGE_OPERATIONS_H
 #define ALFMU_ARRANGE_OPERATIONS_H
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "operations.h"
 
 /* Arrays that are freed together. */

@@ -1,9 +1,9 @@
 /* Many instances of one scene, some of which are evaluated side by side. Each instance has a fiber, which waits before
    it runs a program or calls a function; members that wait for the same one run it together. */
 
-#include <stddef.h>
 #include <stdlib.h>
 
+#include "baseline.h"
 #include "begin.h"
 #include "border.h"
 #include "fibers.h"

@@ -5,14 +5,14 @@
 
 #include "fibers.h"
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdlib.h>
 
 #if (defined(__GLIBC__) || defined(__APPLE__)) && !defined(__SANITIZE_THREAD__)
 
 #include <setjmp.h>
 #include <ucontext.h>
+
+#include "baseline.h"
 
 #define STACK (256 * 1024) /* bytes: a step takes some 10 kB */
 

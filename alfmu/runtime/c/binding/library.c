@@ -1,8 +1,5 @@
 /* Functions besides those of FMI: scenes and instances for a binding such as library.py. */
 
-#include <stddef.h>
-#include <string.h>
-
 #if !defined(__wasm__)
 #include <time.h>
 #endif

@@ -5,13 +5,11 @@
    their start, from which they are repeated, to the same bits, when the sweep reaches them. So memory is bounded, at
    the cost of at most two runs and a sweep. */
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdlib.h>
-#include <string.h>
 #include <time.h>
 
 #include "adjoint.h"
+#include "baseline.h"
 #include "begin.h"
 #include "diagnosis.h"
 #include "fmi.h"

@@ -1,10 +1,8 @@
 /* Lets results within a function share places, and leaves out constants that no function reads, for memory that is
    scarce (`alfmu.fmi.source`). No scene that runs calls any of this. */
 
-#include <stddef.h>
-#include <stdint.h>
-
 #include "arrange_operations.h"
+#include "baseline.h"
 #include "fmi.h"
 #include "operations.h"
 #include "scene.h"

@@ -1,8 +1,6 @@
 #include "side_by_side.h"
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "interpret.h"
 #include "operations.h"
 #include "scene.h"

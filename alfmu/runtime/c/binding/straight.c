@@ -1,12 +1,9 @@
 /* Reads functions of CasADi and encodes them without loops, for `alfmu.kernel.stream` and `alfmu.kernel.passes`.
    Running a scene does not need it. */
 
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "arrange.h"
 #include "arrange_operations.h"
+#include "baseline.h"
 #include "fmi.h"
 #include "operations.h"
 

@@ -1,7 +1,6 @@
 #include "whole_run.h"
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "begin.h"
 #include "outputs.h"
 #include "run.h"

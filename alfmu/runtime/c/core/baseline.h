@@ -1,9 +1,13 @@
-/* Selects versions of C library functions that every glibc has, so that a library built with a newer one also runs on
-   older systems. The newer versions differ only in errno. */
+/* The part of the C library that computations need. Versions of its functions are those that every glibc has, so that a
+   library built with a newer one also runs on older systems; the newer versions differ only in errno. */
 
 #pragma once
 
-#include <math.h> /* defines the macros of the C library */
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
 
 #if defined(__GLIBC__) && defined(__GNUC__)
 #if defined(__x86_64__)

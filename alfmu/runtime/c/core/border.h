@@ -3,7 +3,7 @@
 
 #pragma once
 
-#include <stdint.h>
+#include "baseline.h"
 
 #if defined(__SSE2__) || defined(_M_X64)
 #include <xmmintrin.h>

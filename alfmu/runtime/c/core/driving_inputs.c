@@ -7,9 +7,6 @@
 
 #include "driving_inputs.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "layout.h"

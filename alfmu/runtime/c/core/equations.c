@@ -1,8 +1,5 @@
 #include "equations.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "interpret.h"

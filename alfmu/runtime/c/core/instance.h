@@ -7,8 +7,6 @@
 #pragma once
 
 #include <assert.h>
-#include <float.h>
-#include <stddef.h>
 
 #include "baseline.h"
 #include "layout.h"

@@ -3,11 +3,6 @@
 
 #include "interpret.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "lanes.h"

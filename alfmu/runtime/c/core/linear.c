@@ -1,9 +1,5 @@
 #include "linear.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 
 #define SWEEPS 60

@@ -2,7 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
+#include "baseline.h"
 
 /* Envelope of the lower half of a sparse symmetric matrix and of its factors: the order of the rows keeps entries near
    the diagonal, and each row is stored from its first entry on. */

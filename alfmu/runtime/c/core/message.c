@@ -1,10 +1,9 @@
 #include "message.h"
 
 #include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
-#include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 #include "text.h"

@@ -1,7 +1,6 @@
 #include "quantity.h"
 
-#include <string.h>
-
+#include "baseline.h"
 #include "layout.h"
 #include "text.h"
 

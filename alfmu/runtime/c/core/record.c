@@ -2,11 +2,9 @@
 
 #include "record.h"
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdlib.h>
-#include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -8,9 +8,7 @@
 
 #pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -5,12 +5,10 @@
 
 #include "scene.h"
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
+#include "baseline.h"
 #include "layout.h"
 #include "scene_functions.h"
 #include "scene_programs.h"

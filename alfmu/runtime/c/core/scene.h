@@ -3,9 +3,7 @@
 
 #pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "layout.h"
 #include "linear.h"
 

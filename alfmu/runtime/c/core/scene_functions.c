@@ -1,10 +1,8 @@
 #include "scene_functions.h"
 
 #include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "operations.h"
 #include "scene.h"

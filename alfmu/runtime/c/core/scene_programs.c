@@ -1,8 +1,6 @@
 #include "scene_programs.h"
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "operations.h"

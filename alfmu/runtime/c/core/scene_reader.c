@@ -1,11 +1,10 @@
 #include "scene_reader.h"
 
 #include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
+
+#include "baseline.h"
 
 void reader_spoil(Reader *r, const char *format, ...)
 {

@@ -2,9 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "scene.h"
 
 typedef struct {

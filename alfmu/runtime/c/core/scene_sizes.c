@@ -1,7 +1,6 @@
 #include "scene_sizes.h"
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "layout.h"
 #include "scene.h"
 

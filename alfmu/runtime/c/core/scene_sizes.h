@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "scene.h"
 
 /* Values stored after the peaks: whether the start of the previous step is known, its time, q and v. */

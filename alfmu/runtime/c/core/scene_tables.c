@@ -1,9 +1,5 @@
 #include "scene_tables.h"
 
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "layout.h"

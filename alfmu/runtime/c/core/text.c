@@ -1,8 +1,6 @@
 #include "text.h"
 
-#include <float.h>
 #include <stdarg.h>
-#include <stddef.h>
 
 #include "baseline.h"
 

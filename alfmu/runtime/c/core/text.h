@@ -3,7 +3,8 @@
 #pragma once
 
 #include <stdarg.h>
-#include <stddef.h>
+
+#include "baseline.h"
 
 /* Positions of a format and of its first argument among the arguments of a function. */
 #if defined(__GNUC__)

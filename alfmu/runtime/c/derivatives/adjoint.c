@@ -3,11 +3,6 @@
 
 #include "adjoint.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "function_adjoints.h"
 #include "gradient.h"

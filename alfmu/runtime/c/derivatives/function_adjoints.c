@@ -1,7 +1,6 @@
 #include "function_adjoints.h"
 
-#include <stdint.h>
-
+#include "baseline.h"
 #include "gradient.h"
 #include "operations.h"
 #include "rare_operations.h"

@@ -1,8 +1,6 @@
 #include "function_tangents.h"
 
-#include <stdint.h>
-#include <string.h>
-
+#include "baseline.h"
 #include "gradient.h"
 #include "lanes.h"
 #include "operations.h"

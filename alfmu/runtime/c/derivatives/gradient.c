@@ -1,10 +1,8 @@
 #include "gradient.h"
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdlib.h>
-#include <string.h>
 
+#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "lanes.h"

@@ -2,9 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "lanes.h"
 #include "record.h"

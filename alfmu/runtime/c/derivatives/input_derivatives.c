@@ -1,9 +1,6 @@
 #include "input_derivatives.h"
 
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
+#include "baseline.h"
 #include "driving_inputs.h"
 #include "gradient.h"
 #include "lanes.h"

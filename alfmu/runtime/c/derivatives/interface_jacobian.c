@@ -6,9 +6,6 @@
 
 #include "interface_jacobian.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "gradient.h"
 #include "instance.h"

@@ -7,10 +7,6 @@
 
 #include "start_derivatives.h"
 
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "function_adjoints.h"
 #include "function_tangents.h"

@@ -5,11 +5,6 @@
 
 #include "tangent.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "function_tangents.h"
 #include "gradient.h"

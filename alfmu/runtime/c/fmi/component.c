@@ -2,10 +2,8 @@
 
 #include "component.h"
 
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "begin.h"

@@ -3,8 +3,6 @@
 
 #pragma once
 
-#include <stddef.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "scene.h"

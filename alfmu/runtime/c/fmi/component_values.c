@@ -1,8 +1,6 @@
 #include "component_values.h"
 
 #include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
 
 #include "baseline.h"
 #include "component.h"

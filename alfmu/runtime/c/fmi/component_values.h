@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "component.h"
 
 Status component_get(Component *c, const unsigned *references, size_t count, void *values, size_t value_count,

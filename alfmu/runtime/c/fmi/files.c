@@ -7,11 +7,8 @@
 
 #include "files.h"
 
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #if defined(_WIN32)
 #define WIN32_LEAN_AND_MEAN
@@ -21,6 +18,8 @@
 #else
 #include <dlfcn.h>
 #endif
+
+#include "baseline.h"
 
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility push(hidden) /* for importers that compile this file without options */

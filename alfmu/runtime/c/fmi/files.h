@@ -2,7 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
+#include "baseline.h"
 
 #define LONGEST_PATH 4096
 

@@ -1,8 +1,6 @@
 /* FMI 2.0 for co-simulation and Model Exchange. */
 
-#include <stddef.h>
 #include <stdio.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "border.h"

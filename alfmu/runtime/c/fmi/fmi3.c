@@ -1,8 +1,5 @@
 /* FMI 3.0 for co-simulation, without event mode, and Model Exchange: scalar variables, no clocks. */
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "border.h"
 #include "component.h"

@@ -1,8 +1,5 @@
 #include "model_exchange.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "component.h"
 #include "exchange.h"

@@ -1,9 +1,9 @@
 #include "resources.h"
 
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "baseline.h"
 #include "files.h"
 #include "scene.h"
 

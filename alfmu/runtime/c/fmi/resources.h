@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "scene.h"
 
 /* Load the scene from the resources folder of an FMU, given as a URI or a path. */

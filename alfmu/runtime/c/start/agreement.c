@@ -1,8 +1,6 @@
 #include "agreement.h"
 
-#include <stddef.h>
 #include <stdio.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "equations.h"

@@ -1,9 +1,5 @@
 #include "least_squares.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "layout.h"

@@ -1,9 +1,5 @@
 #include "rank.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "equations.h"
 #include "instance.h"

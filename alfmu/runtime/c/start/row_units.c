@@ -1,8 +1,5 @@
 #include "row_units.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "equations.h"
 #include "instance.h"

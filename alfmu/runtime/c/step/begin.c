@@ -1,9 +1,5 @@
 #include "begin.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "agreement.h"
 #include "assemble.h"
 #include "balance.h"

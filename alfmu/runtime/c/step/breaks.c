@@ -7,10 +7,6 @@
 
 #include "breaks.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "inputs.h"
 #include "instance.h"

@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -1,9 +1,5 @@
 #include "diagnosis.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "equations.h"
 #include "instance.h"

@@ -7,9 +7,6 @@
 
 #include "exchange.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "breaks.h"
 #include "equations.h"

@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "instance.h"
 #include "outputs.h"
 #include "scene.h"

@@ -1,8 +1,5 @@
 #include "fixed.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "interface_jacobian.h"

@@ -9,10 +9,7 @@
 
 #include "friction.h"
 
-#include <float.h>
-#include <stddef.h>
 #include <stdio.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "instance.h"

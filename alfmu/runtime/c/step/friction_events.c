@@ -1,9 +1,5 @@
 #include "friction_events.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "fixed.h"
 #include "friction.h"

@@ -4,10 +4,6 @@
 
 #include "instant_derivatives.h"
 
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
 #include "adjoint.h"
 #include "baseline.h"
 #include "begin.h"

@@ -7,8 +7,6 @@
 
 #include "jumps.h"
 
-#include <stddef.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "interpret.h"

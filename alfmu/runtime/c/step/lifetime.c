@@ -1,8 +1,6 @@
 #include "lifetime.h"
 
-#include <stddef.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "breaks.h"

@@ -1,8 +1,5 @@
 #include "outputs.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "balance.h"
 #include "baseline.h"
 #include "diagnosis.h"

@@ -7,9 +7,6 @@
 
 #include "peaks.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "inputs.h"
 #include "instance.h"

@@ -1,8 +1,5 @@
 #include "projection.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "equations.h"
 #include "instance.h"

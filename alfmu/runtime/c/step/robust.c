@@ -3,10 +3,6 @@
 
 #include "robust.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "adaptive.h"
 #include "baseline.h"
 #include "diagnosis.h"

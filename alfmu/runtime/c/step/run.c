@@ -1,9 +1,5 @@
 #include "run.h"
 
-#include <float.h>
-#include <stddef.h>
-#include <string.h>
-
 #include "balance.h"
 #include "baseline.h"
 #include "begin.h"

@@ -2,8 +2,7 @@
 
 #pragma once
 
-#include <stddef.h>
-
+#include "baseline.h"
 #include "instance.h"
 
 Outcome instance_can_step(Instance *i, double start, double h);

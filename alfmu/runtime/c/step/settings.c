@@ -2,9 +2,6 @@
 
 #include "settings.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "instance.h"
 #include "interpret.h"

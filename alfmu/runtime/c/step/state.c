@@ -2,9 +2,6 @@
 
 #include "state.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "exchange.h"
 #include "instance.h"

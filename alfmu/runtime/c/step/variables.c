@@ -3,7 +3,6 @@
 #include "variables.h"
 
 #include <stdio.h>
-#include <string.h>
 
 #include "baseline.h"
 #include "instance.h"

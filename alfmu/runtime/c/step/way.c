@@ -4,9 +4,6 @@
 
 #include "way.h"
 
-#include <stddef.h>
-#include <string.h>
-
 #include "baseline.h"
 #include "equations.h"
 #include "instance.h"
