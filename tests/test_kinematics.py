@@ -811,8 +811,11 @@ def test_joints_that_cannot_move_are_not_proposed_as_actuated():
     m.spatial_weld("foot", m.spatial_ground.at(0, 0, 0), base.at(0, 0, 0))
     angle = m.coordinate("angle", "rad")
     m.spatial_revolute("hinge", base.at(0, 0, 0), arm.at(0, 0, 0), axis=(0, 1, 0), coordinate=angle)
-    with pytest.raises(alfmu.InputError, match="name those: actuated=hinge, angle"):
+    m.distance("cylinder", m.spatial_ground.at(1, 0, 0), arm.at(0, 0, 1), length=1.4)
+    with pytest.raises(alfmu.InputError, match=r"name those: actuated=hinge, angle$"):
         kinematics(m)
+    with pytest.raises(alfmu.InputError, match=r"cylinder has no motion of its own .* prismatic"):
+        kinematics(m, ["cylinder"])
 
 
 TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}

@@ -439,7 +439,8 @@ def test_constraints_that_agree_within_round_off_run(make):
 
 
 @pytest.mark.parametrize(
-    ("size", "away", "absolute"), [(1.0, 100.0, False), (1.0, 700.0, False), (1.0, 100.0, True), (1e-3, 0.1, False)]
+    ("size", "away", "absolute"),
+    [(1.0, 100.0, False), (1.0, 700.0, False), (1.0, 100.0, True), (1e-3, 0.1, False), (1e-3, 0.03, True)],
 )
 def test_round_off_of_places_far_from_the_origin_is_no_contradiction(caplog, size, away, absolute):
     """Three cranks of 40 mm, or 40 um, on one rod, at the origin and far from it. The rod does not turn."""

@@ -59,6 +59,9 @@ ALIKE = 1e-6
 """Largest change of the constraint matrix over its largest entry [1] with which loops are as they were: loops that
 close to 1e-12 place what is nearly singular to the square root of that."""
 
+_UNMOVED = "weld", "distance"
+"""Kinds of joints without a motion that could be actuated."""
+
 PACE, MOST = 0.05, 4000
 """Step of the search for dead positions [rad, sizes], and largest number of such steps [1]: 200 rad."""
 
@@ -425,8 +428,11 @@ class Kinematics:
         return rows
 
     def _single(self, name: str) -> int:
-        rows = self._named(name)
         joints: list[Any] = [*self._declared.joints, *self._declared.spatial_joints]
+        if any(x.name == name and x.kind in _UNMOVED for x in joints):
+            has = f"{self.name}: {name} has no motion of its own that could be actuated"
+            raise InputError(f"{has}; for a cylinder declare two bodies that a prismatic joint connects, and name it")
+        rows = self._named(name)
         if len(rows) > 1 and any(x.name == name for x in joints):
             rows = self._of.ends(name, "angle", "displacement")
         if len(rows) > 1:
@@ -943,7 +949,7 @@ def kinematics(
     names = list(dict.fromkeys(own)) if actuated is None else names_in(whole.name, "actuated joints", actuated)
     if not names:
         every: list[Any] = [*declared.joints, *declared.spatial_joints, *declared.coordinates]
-        some = ", ".join([each.name for each in every if getattr(each, "kind", "") != "weld"][:4])
+        some = ", ".join([each.name for each in every if getattr(each, "kind", "") not in _UNMOVED][:4])
         raise InputError(f"{whole.name}: no joint is actuated by a drive or a motion; name those: actuated={some}")
     m, moved = _undriven(declared, names)
     where = begun(source(m, whole.given), {}, inputs or {}, time)

@@ -270,12 +270,15 @@ class _Explicit(_Step):
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
             *x, off_q, off_v = known[: 2 + len(off[2:])]
             change = known[len(x) + 2 : len(x) + 2 + len(x)]
-            least = judged(scene.least_error(rule, dt, v, scene.symbol("round_off"))) if rounds else None
+            left = map(scene.symbol, ("round_off", "round_off_along"))
+            least = [judged(scene.least_error(rule, dt, v, a)) for a in left] if rounds else None
             return scene.error_size(z, q, v, (off_q, off_v), least, (*x, *change))
 
         calls(f"{self.name}_off", spaced("z step", rates, "k"), spaced(off), parted)
-        self.tracer.along(calls, "off_q", "off_v")
-        known = spaced("z q v", self.tracer.states, off, *["step round_off"] * rounds, "k")
+        # The second time off_v lies along the motion already: no other function is needed.
+        for change in ("off_q", *["round_off_along"] * rounds):
+            self.tracer.along(calls, change, "off_v")
+        known = spaced("z q v", self.tracer.states, off, *["step round_off round_off_along"] * rounds, "k")
         calls(f"{self.name}_error", known, "error floor", size)
         if self.kinked:
             places = [str(i + 1) for i in range(len(rule.nodes))]
@@ -285,14 +288,15 @@ class _Explicit(_Step):
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
     def _rounded(self, i: str) -> None:
-        """Estimate the round-off of accelerations of a stage, by a change of the last digits of q and v."""
+        """Estimate the round-off of accelerations of a stage, by a change of the last digits of q and v; twice, for its
+        part along the motion."""
         calls, tracer = self.calls, self.tracer
         calls("nudged", f"t{i} q{i} v{i}", "tn qn vn", lambda t, q, v: (t, *calls.scene.nudged(q, v)))
         if self.plan.branch:
             tracer._on_branch(calls, "n", tracer.inputs(calls, i), "step", False)
         else:
             tracer.evaluation(calls, "n", {"u": tracer.inputs(calls, i)})
-        calls("round_off", f"a{i} an", "round_off", lambda a, other: ca.fabs(a - other))
+        calls("round_off", f"a{i} an", "round_off round_off_along", lambda a, other: 2 * (a - other,))
 
 
 class _Implicit(_Step):

@@ -93,7 +93,7 @@ def lengths_of(equations: Configuration) -> dict[str, int]:
         "q qz ql qn v vz vl vn way a al an place placed acceleration guess dq dv change w after_w dx least_z": n,
         "shared_mu": n,
         "aside off_q off_v": n,
-        "round_off read_a": n,
+        "round_off round_off_along read_a": n,
         "lam laml lamn force Phi Cv stabilised least_norm shared shared_last": l,
         "inputs": inputs,
         "past": memory_size(inputs),
@@ -755,19 +755,22 @@ class Scene:
         return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
 
     def error_size(
-        self, z: SX, q: SX, v: SX, parts: Sequence[SX], least: SX | None = None, states: Sequence[SX] = ()
+        self, z: SX, q: SX, v: SX, parts: Sequence[SX], least: Sequence[SX] | None = None, states: Sequence[SX] = ()
     ) -> tuple[SX, SX]:
-        """Return the largest error of the constrained state over the tolerance, and the largest `least` over the
+        """Return the largest error of the constrained state over the tolerance, and the largest round-off over the
         tolerance.
 
-        Errors below the round-off `least` (2 n) are zero; where `least` exceeds the tolerance, it replaces the
-        tolerance. `parts` are the errors of q and v along the motion, `states` are the states, if there are any, and
-        their error.
+        `least` (2 n) is the error by round-off, of all accelerations and of those along the motion. Errors below the
+        first are zero; where it exceeds the tolerance, it replaces the tolerance. Projections take away its part across
+        the constraints: round-off counts as far as it is along the motion, or as the error shows it. `parts` are the
+        errors of q and v along the motion, `states` are the states, if there are any, and their error.
         """
         size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
         floor, over = SX(0), size / allowed
         if least is not None:
-            floor, over = ca.mmax(least / allowed), ca.fmax(size - least, 0) / ca.fmax(allowed, least)
+            lost, along = least
+            floor = ca.mmax(ca.fmin(lost, ca.fmax(along, size)) / allowed)
+            over = ca.fmax(size - lost, 0) / ca.fmax(allowed, lost)
         if states:
             x, change = states
             size, over = ca.vertcat(size, change), ca.vertcat(over, ca.fabs(change) / self._allowed_of_states(z, x))
@@ -796,6 +799,7 @@ class Scene:
 
     def least_error(self, rule: Explicit, dt: SX, v: SX, left: SX) -> SX:
         """Return the error of a step of q and v (2 n) due to the round-off `left` of accelerations."""
+        left = ca.fabs(left)
         return NOISE * math.hypot(*rule.errors[0]) * dt * ca.vertcat(dt * left + EPSILON * ca.fabs(v), left)
 
     def allowed(self, sizes: SX) -> SX:
