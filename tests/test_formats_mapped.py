@@ -762,3 +762,91 @@ def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tm
     found = alfmu.imported(path, leave="flexible")
     assert "flexible, left out by option (2 from" in found.warnings[0]
     assert not found.mechanism.closures
+
+
+ATTACHED = """<mujoco><compiler angle="radian" eulerseq="zyx"/><option><flag contact="disable"/></option>
+<default><joint damping="0.1"/><default class="heavy"><geom density="3000"/></default></default>
+<worldbody><body name="base" pos="0 0 0.1" euler="0.1 0.2 0.3" childclass="heavy">
+<geom type="box" size="0.1 0.05 0.05"/><joint name="j" axis="0 1 0"/>
+<body name="tip" pos="0.3 0 0"><joint name="k" axis="0 1 0"/><geom size="0.05"/></body></body>
+<body name="other" pos="0 1 0"><joint name="o"/><geom size="0.1"/></body></worldbody>
+<equality><joint joint1="j" joint2="k" polycoef="0 2 0.3"/><joint joint1="o" joint2="k"/></equality>
+<actuator><motor name="m" joint="k"/><motor name="n" joint="o"/></actuator>
+<keyframe><key name="up" qpos="0.412 0.2 0.2"/></keyframe></mujoco>"""
+
+AROUND = """<mujoco><option><flag contact="disable"/></option><default><joint damping="0.7"/></default>
+<asset><model name="arm" file="arm.xml"/></asset><worldbody>
+<body name="cart"><joint name="c" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/>
+<frame pos="0 0 0.2" euler="0 0 90"><attach model="arm" body="base" prefix="l_"/></frame></body>
+<frame pos="2 0 0"><attach model="arm" prefix="r_"/></frame></worldbody>
+<actuator><motor name="p" joint="c"/></actuator></mujoco>"""
+"""A part of a model in a turned frame, and the whole of it; degrees around it, radians and other defaults in it."""
+
+
+@MUJOCO
+def test_attached_models_move_as_in_mujoco(tmp_path: Path):
+    path = tmp_path / "scene.xml"
+    path.write_text(AROUND)
+    (tmp_path / "arm.xml").write_text(ATTACHED)
+    for seed in range(2):
+        found, reference, opens = by_mujoco(path, *moving(path, seed))
+        assert opens < 1e-11
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+def test_attached_models_are_those_written_out_by_hand(tmp_path: Path):
+    path, flat = tmp_path / "scene.xml", tmp_path / "flat.xml"
+    path.write_text(AROUND)
+    (tmp_path / "arm.xml").write_text(ATTACHED)
+    # Rotations of 0.1 about z, 0.2 about y, 0.3 about x, each about the turned axis, as one quaternion.
+    (a, b, c), (d, e, f) = np.cos([0.05, 0.1, 0.15]), np.sin([0.05, 0.1, 0.15])
+    turn = f"{a * b * c + d * e * f} {a * b * f - d * e * c} {a * e * c + d * b * f} {d * b * c - a * e * f}"
+    part = (
+        f'<body name="{{0}}base" pos="0 0 0.1" quat="{turn}"><geom type="box" size="0.1 0.05 0.05" density="3000"/>'
+        '<joint name="{0}j" axis="0 1 0" damping="0.1"/><body name="{0}tip" pos="0.3 0 0"><joint name="{0}k" '
+        'axis="0 1 0" damping="0.1"/><geom size="0.05" density="3000"/></body></body>'
+    )
+    other = '<body name="r_other" pos="0 1 0"><joint name="r_o" damping="0.1"/><geom size="0.1"/></body>'
+    equal = '<joint joint1="{0}j" joint2="{0}k" polycoef="0 2 0.3"/>'
+    flat.write_text(
+        AROUND.replace('<asset><model name="arm" file="arm.xml"/></asset>', "")
+        .replace('<attach model="arm" body="base" prefix="l_"/>', part.format("l_"))
+        .replace('<attach model="arm" prefix="r_"/>', part.format("r_") + other)
+        .replace("</actuator>", '<motor name="l_m" joint="l_k"/><motor name="r_m" joint="r_k"/>'
+                 '<motor name="r_n" joint="r_o"/></actuator><equality>' + equal.format("l_") + equal.format("r_")
+                 + '<joint joint1="r_o" joint2="r_k"/></equality>')
+    )  # fmt: skip
+    mechanisms = [alfmu.imported(each).mechanism for each in (path, flat)]
+    assert [x.name for x in mechanisms[0].inputs] == [x.name for x in mechanisms[1].inputs]
+    runs = [alfmu.simulate(each, 0.4, 0.1) for each in mechanisms]
+    for name in ("cart.x", "l_k.angle", "r_o.angle"):
+        assert np.ptp(runs[0][name]) > 1e-2
+        np.testing.assert_allclose(runs[0][name], runs[1][name], atol=1e-9)
+    found = alfmu.imported(path, key="r_up")
+    assert alfmu.simulate(found.mechanism, 0.1, 0.1)["r_k.angle"][0] == pytest.approx(0.2)
+    assert "parts of attached models that are not attached (3 from line 6, l_other, l_n)" in found.left_out
+    for old, new, said in (
+        ('body="base"', 'body="bass"', "there is no body 'l_bass'"),
+        ('model="arm" body', 'model="leg" body', "there is no model 'leg'"),
+        ('file="arm.xml"', 'file="scene.xml"', "files include each other in a circle"),
+        ('prefix="r_"', 'prefix="l_"', "there is a body 'l_base' already"),
+    ):
+        path.write_text(AROUND.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_shapes_of_unknown_mass_are_left_out_on_request(tmp_path: Path):
+    path, mesh = tmp_path / "arm.xml", tmp_path / "part.stl"
+    mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    path.write_text(
+        '<mujoco><asset><mesh name="p" file="part.stl"/></asset><worldbody><body name="b"><joint name="j" axis="0 1 0"/>'
+        '<geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(alfmu.InputError, match=r"a pointer of Git LFS.*--option leave=shapes leaves its mass out"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="shapes")
+    assert found.warnings == ("shapes, whose mass is unknown, left out by option (line 1)",)
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01)
+    np.testing.assert_allclose(run["b.angular_velocity.y"][-1], 9.81 * 0.01 / (1 + 0.4 * 0.1**2), rtol=1e-5)

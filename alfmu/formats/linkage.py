@@ -23,10 +23,10 @@ from .solids import Inertial
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
+LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "shapes", "tendons", "unknown")
 """Kinds of elements that a user may leave out although they affect the motion; `balls`: springs and friction in ball
 joints; `free`: resistance in free joints; `gaps`: directions of loops that other joints suppress already, but where
-points are apart."""
+points are apart; `shapes`: those whose mass or inertia is unknown."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -300,8 +300,10 @@ class Linkage:
         for link, node, doubt in self.doubts:
             if moving(link) is None:
                 self.note("these shapes of fixed bodies have no mass here, as it is not known", node)
+            elif "shapes" in self.leaves:
+                self.warn("shapes, whose mass is unknown, left out by option", node)
             elif str(doubt) not in self.causes:
-                self.causes.append(str(doubt))
+                self.causes.append(f"{doubt}; --option leave=shapes leaves its mass out")
         for link in self.links:
             moments = np.linalg.eigvalsh(link.inertial.inertia)
             tiny = 1e-12 * np.abs(moments).max()
