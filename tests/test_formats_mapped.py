@@ -841,8 +841,8 @@ def test_shapes_of_unknown_mass_are_left_out_on_request(tmp_path: Path):
     path, mesh = tmp_path / "arm.xml", tmp_path / "part.stl"
     mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     path.write_text(
-        '<mujoco><asset><mesh name="p" file="part.stl"/></asset><worldbody><body name="b"><joint name="j" axis="0 1 0"/>'
-        '<geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body></worldbody></mujoco>'
+        '<mujoco><asset><mesh name="p" file="part.stl"/></asset><worldbody><body name="b"><joint name="j" '
+        'axis="0 1 0"/><geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body></worldbody></mujoco>'
     )
     with pytest.raises(alfmu.InputError, match=r"a pointer of Git LFS.*--option leave=shapes leaves its mass out"):
         alfmu.imported(path)
