@@ -255,6 +255,8 @@ class File:
         normal = normal / np.linalg.norm(normal)
         for dynamics in joint.node.all(*_RESISTING):
             given = Reading(dynamics)
+            if any(sizes) and given.has("damping"):
+                dynamics.fail("its damping is given twice; give it once")
             sizes = given.numbers("damping", 3, sizes)
             if min(sizes) < 0:
                 given.fail("damping", f"damping is {min(sizes):g}; it must not be negative")
