@@ -574,7 +574,7 @@ def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
     for old, new, said in (
         ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0.3 0.2 0.4'/>", "damping differs along x and y"),
         ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0 0 -1'/>", "damping is -1; it must not be negative"),
-        ("<dynamics damping='0.3 0.3 0.4'/>", 2 * "<dynamics damping='1 1 1'/>", "its damping is given twice"),
+        ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics/><dynamics damping='1 1 1'/>", "<dynamics> is given twice"),
         ("<drake:screw_thread_pitch value='0.05'/>", "", "it has no <drake:screw_thread_pitch>"),
         ("type='ball'", "type='revolute'", "a joint of type 'revolute' does not map"),
     ):

@@ -49,6 +49,11 @@ _MOVING = {
 """Settings for Gazebo that change the motion, with the alternative."""
 
 
+def _each(node: Node, *tags: str) -> list[Node]:
+    """Return the children with these tags, of which there is one each at most."""
+    return [child for tag in tags if (child := node.one(tag)) is not None]
+
+
 class File:
     """Reads a URDF file into `linkage`; see `imported` for the options."""
 
@@ -239,7 +244,7 @@ class File:
             self._limits(joint, kind)
         if kind == "screw":
             joint.lead = Reading(node.need("drake:screw_thread_pitch")).number("value")
-        for dynamics in node.all(*_RESISTING):
+        for dynamics in _each(node, *_RESISTING):
             given = Reading(dynamics)
             joint.damping = (given.positive("damping", joint.damping[0]),) * max(len(joint.axes), 1)
             joint.friction = (given.positive("friction", joint.friction[0]),) * max(len(joint.axes), 1)
@@ -253,10 +258,8 @@ class File:
         """Return the two slides and the hinge of a planar joint, whose axis is the normal of the plane."""
         normal, sizes = self._axis(joint.node), [0.0] * 3
         normal = normal / np.linalg.norm(normal)
-        for dynamics in joint.node.all(*_RESISTING):
+        for dynamics in _each(joint.node, *_RESISTING):
             given = Reading(dynamics)
-            if any(sizes) and given.has("damping"):
-                dynamics.fail("its damping is given twice; give it once")
             sizes = given.numbers("damping", 3, sizes)
             if min(sizes) < 0:
                 given.fail("damping", f"damping is {min(sizes):g}; it must not be negative")
@@ -275,7 +278,7 @@ class File:
 
     def _limits(self, joint: Joint, kind: str) -> None:
         """Read limits of the coordinate, the rate and the effort of a joint."""
-        for child in joint.node.all("limit"):
+        for child in _each(joint.node, "limit"):
             given = Reading(child)
             low, high, effort, speed = (given.limit(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
             if 0 < effort < ANYWHERE:
