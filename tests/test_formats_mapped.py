@@ -843,11 +843,23 @@ def test_shapes_of_unknown_mass_are_left_out_on_request(tmp_path: Path):
     mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     path.write_text(
         '<mujoco><asset><mesh name="p" file="part.stl"/></asset><worldbody><body name="b"><joint name="j" '
-        'axis="0 1 0"/><geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body></worldbody></mujoco>'
+        'axis="0 1 0"/><geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body>'
+        '<body name="mug"><freejoint/><geom type="mesh" mesh="p" contype="0" conaffinity="0"/></body>'
+        "</worldbody></mujoco>"
     )
     with pytest.raises(alfmu.InputError, match=r"a pointer of Git LFS.*--option leave=shapes leaves its mass out"):
         alfmu.imported(path)
     found = alfmu.imported(path, leave="shapes")
-    assert found.warnings == ("shapes, whose mass is unknown, left out by option (line 1)",)
+    assert found.warnings == ("free bodies that this leaves without mass, which are fixed (line 1, mug)",
+                              "shapes, whose mass is unknown, left out by option (line 1)")  # fmt: skip
     run = alfmu.simulate(found.mechanism, 0.01, 0.01)
     np.testing.assert_allclose(run["b.angular_velocity.y"][-1], 9.81 * 0.01 / (1 + 0.4 * 0.1**2), rtol=1e-5)
+
+
+def test_missing_includes_are_named_together_and_left_out_on_request(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm().replace("<worldbody>", '<include file="a.xml"/><include file="b.xml"/><worldbody>', 1))
+    with pytest.raises(alfmu.InputError, match=r"no file 'a\.xml'.*leave=includes.*and 1 more like it"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="includes")
+    assert found.warnings == ("includes, left out by option (2 from line 1)",)

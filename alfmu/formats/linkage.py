@@ -297,6 +297,12 @@ class Linkage:
     def weigh(self) -> None:
         """Refuse unknown inertias of moving links; refuse moments of inertia that no body has, or replace them by their
         mean; tune springs by inertia."""
+        for link in dict.fromkeys(link for link, _, _ in self.doubts if "shapes" in self.leaves):
+            alone = all(link not in (x.first[0], x.second[0]) for x in self.closures)
+            alone &= all(each.parent is not link for each in self.links)
+            if alone and not link.inertial.mass and any(joint.kind == "free" for joint in link.joints):
+                link.joints = []
+                self.warn("free bodies that this leaves without mass, which are fixed", link.node)
         for link, node, doubt in self.doubts:
             if moving(link) is None:
                 self.note("these shapes of fixed bodies have no mass here, as it is not known", node)

@@ -108,8 +108,8 @@ class File:
         folders: Sequence[Path] = (),
     ):  # fmt: skip
         self.folders = [root.file.resolve().parent, *folders]
-        self._includes = Includes(root, self._included)
         self.linkage = Linkage(Reading(root).text("model", ""), "MJCF", root, leaves=leaves)
+        self._includes = Includes(root, self._included)
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
@@ -209,12 +209,18 @@ class File:
         return [x for each in self.root.all(section) for x in (each.all(*tags) if tags else each.each())]
 
     def _included(self, includes: Includes, node: Node) -> list[Node]:
-        """Return the elements of the file that an <include> names."""
-        where = [self.folders[0], node.file.resolve().parent, *self.folders[1:]]
-        root = includes.root(node, Reading(node).text("file"), where, self.folders)
-        for each in root.each():
-            each.parent = node.parent
-        return root.children
+        """Return the elements of the file that an <include> names; none if it is missing and may be left out."""
+        where, name = [self.folders[0], node.file.resolve().parent, *self.folders[1:]], Reading(node).text("file")
+        with self.linkage.trying(node):
+            try:
+                found_file(node, name, where, self.folders)
+            except InputError as error:
+                self.linkage.skip("includes", node, str(error).removeprefix(f"{node.where}: "))
+            root = includes.root(node, name, where, self.folders)
+            for each in root.each():
+                each.parent = node.parent
+            return root.children
+        return []
 
     def _sections(self) -> None:
         """Ignore or refuse the sections that are not read."""
