@@ -863,3 +863,46 @@ def test_missing_includes_are_named_together_and_left_out_on_request(tmp_path: P
         alfmu.imported(path)
     found = alfmu.imported(path, leave="includes")
     assert found.warnings == ("includes, left out by option (2 from line 1)",)
+
+
+def test_loops_of_other_dialects_of_urdf_are_those_of_loop_joints(tmp_path: Path):
+    """The four-bar by <loop> of URDF+, and by <constraint> with another axis in the turned frame of the child."""
+    text = (Path(__file__).parent / "linkages" / "four_bar.urdf").read_text()
+    begin, end = text.index("<loop_joint"), text.index("</loop_joint>") + len("</loop_joint>")
+    coupler, rocker = "0.4123105625617661 0 0", "0 0 0.3"
+    dialects = (
+        text[begin:end],
+        f'<loop name="l" type="revolute"><successor link="rocker"><origin xyz="{rocker}"/></successor>'
+        f'<predecessor link="coupler"><origin xyz="{coupler}"/></predecessor><axis xyz="0 1 0"/></loop>',
+        f'<constraint name="l" type="revolute"><parent link="coupler"/><parent_origin xyz="{coupler}"/>'
+        f'<parent_axis xyz="0 2 0"/><child link="rocker"/><child_origin xyz="{rocker}" rpy="{np.pi / 2} 0 0"/>'
+        '<child_axis xyz="0 0 -1"/></constraint>',
+    )
+    path, runs = tmp_path / "r.urdf", []
+    for loop in dialects:
+        path.write_text(text[:begin] + loop + text[end:])
+        start = {"start.motor_angle": 0.4, "start.motor_angle_rate": 2.0}
+        runs.append(alfmu.simulate(alfmu.imported(path).mechanism, 0.3, 0.1, parameters=start)["motor.angle"])
+    assert np.ptp(runs[0]) > 0.1
+    np.testing.assert_allclose(runs[1:], runs[:1] * 2, atol=1e-9)
+
+
+def test_a_coupling_of_urdf_plus_turns_the_successor_by_its_ratio(tmp_path: Path):
+    """A rotor of inertia j on the base, turned 7 times as far as the arms that hang on each other: q1 + q2 = x."""
+    link = "<link name='{}'><inertial><mass value='1'/><inertia ixx='{}' iyy='{}' izz='{}'/></inertial></link>"
+    joint = "<joint name='{}' type='continuous' independent='True'><parent link='{}'/><child link='{}'/>{}</joint>"
+    axis, j = "<axis xyz='0 0 1'/>", 0.003
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'><link name='base'/>" + "".join(link.format(x, *[0.02] * 3) for x in ("one", "two"))
+        + link.format("rotor", j, j, j) + joint.format("q1", "base", "one", axis)
+        + joint.format("q2", "one", "two", axis)
+        + joint.format("q3", "base", "rotor", axis) + "<coupling name='c' type='rolling'><predecessor link='two'/>"
+        "<successor link='rotor'/><ratio value='7'/></coupling></robot>"
+    )  # fmt: skip
+    found = alfmu.imported(path, drives="q2")
+    run = alfmu.simulate(found.mechanism, 1.0, 0.5, inputs={"q2_drive": 0.1})
+    np.testing.assert_allclose(run["q3.angle"], 7 * (run["q1.angle"] + run["q2.angle"]), atol=1e-9)
+    # The torque turns the first arm back, of inertia 0.02, and the second one with the rotor, of 0.02 + 49 j.
+    np.testing.assert_allclose(run["q1.angle"], -0.1 / 0.02 * run.time**2 / 2, atol=1e-7)
+    np.testing.assert_allclose(run["q3.angle"], 7 * 0.1 / (0.02 + 49 * j) * run.time**2 / 2, atol=1e-7)
