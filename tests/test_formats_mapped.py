@@ -906,3 +906,28 @@ def test_a_coupling_of_urdf_plus_turns_the_successor_by_its_ratio(tmp_path: Path
     # The torque turns the first arm back, of inertia 0.02, and the second one with the rotor, of 0.02 + 49 j.
     np.testing.assert_allclose(run["q1.angle"], -0.1 / 0.02 * run.time**2 / 2, atol=1e-7)
     np.testing.assert_allclose(run["q3.angle"], 7 * 0.1 / (0.02 + 49 * j) * run.time**2 / 2, atol=1e-7)
+
+
+def test_a_detachable_joint_of_gazebo_remains_attached(tmp_path: Path):
+    """A point mass of another model on an arm: a pendulum of both (DOP853)."""
+    inertial = "<inertial><mass>{}</mass><inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz></inertia></inertial>"
+    path = tmp_path / "w.sdf"
+    path.write_text(
+        "<sdf version='1.9'><world name='w'><model name='arm'><link name='a'><pose>0.5 0 0 0 0 0</pose>"
+        + inertial.format(2, i=0.1) + "</link><joint name='j' type='revolute'><pose relative_to='__model__'/>"
+        "<parent>world</parent><child>a</child><axis><xyz>0 1 0</xyz></axis></joint><plugin filename='f' "
+        "name='gz::sim::systems::DetachableJoint'><parent_link>a</parent_link><child_model>load</child_model>"
+        "<child_link>b</child_link><topic>/t</topic></plugin></model><model name='load'><pose>1 0 0 0 0 0</pose>"
+        "<link name='b'>" + inertial.format(1, i=0.05) + "</link></model></world></sdf>"
+    )  # fmt: skip
+    found = alfmu.imported(path)
+    assert any("detachable joints remain attached" in note for note in found.notes)
+    run = alfmu.simulate(found.mechanism, 0.5, 0.1, parameters={"solver.relative_tolerance": 1e-11})
+    angle = next(run[name] for name in run.names if name.endswith("j.angle"))
+    inertia = 0.1 + 2 * 0.5**2 + 0.05 + 1 * 1**2
+
+    def falls(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], (2 * 0.5 + 1) * 9.8 * np.cos(y[0]) / inertia]
+
+    swing = solve_ivp(falls, (0, 0.5), [0.0, 0.0], "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(angle, swing, atol=1e-8)
