@@ -294,6 +294,7 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
     for i in range(2):
         m.generalized_force(x[i], -d * c[i] * rate)
     m.end_stop("stop", length, upper=9.0, stiffness=1e3, unit="m")
+    m.end_stop("far", 0.1 - 2 * x[0], lower=-9.3, stiffness=1e3, unit="m")
     effort = 2 * m.input("u", "N", start=0.3) + 0.1 - 5 * length - 0.4 * rate
     effort = ca.fmin(ca.fmax(effort, -0.4), 0.5) if slack else effort
     for i in range(2):
@@ -311,8 +312,12 @@ def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool
     wanted = solve_ivp(forces, (0, 1), (*starts, 0, 0), "DOP853", run.time, rtol=1e-12, atol=1e-13, max_step=1e-3).y
     for i in range(2):
         np.testing.assert_allclose(run[f"b{i}.x"], wanted[i], atol=1e-9)
-    fixed = ElementTree.parse(path).getroot().findall("tendon/fixed")
-    assert any(each.get("range") for each in fixed)
+    root = ElementTree.parse(path).getroot()
+    fixed = root.findall("tendon/fixed")
+    assert len(fixed) == 2  # that of the actuator, and one with the spring, the damper, the inertia and the limit
+    (one,) = [each for each in fixed if each.get("range")]
+    assert set(one.attrib) == {"name", "stiffness", "damping", "armature", "springlength", "range"}
+    assert [float(x) for x in root.find(".//joint[@name='way0']").get("range").split()] == [-1e16, 4.7]
     for suffix in (".urdf", ".sdf"):
         with pytest.raises(alfmu.InputError, match="this energy or force is an expression"):
             alfmu.convert(m, tmp_path / f"sums{suffix}")
@@ -377,6 +382,7 @@ def alone(what: str) -> Mechanism:
         "stiffness": lambda: m.spring_damper(pin, damping=th**2),
         "gravity": lambda: m.gravity(0, -9.0),
         "sum": lambda: m.end_stop("stop", 2 * th + 0.1, upper=1.0, stiffness=1.0, unit="rad"),
+        "stop": lambda: m.end_stop("stop", th**2, upper=1.0, stiffness=1.0, unit="rad"),
     }
     if what in parts:
         parts[what]()
@@ -391,7 +397,7 @@ REFUSED = {
     "armature": "holds no inertia of motors", "rotor": "is an expression", "blade": "it is a blade",
     "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
-    "pose": "permit 4 motions, and the coordinates 2", "sum": "pendulum: an end stop: an end stop acts",
+    "pose": "permit 4 motions, and the coordinates 2", "stop": "pendulum: an end stop: an end stop acts",
 }  # fmt: skip
 
 
@@ -400,3 +406,15 @@ def test_parts_that_no_file_holds_are_refused_by_name(what: str, tmp_path: Path)
     with pytest.raises(alfmu.InputError, match=REFUSED[what]):
         alfmu.convert(alone(what), tmp_path / "file.urdf")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", FORMS)
+def test_a_stop_along_a_multiple_of_an_angle_is_a_limit_of_the_joint(suffix: str, tmp_path: Path):
+    """2 th + 0.1 = 1 at th = 0.45, which is 0.15 from the start."""
+    root = ElementTree.parse(alfmu.convert(alone("sum"), tmp_path / f"file{suffix}")).getroot()
+    given = {
+        ".xml": lambda: root.find(".//joint").get("range").split()[1],
+        ".urdf": lambda: root.find(".//limit").get("upper"),
+        ".sdf": lambda: root.find(".//limit/upper").text,
+    }
+    assert float(given[suffix]()) == pytest.approx(0.45 if suffix == ".xml" else 0.15, abs=1e-15)

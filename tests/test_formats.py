@@ -46,6 +46,19 @@ def test_accelerations_are_those_stored(name: str):
 
 
 @pytest.mark.slow
+def test_the_biped_keeps_its_energy_by_few_iterations():
+    """At rest in free fall its loops carry nothing, which tells nothing about the iterations that its motion needs."""
+    mechanism = alfmu.imported(HERE / "biped.xml").mechanism
+    rng = np.random.default_rng(1)
+    joints = ("hip_roll", "hip_yaw", "hip_pitch", "knee_motor", "shoulder_pitch", "elbow", "wrist_yaw")
+    start = {f"start.{side}_{x}_angle_rate": 0.1 * rng.normal() for side in ("left", "right") for x in joints}
+    run = alfmu.simulate(mechanism, 0.5, 0.01, parameters=start | {"solver.method": "rk4", "solver.step_size": 1e-3})
+    assert run.counters.multiplier_iterations < 4.1 * run.counters.evaluations
+    energy = run["monitor.energy"]
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-11)
+
+
+@pytest.mark.slow
 def test_sdf_and_mjcf_of_one_mechanism_move_alike():
     runs = [
         alfmu.simulate(alfmu.imported(HERE / f"slider_crank.{kind}").mechanism, 0.5, 0.05,

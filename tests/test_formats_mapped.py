@@ -574,6 +574,7 @@ def test_joints_of_drake_move_as_closed_forms_have_it(tmp_path: Path):
     for old, new, said in (
         ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0.3 0.2 0.4'/>", "damping differs along x and y"),
         ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics damping='0 0 -1'/>", "damping is -1; it must not be negative"),
+        ("<dynamics damping='0.3 0.3 0.4'/>", "<dynamics/><dynamics damping='1 1 1'/>", "<dynamics> is given twice"),
         ("<drake:screw_thread_pitch value='0.05'/>", "", "it has no <drake:screw_thread_pitch>"),
         ("type='ball'", "type='revolute'", "a joint of type 'revolute' does not map"),
     ):
@@ -762,3 +763,171 @@ def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tm
     found = alfmu.imported(path, leave="flexible")
     assert "flexible, left out by option (2 from" in found.warnings[0]
     assert not found.mechanism.closures
+
+
+ATTACHED = """<mujoco><compiler angle="radian" eulerseq="zyx"/><option><flag contact="disable"/></option>
+<default><joint damping="0.1"/><default class="heavy"><geom density="3000"/></default></default>
+<worldbody><body name="base" pos="0 0 0.1" euler="0.1 0.2 0.3" childclass="heavy">
+<geom type="box" size="0.1 0.05 0.05"/><joint name="j" axis="0 1 0"/>
+<body name="tip" pos="0.3 0 0"><joint name="k" axis="0 1 0"/><geom size="0.05"/></body></body>
+<body name="other" pos="0 1 0"><joint name="o"/><geom size="0.1"/></body></worldbody>
+<equality><joint joint1="j" joint2="k" polycoef="0 2 0.3"/><joint joint1="o" joint2="k"/></equality>
+<actuator><motor name="m" joint="k"/><motor name="n" joint="o"/></actuator>
+<keyframe><key name="up" qpos="0.412 0.2 0.2"/></keyframe></mujoco>"""
+
+AROUND = """<mujoco><option><flag contact="disable"/></option><default><joint damping="0.7"/></default>
+<asset><model name="arm" file="arm.xml"/></asset><worldbody>
+<body name="cart"><joint name="c" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/>
+<frame pos="0 0 0.2" euler="0 0 90"><attach model="arm" body="base" prefix="l_"/></frame></body>
+<frame pos="2 0 0"><attach model="arm" prefix="r_"/></frame></worldbody>
+<actuator><motor name="p" joint="c"/></actuator></mujoco>"""
+"""A part of a model in a turned frame, and the whole of it; degrees around it, radians and other defaults in it."""
+
+
+@MUJOCO
+def test_attached_models_move_as_in_mujoco(tmp_path: Path):
+    path = tmp_path / "scene.xml"
+    path.write_text(AROUND)
+    (tmp_path / "arm.xml").write_text(ATTACHED)
+    for seed in range(2):
+        found, reference, opens = by_mujoco(path, *moving(path, seed))
+        assert opens < 1e-11
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+def test_attached_models_are_those_written_out_by_hand(tmp_path: Path):
+    path, flat = tmp_path / "scene.xml", tmp_path / "flat.xml"
+    path.write_text(AROUND)
+    (tmp_path / "arm.xml").write_text(ATTACHED)
+    # Rotations of 0.1 about z, 0.2 about y, 0.3 about x, each about the turned axis, as one quaternion.
+    (a, b, c), (d, e, f) = np.cos([0.05, 0.1, 0.15]), np.sin([0.05, 0.1, 0.15])
+    turn = f"{a * b * c + d * e * f} {a * b * f - d * e * c} {a * e * c + d * b * f} {d * b * c - a * e * f}"
+    part = (
+        f'<body name="{{0}}base" pos="0 0 0.1" quat="{turn}"><geom type="box" size="0.1 0.05 0.05" density="3000"/>'
+        '<joint name="{0}j" axis="0 1 0" damping="0.1"/><body name="{0}tip" pos="0.3 0 0"><joint name="{0}k" '
+        'axis="0 1 0" damping="0.1"/><geom size="0.05" density="3000"/></body></body>'
+    )
+    other = '<body name="r_other" pos="0 1 0"><joint name="r_o" damping="0.1"/><geom size="0.1"/></body>'
+    equal = '<joint joint1="{0}j" joint2="{0}k" polycoef="0 2 0.3"/>'
+    flat.write_text(
+        AROUND.replace('<asset><model name="arm" file="arm.xml"/></asset>', "")
+        .replace('<attach model="arm" body="base" prefix="l_"/>', part.format("l_"))
+        .replace('<attach model="arm" prefix="r_"/>', part.format("r_") + other)
+        .replace("</actuator>", '<motor name="l_m" joint="l_k"/><motor name="r_m" joint="r_k"/>'
+                 '<motor name="r_n" joint="r_o"/></actuator><equality>' + equal.format("l_") + equal.format("r_")
+                 + '<joint joint1="r_o" joint2="r_k"/></equality>')
+    )  # fmt: skip
+    mechanisms = [alfmu.imported(each).mechanism for each in (path, flat)]
+    assert [x.name for x in mechanisms[0].inputs] == [x.name for x in mechanisms[1].inputs]
+    runs = [alfmu.simulate(each, 0.4, 0.1) for each in mechanisms]
+    for name in ("cart.x", "l_k.angle", "r_o.angle"):
+        assert np.ptp(runs[0][name]) > 1e-2
+        np.testing.assert_allclose(runs[0][name], runs[1][name], atol=1e-9)
+    found = alfmu.imported(path, key="r_up")
+    assert alfmu.simulate(found.mechanism, 0.1, 0.1)["r_k.angle"][0] == pytest.approx(0.2)
+    assert "parts of attached models that are not attached (3 from line 6, l_other, l_n)" in found.left_out
+    for old, new, said in (
+        ('body="base"', 'body="bass"', "there is no body 'l_bass'"),
+        ('model="arm" body', 'model="leg" body', "there is no model 'leg'"),
+        ('file="arm.xml"', 'file="scene.xml"', "files include each other in a circle"),
+        ('prefix="r_"', 'prefix="l_"', "there is a body 'l_base' already"),
+    ):
+        path.write_text(AROUND.replace(old, new))
+        with pytest.raises(alfmu.InputError, match=said):
+            alfmu.imported(path)
+
+
+def test_shapes_of_unknown_mass_are_left_out_on_request(tmp_path: Path):
+    path, mesh = tmp_path / "arm.xml", tmp_path / "part.stl"
+    mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    path.write_text(
+        '<mujoco><asset><mesh name="p" file="part.stl"/></asset><worldbody><body name="b"><joint name="j" '
+        'axis="0 1 0"/><geom size="0.1" pos="1 0 0" mass="2"/><geom type="mesh" mesh="p"/></body>'
+        '<body name="mug"><freejoint/><geom type="mesh" mesh="p" contype="0" conaffinity="0"/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(alfmu.InputError, match=r"a pointer of Git LFS.*--option leave=shapes leaves its mass out"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="shapes")
+    assert found.warnings == ("free bodies that this leaves without mass, which are fixed (line 1, mug)",
+                              "shapes, whose mass is unknown, left out by option (line 1)")  # fmt: skip
+    run = alfmu.simulate(found.mechanism, 0.01, 0.01)
+    np.testing.assert_allclose(run["b.angular_velocity.y"][-1], 9.81 * 0.01 / (1 + 0.4 * 0.1**2), rtol=1e-5)
+
+
+def test_missing_includes_are_named_together_and_left_out_on_request(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm().replace("<worldbody>", '<include file="a.xml"/><include file="b.xml"/><worldbody>', 1))
+    with pytest.raises(alfmu.InputError, match=r"no file 'a\.xml'.*leave=includes.*and 1 more like it"):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="includes")
+    assert found.warnings == ("includes, left out by option (2 from line 1)",)
+
+
+def test_loops_of_other_dialects_of_urdf_are_those_of_loop_joints(tmp_path: Path):
+    """The four-bar by <loop> of URDF+, and by <constraint> with another axis in the turned frame of the child."""
+    text = (Path(__file__).parent / "linkages" / "four_bar.urdf").read_text()
+    begin, end = text.index("<loop_joint"), text.index("</loop_joint>") + len("</loop_joint>")
+    coupler, rocker = "0.4123105625617661 0 0", "0 0 0.3"
+    dialects = (
+        text[begin:end],
+        f'<loop name="l" type="revolute"><successor link="rocker"><origin xyz="{rocker}"/></successor>'
+        f'<predecessor link="coupler"><origin xyz="{coupler}"/></predecessor><axis xyz="0 1 0"/></loop>',
+        f'<constraint name="l" type="revolute"><parent link="coupler"/><parent_origin xyz="{coupler}"/>'
+        f'<parent_axis xyz="0 2 0"/><child link="rocker"/><child_origin xyz="{rocker}" rpy="{np.pi / 2} 0 0"/>'
+        '<child_axis xyz="0 0 -1"/></constraint>',
+    )
+    path, runs = tmp_path / "r.urdf", []
+    for loop in dialects:
+        path.write_text(text[:begin] + loop + text[end:])
+        start = {"start.motor_angle": 0.4, "start.motor_angle_rate": 2.0}
+        runs.append(alfmu.simulate(alfmu.imported(path).mechanism, 0.3, 0.1, parameters=start)["motor.angle"])
+    assert np.ptp(runs[0]) > 0.1
+    np.testing.assert_allclose(runs[1:], runs[:1] * 2, atol=1e-9)
+
+
+def test_a_coupling_of_urdf_plus_turns_the_successor_by_its_ratio(tmp_path: Path):
+    """A rotor of inertia j on the base, turned 7 times as far as the arms that hang on each other: q1 + q2 = x."""
+    link = "<link name='{}'><inertial><mass value='1'/><inertia ixx='{}' iyy='{}' izz='{}'/></inertial></link>"
+    joint = "<joint name='{}' type='continuous' independent='True'><parent link='{}'/><child link='{}'/>{}</joint>"
+    axis, j = "<axis xyz='0 0 1'/>", 0.003
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        "<robot name='r'><link name='base'/>" + "".join(link.format(x, *[0.02] * 3) for x in ("one", "two"))
+        + link.format("rotor", j, j, j) + joint.format("q1", "base", "one", axis)
+        + joint.format("q2", "one", "two", axis)
+        + joint.format("q3", "base", "rotor", axis) + "<coupling name='c' type='rolling'><predecessor link='two'/>"
+        "<successor link='rotor'/><ratio value='7'/></coupling></robot>"
+    )  # fmt: skip
+    found = alfmu.imported(path, drives="q2")
+    run = alfmu.simulate(found.mechanism, 1.0, 0.5, inputs={"q2_drive": 0.1})
+    np.testing.assert_allclose(run["q3.angle"], 7 * (run["q1.angle"] + run["q2.angle"]), atol=1e-9)
+    # The torque turns the first arm back, of inertia 0.02, and the second one with the rotor, of 0.02 + 49 j.
+    np.testing.assert_allclose(run["q1.angle"], -0.1 / 0.02 * run.time**2 / 2, atol=1e-7)
+    np.testing.assert_allclose(run["q3.angle"], 7 * 0.1 / (0.02 + 49 * j) * run.time**2 / 2, atol=1e-7)
+
+
+def test_a_detachable_joint_of_gazebo_remains_attached(tmp_path: Path):
+    """A point mass of another model on an arm: a pendulum of both (DOP853)."""
+    inertial = "<inertial><mass>{}</mass><inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz></inertia></inertial>"
+    path = tmp_path / "w.sdf"
+    path.write_text(
+        "<sdf version='1.9'><world name='w'><model name='arm'><link name='a'><pose>0.5 0 0 0 0 0</pose>"
+        + inertial.format(2, i=0.1) + "</link><joint name='j' type='revolute'><pose relative_to='__model__'/>"
+        "<parent>world</parent><child>a</child><axis><xyz>0 1 0</xyz></axis></joint><plugin filename='f' "
+        "name='gz::sim::systems::DetachableJoint'><parent_link>a</parent_link><child_model>load</child_model>"
+        "<child_link>b</child_link><topic>/t</topic></plugin></model><model name='load'><pose>1 0 0 0 0 0</pose>"
+        "<link name='b'>" + inertial.format(1, i=0.05) + "</link></model></world></sdf>"
+    )  # fmt: skip
+    found = alfmu.imported(path)
+    assert any("detachable joints remain attached" in note for note in found.notes)
+    run = alfmu.simulate(found.mechanism, 0.5, 0.1, parameters={"solver.relative_tolerance": 1e-11})
+    angle = next(run[name] for name in run.names if name.endswith("j.angle"))
+    inertia = 0.1 + 2 * 0.5**2 + 0.05 + 1 * 1**2
+
+    def falls(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], (2 * 0.5 + 1) * 9.8 * np.cos(y[0]) / inertia]
+
+    swing = solve_ivp(falls, (0, 0.5), [0.0, 0.0], "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
+    np.testing.assert_allclose(angle, swing, atol=1e-8)

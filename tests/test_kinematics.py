@@ -948,3 +948,18 @@ def test_axis_of_a_body_in_space_is_given_by_euler_parameters():
     e = np.array([float(x) for x in ca.vertsplit(about((0.0, 0.0, 1.0), 0.1))])
     places = [k.inverse({"platform": (0, 0, 0.95, *factor * e)}) for factor in (1.0, -3.0)]
     np.testing.assert_allclose(places[0].q, places[1].q, atol=1e-11)
+
+
+def test_efforts_hold_against_violated_stops():
+    """A pendulum beyond its limits: gravity, and the stop's stiffness times the penetration less half its onset."""
+    m = Mechanism("stopped")
+    th = m.coordinate("th", "rad", start=0.1, independent=True)
+    bar = m.bar("bar", mass=0.8, length=0.5)
+    pin = m.revolute("A", m.ground.at(), bar.start, coordinate=th)
+    m.end_stop("stop", pin, upper=0.3, lower=-0.2, stiffness=50.0, onset=0.02, dissipation=0.0)
+    m.gravity(0, -9.81)
+    k = kinematics(m, actuated=["A"])
+    for angle, pushed in ((0.5, 50.0 * (0.2 - 0.01)), (-0.6, -50.0 * (0.4 - 0.01)), (0.2, 0.0)):
+        position = k.forward({"A": angle})
+        assert k.efforts(position)["A"] == pytest.approx(0.8 * 9.81 * 0.25 * np.cos(angle) + pushed, abs=1e-12)
+        assert bool(position.beyond) == bool(pushed)

@@ -20,7 +20,7 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Constraint, Friction, Rigidity, key_of, stack, symbolic
 from ..model.relations import Pair, Rack
 from ..model.spatial import SpatialJoint
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Tendon, rank
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, rank
 from .markup import Node
 from .poses import Array, Pose, cleaned, quaternion, vector
 from .solids import Inertial
@@ -80,6 +80,26 @@ class _Pull:
         apart = max((abs(self.terms.get(k, 0.0) - other.terms.get(k, 0.0)) for k in keys), default=0.0)
         alike = [(x.control.name, x.control.limits, x.limits, x.gain) for x in (self, other)]
         return alike[0] == alike[1] and apart <= _SAME * max(map(abs, self.terms.values()), default=0.0)
+
+
+def _joined(tendon: Tendon, other: Tendon) -> bool:
+    """Add the parts of another tendon along the same sum, up to a factor, that the first lacks; return whether it had
+    no others."""
+    one, two = dict(tendon.along), dict(other.along)
+    ratio = next(iter(two.values())) / one.get(next(iter(two)), math.inf)
+    if one.keys() != two.keys() or max(abs(two[j] - ratio * one[j]) for j in one) > _SAME * max(map(abs, two.values())):
+        return False
+    if (tendon.stiffness and other.stiffness) or (tendon.limits and other.limits):
+        return False
+    for part in ("stiffness", "damping", "armature"):
+        setattr(tendon, part, getattr(tendon, part) + ratio**2 * getattr(other, part))
+    low, high = sorted(x / ratio for x in other.rest)
+    tendon.rest = (low, high) if other.stiffness else tendon.rest
+    if other.limits:
+        low, high = sorted(x / ratio for x in other.limits)
+        tendon.limits = (low, high)
+    tendon.name = other.name
+    return True
 
 
 _NO_SUM = "its effort is not a sum of inputs, its displacement and its rate"
@@ -273,18 +293,17 @@ class _Describing:
             k, d, rest = self.constant(joint.name, "spring", spring.stiffness, spring.damping, spring.rest)
             self._spring(joint, k, d, k * rest)
         for stop in m.end_stops:
-            ends = (-1e16 if stop.lower is None else stop.lower, 1e16 if stop.upper is None else stop.upper)
+            ends = (-math.inf if stop.lower is None else stop.lower, math.inf if stop.upper is None else stop.upper)
             low, high = self.constant(stop.name, "limit", *ends)
-            terms = self._linear(stop.of) if self.form.full and isinstance(stop.of, ca.SX) else None
-            if terms and all(kind == "q" or not size for (kind, _), size in terms.items()):
-                along = tuple((joint, size) for (kind, joint), size in terms.items() if kind == "q")
-                self._along_sum(stop.name, Tendon(stop.name, self.node, along, limits=(low, high)))
-                self.linkage.warn("stiffness and damping of end stops", self.node)
+            terms = self._linear(stop.of) if isinstance(stop.of, ca.SX) else None
+            self.linkage.warn("stiffness and damping of end stops", self.node)
+            shift = terms.pop(("1", None)) if terms else 0.0
+            along = tuple((joint, size) for (kind, joint), size in (terms or {}).items() if kind == "q")
+            if along and len(along) == len(terms or ()) and (self.form.full or len(along) == 1):
+                self._limited(stop.name, along, low - shift, high - shift)
                 continue
             joint = self._motion(stop.of, "an end stop")
-            old = joint.limits[0] if joint.limits else (low, high)
-            joint.limits = ((max(low, old[0]), min(high, old[1])),)
-            self.linkage.warn("stiffness and damping of end stops", self.node)
+            self._limited(stop.name, ((joint, 1.0),), low, high)
         given = [(self._motion(drive.joint, "a drive"), drive.effort) for drive in m.drives]
         hinges = {x.ends[1]: x.joints for x in self.edges if x.ends[0] is m.ground and x.kind == "revolute"}
         loads: list[Any] = [*m.loads, *m.spatial_loads]
@@ -300,6 +319,16 @@ class _Describing:
         for joint in self.motions.values():
             if joint.stiffness[0] and not self.form.springs:
                 self.refuse(joint.name, f"{self.form.name} holds no springs")
+
+    def _limited(self, name: str, along: Sum, low: float, high: float) -> None:
+        """Add limits of a joint, where several hold together, or of a sum of coordinates."""
+        if len(along) > 1:
+            self._along_sum(name, Tendon(name, self.node, along, limits=(low, high)))
+            return
+        joint, factor = along[0]
+        low, high = sorted((low / factor, high / factor))
+        old = joint.limits[0] if joint.limits else (low, high)
+        joint.limits = ((max(low, old[0]), min(high, old[1])),)
 
     def _rated(self) -> None:
         """Convert quadratic energies and linear dampers, of joints, of sums of their coordinates, and of balls."""
@@ -396,8 +425,9 @@ class _Describing:
             joint.armature += tendon.armature * factor**2
             self._spring(joint, k, d, k * low / factor)
         elif self.form.full:
-            self.linkage.tendons.append(tendon)
             self.coupled |= {joint for joint, _ in tendon.along}
+            self.linkage.tendons = [each for each in self.linkage.tendons if not _joined(tendon, each)]
+            self.linkage.tendons.append(tendon)
         else:
             self._refuse_force(given)
 

@@ -23,10 +23,10 @@ from .solids import Inertial
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
 
-LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "tendons", "unknown")
+LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "shapes", "tendons", "unknown")
 """Kinds of elements that a user may leave out although they affect the motion; `balls`: springs and friction in ball
 joints; `free`: resistance in free joints; `gaps`: directions of loops that other joints suppress already, but where
-points are apart."""
+points are apart; `shapes`: those whose mass or inertia is unknown."""
 
 _RANK = 1e-7
 """Singular value of constraints over the largest up to which it counts as zero."""
@@ -297,11 +297,19 @@ class Linkage:
     def weigh(self) -> None:
         """Refuse unknown inertias of moving links; refuse moments of inertia that no body has, or replace them by their
         mean; tune springs by inertia."""
+        for link in dict.fromkeys(link for link, _, _ in self.doubts if "shapes" in self.leaves):
+            alone = all(link not in (x.first[0], x.second[0]) for x in self.closures)
+            alone &= all(each.parent is not link for each in self.links)
+            if alone and not link.inertial.mass and any(joint.kind == "free" for joint in link.joints):
+                link.joints = []
+                self.warn("free bodies that this leaves without mass, which are fixed", link.node)
         for link, node, doubt in self.doubts:
             if moving(link) is None:
                 self.note("these shapes of fixed bodies have no mass here, as it is not known", node)
+            elif "shapes" in self.leaves:
+                self.warn("shapes, whose mass is unknown, left out by option", node)
             elif str(doubt) not in self.causes:
-                self.causes.append(str(doubt))
+                self.causes.append(f"{doubt}; --option leave=shapes leaves its mass out")
         for link in self.links:
             moments = np.linalg.eigvalsh(link.inertial.inertia)
             tiny = 1e-12 * np.abs(moments).max()

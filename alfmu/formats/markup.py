@@ -10,6 +10,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Never, TypeVar
@@ -132,9 +133,10 @@ class Node:
                 yield from child.unread(left)
 
     def one(self, tag: str) -> Node | None:
-        """Return the only child with a tag, None if there is none; raise InputError if there are several."""
+        """Return the only child with a tag, None if there is none; raise InputError if several differ."""
         found = self.all(tag)
-        if len(found) > 1:
+        if any(x.children or (x.text.strip(), x.attributes) != (found[0].text.strip(), found[0].attributes)
+               for x in found[1:]):  # fmt: skip
             found[1].fail(f"<{tag}> is given twice; give one")
         return found[0] if found else None
 
@@ -240,7 +242,13 @@ class Children(Reading):
     def text(self, name: str, default: str | None = None) -> str:
         """Return the text of the only child with a tag."""
         child = self.node.need(name) if default is None else self.node.one(name)
-        return child.text.strip() if child is not None else str(default)
+        return child.text.strip() if child is not None and (self.has(name) or default is None) else str(default)
+
+    def has(self, name: str) -> bool:
+        """Whether a child is given; an empty one stands for the default, as in libsdformat."""
+        _, child = self._given.get(name, ("", self.node))
+        child.taken = True
+        return child is not self.node and bool(child.text.strip() or child.children)
 
     def flag(self, name: str, default: bool) -> bool:
         """Return a Boolean, in upper or lower case."""
@@ -340,6 +348,12 @@ class Includes:
 
     def root(self, node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Node:
         """Return the root of the file that an element names, with its own includes replaced."""
+        with self.inside(node, name, where, allowed) as root:
+            return root
+
+    @contextmanager
+    def inside(self, node: Node, name: str, where: Sequence[Path], allowed: Sequence[Path]) -> Iterator[Node]:
+        """Yield the same while files that it names in turn are read: none of them may be it, or one around it."""
         path = found_file(node, name, where, allowed)
         self._count += 1
         if path in self._within or len(self._within) > _INCLUDED or self._count > _FILES:
@@ -348,9 +362,11 @@ class Includes:
             )
         root = parsed(path)
         self._within.append(path)
-        self.replace(root)
-        self._within.pop()
-        return root
+        try:
+            self.replace(root)
+            yield root
+        finally:
+            self._within.pop()
 
 
 def _tree(path: Path, content: bytes) -> Node:

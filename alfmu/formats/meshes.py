@@ -27,6 +27,8 @@ def triangles(path: Path) -> Array:
     if path.suffix.lower() not in (".stl", ".obj"):
         raise InputError(f"{path} is no STL or OBJ file; alfmu reads the inertia of these")
     content = content_of(path, _LARGEST)
+    if content.startswith(b"version https://git-lfs"):
+        raise InputError(f"{path} is a pointer of Git LFS; fetch the mesh by `git lfs pull`")
     try:
         found = _stl(content) if path.suffix.lower() == ".stl" else _obj(content.decode(errors="replace"))
     except (ValueError, IndexError):

@@ -6,6 +6,7 @@ ignored.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
-from .replicas import replicated
+from .replicas import names_in, others, prefixed, replicated
 from .solids import Inertial
 
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
@@ -106,12 +107,51 @@ class File:
         self, root: Node, key: str = "", contacts: str = "refuse", leaves: Sequence[str] = (),
         folders: Sequence[Path] = (),
     ):  # fmt: skip
-        self.root = root
         self.folders = [root.file.resolve().parent, *folders]
-        Includes(root, self._included)
-        model = Reading(root)
-        self.linkage = Linkage(model.text("model", ""), "MJCF", root, leaves=leaves)
-        self.settings = _Settings()
+        self.linkage = Linkage(Reading(root).text("model", ""), "MJCF", root, leaves=leaves)
+        self._includes = Includes(root, self._included)
+        self.links: dict[str, Link] = {}
+        self.joints: dict[str, Joint] = {}
+        self.sites: dict[str, tuple[Link | None, Pose]] = {}
+        self.geoms: list[tuple[Link | None, Node, int, int]] = []
+        self.masses: dict[Link, list[Inertial]] = {}
+        """Inertias that geoms contribute to bodies."""
+        self.soft: list[str] = []
+        """Prefixes of the names of bodies that belong to flexible bodies."""
+        self.tendons: dict[str, Sum | None] = {}
+        self.zero: dict[Link, Pose] = {}
+        self.models: list[File] = [self]
+        """This model and those attached to it."""
+        every = self.linkage.every
+        self._begin(root)
+        every(root.all("option"), self._option)
+        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
+        for node in root.all("worldbody"):
+            self._tree(node, None, Pose(), None)
+        if self.settings.total:
+            self.linkage.causes += [str(doubt) for _, _, doubt in self.linkage.doubts]
+        self._balanced()
+        for each in self.models:
+            every(each._parts("tendon"), each._tendon)
+        if self.settings.off & {"equality", "constraint"}:
+            disabled = [node for each in self.models for node in each.root.all("equality")]
+            self.linkage.leave("equality constraints, which the options disable", *disabled)
+        else:
+            for each in self.models:
+                every(each._parts("equality"), each._closing)
+        for each in self.models:
+            every(each._parts("actuator"), each._actuator)
+        if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
+            with self.linkage.trying():
+                self._contacts()
+        else:
+            self.linkage.leave("contacts", *(node for each in self.models for node in each.root.all("contact")))
+        with self.linkage.trying():
+            self._start(key)
+
+    def _begin(self, root: Node, prefix: str = "") -> None:
+        """Read what one model alone uses: settings of its compiler, default classes, meshes."""
+        self.root, self.settings, self.prefix = root, _Settings(), prefix
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
@@ -119,53 +159,68 @@ class File:
         }
         self.inertias: dict[tuple[str, bool], Inertial] = {}
         """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
-        self.links: dict[str, Link] = {}
-        self.joints: dict[str, Joint] = {}
-        self.sites: dict[str, tuple[Link | None, Pose]] = {}
-        self.geoms: list[tuple[Link | None, Node, int, int]] = []
-        self.masses: dict[Link, list[Inertial]] = {}
-        """Inertias that geoms contribute to bodies."""
-        self.soft: tuple[str, ...] = ()
-        """Prefixes of the names of bodies that belong to flexible bodies."""
-        self.tendons: dict[str, Sum | None] = {}
-        self.zero: dict[Link, Pose] = {}
-        every = self.linkage.every
-        every(root.all("compiler"), self._compiler)
-        every(root.all("option"), self._option)
-        self.linkage.gravity = (0.0, 0.0, 0.0) if "gravity" in self.settings.off else self.settings.gravity
-        every(root.all("default"), self._default)
+        self.linkage.every(root.all("compiler"), self._compiler)
+        self.linkage.every(root.all("default"), self._default)
         replicated(root, self._euler)
         self._sections()
-        for node in root.all("worldbody"):
-            self._tree(node, None, Pose(), None)
-        if self.settings.total:
-            self.linkage.causes += [str(doubt) for _, _, doubt in self.linkage.doubts]
-        self._balanced()
-        every(self._parts("tendon"), self._tendon)
-        if self.settings.off & {"equality", "constraint"}:
-            self.linkage.leave("equality constraints, which the options disable", *root.all("equality"))
-        else:
-            every(self._parts("equality"), self._closing)
-        every(self._parts("actuator"), self._actuator)
-        if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
-            with self.linkage.trying():
-                self._contacts()
-        else:
-            self.linkage.leave("contacts", *root.all("contact"))
-        with self.linkage.trying():
-            self._start(key)
+
+    def _attach(self, node: Node, link: Link | None, pose: Pose) -> None:
+        """Read another model, or a body of it, at a pose in a body; its settings and default classes remain its own."""
+        given = Reading(node)
+        models = {x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
+                  for x in self._parts("asset", "model")}  # fmt: skip
+        asset = known(node, given.text("model"), models, "model")
+        body, prefix = given.text("body", ""), given.text("prefix", "")
+        given.done()
+        where = [self.folders[0], asset.file.resolve().parent, *self.folders[1:]]
+        with self._includes.inside(asset, Reading(asset).text("file"), where, self.folders) as root:
+            if root.tag != "mujoco":
+                asset.fail(f"the file begins with <{root.tag[:40]}>; alfmu attaches models in MJCF")
+            prefixed(root, prefix)
+            made = copy.copy(self)
+            made.folders = [root.file.resolve().parent, *self.folders]
+            made._begin(root, prefix)
+            self.models.append(made)
+            if made.settings.bounds != (0.0, 0.0) or made.settings.total:
+                node.fail("bounds of masses of an attached model do not map; give them in the model around it")
+            Reading(root).text("model", "")
+            root.parent, root.taken = node, True
+            node.children.append(root)
+            self.linkage.leave("options of attached models, which MuJoCo does not take", *root.all("option"))
+            worlds = root.all("worldbody")
+            if body:
+                bodies = {x.attributes.get("name", ""): x for w in worlds for x in w.below() if x.tag == "body"}
+                part = known(node, prefix + body, bodies, "body")
+                rest = [x for w in worlds for x in w.children if part not in x.below()] + others(root, names_in(part))
+                self.linkage.leave("parts of attached models that are not attached", *rest)
+                for world in worlds:
+                    world.children = [part] if world is worlds[0] else []
+                part.taken = True
+                above: Node | None = part.parent
+                while above is not None and "childclass" not in above.attributes:
+                    above = above.parent
+                made._branch(part, link, pose, above.attributes["childclass"] if above is not None else None)
+            else:
+                for world in worlds:
+                    made._tree(world, link, pose, None)
 
     def _parts(self, section: str, *tags: str) -> list[Node]:
         """Return the elements in all sections of a name."""
         return [x for each in self.root.all(section) for x in (each.all(*tags) if tags else each.each())]
 
     def _included(self, includes: Includes, node: Node) -> list[Node]:
-        """Return the elements of the file that an <include> names."""
-        where = [self.folders[0], node.file.resolve().parent, *self.folders[1:]]
-        root = includes.root(node, Reading(node).text("file"), where, self.folders)
-        for each in root.each():
-            each.parent = node.parent
-        return root.children
+        """Return the elements of the file that an <include> names; none if it is missing and may be left out."""
+        where, name = [self.folders[0], node.file.resolve().parent, *self.folders[1:]], Reading(node).text("file")
+        with self.linkage.trying(node):
+            try:
+                found_file(node, name, where, self.folders)
+            except InputError as error:
+                self.linkage.skip("includes", node, str(error).removeprefix(f"{node.where}: "))
+            root = includes.root(node, name, where, self.folders)
+            for each in root.each():
+                each.parent = node.parent
+            return root.children
+        return []
 
     def _sections(self) -> None:
         """Ignore or refuse the sections that are not read."""
@@ -287,10 +342,12 @@ class File:
             self.linkage.leave("sites", child)
         elif child.tag in ("flexcomp", "composite"):
             name = child.attributes.get("name")
-            self.soft += (f"{name}_",) if child.tag == "flexcomp" else (f"{child.attributes.get('prefix')}B_",)
+            self.soft.append(f"{name}_" if child.tag == "flexcomp" else f"{child.attributes.get('prefix')}B_")
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
+        elif child.tag == "attach":
+            self._attach(child, link, pose)
         elif child.tag == "plugin":
             self.linkage.warn("plugins, which are programs", child)
         elif child.tag != "inertial":
@@ -546,7 +603,7 @@ class File:
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
-        name = given.text("name", f"{node.tag}{self._parts('equality').index(node) + 1}")
+        name = given.text("name", f"{self.prefix}{node.tag}{self._parts('equality').index(node) + 1}")
         if not given.flag("active", True):
             self.linkage.leave("equality constraints that are not active", node)
             return
@@ -638,7 +695,7 @@ class File:
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
         name = given.text(which, default)
-        if name.startswith(self.soft):
+        if name.startswith(tuple(self.soft)):
             self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
         return None if name == "world" else known(given.node, name, self.links, "body")
 
@@ -716,8 +773,11 @@ class File:
 
     def _contacts(self) -> None:
         """Reject a file whose bodies could touch each other."""
-        self.linkage.every(self._parts("contact", "pair"), lambda pair: pair.fail(f"contacts do not map; {_CONTACTS}"))
-        excludes = [Reading(each) for each in self._parts("contact", "exclude")]
+        pairs, excluded_pairs = (
+            [node for each in self.models for node in each._parts("contact", tag)] for tag in ("pair", "exclude")
+        )
+        self.linkage.every(pairs, lambda pair: pair.fail(f"contacts do not map; {_CONTACTS}"))
+        excludes = [Reading(each) for each in excluded_pairs]
         excluded = {frozenset((each.text("body1"), each.text("body2"))) for each in excludes}
         for i, (one, node, type1, affinity1) in enumerate(self.geoms):
             for two, other, type2, affinity2 in self.geoms[:i]:
@@ -736,7 +796,8 @@ class File:
     # Start ------------------------------------------------------------------------------------------------------
 
     def _start(self, key: str) -> None:
-        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(self._parts("keyframe", "key"))}
+        keys = [each for model in self.models for each in model._parts("keyframe", "key")]
+        named = {each.attributes.get("name", str(i)): each for i, each in enumerate(keys)}
         for joint in self.linkage.joints:
             if joint.kind == "free":
                 pose = self._at_reference(next(link for link in self.linkage.links if joint in link.joints))
@@ -746,18 +807,21 @@ class File:
         if not key:
             return
         given = Reading(known(self.root, key, named, "keyframe"))
+        model = next(each for each in self.models if given.node in each._parts("keyframe", "key"))
+        inside = set(model.root.below())
+        joints = [joint for joint in self.linkage.joints if joint.node in inside]
         widths = {"spherical": (4, 3), "free": (7, 6)}
-        sizes = [widths.get(joint.kind, (1, 1)) for joint in self.linkage.joints]
+        sizes = [widths.get(joint.kind, (1, 1)) for joint in joints]
         for name, attribute, which in (("qpos", "start", 0), ("qvel", "rates", 1)):
             values = iter(given.numbers(name, sum(x[which] for x in sizes)) if given.has(name) else ())
-            for joint, size in zip(self.linkage.joints, sizes, strict=True) if given.has(name) else ():
+            for joint, size in zip(joints, sizes, strict=True) if given.has(name) else ():
                 setattr(joint, attribute, tuple(itertools.islice(values, size[which])))
                 if size[0] > 1 and not any(joint.start[-4:]):
                     given.fail("qpos", f"the quaternion of {joint.name} is zero")
-        self.linkage.posed = given.has("qpos")
+        self.linkage.posed = given.has("qpos") and len(joints) == len(self.linkage.joints)
         given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
         if given.has("ctrl"):
-            motors = self.linkage.motors
+            motors = [motor for motor in self.linkage.motors if motor.node in inside]
             for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
                 motor.start = x
         given.done(("name", "time"))

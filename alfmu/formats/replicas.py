@@ -1,4 +1,5 @@
-"""MJCF's <replicate>: copies of a part of the tree, each at the same pose from the one before, with numbered names.
+"""MJCF's <replicate>: copies of a part of the tree, each at the same pose from the one before, with numbered names;
+and the names of <attach>, which have a prefix.
 
 Elements of other sections that name replicated elements alone are replicated, too.
 """
@@ -49,7 +50,7 @@ def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
     size = sum(1 for _ in node.below())
     if not 1 <= count <= MOST // size or count != number:
         given.fail("count", f"count is {number:g}; give a number from 1 to {MOST // size}")
-    names = {(_KINDS.get(x.tag, x.tag), x.attributes["name"]) for x in node.below() if "name" in x.attributes}
+    names = names_in(node)
     ends = [f"{between}{i:0{len(str(count))}}" for i in range(count)]
     made = []
     for i, end in enumerate(ends):
@@ -71,6 +72,35 @@ def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
             names |= {(section.tag, each.attributes.get("name"))} if section.tag == "tendon" else set()
         section.children = found
     return made
+
+
+def names_in(node: Node) -> set[tuple[str, str]]:
+    """Return the kinds and names of an element and of those in it."""
+    return {(_KINDS.get(x.tag, x.tag), x.attributes["name"]) for x in node.below() if "name" in x.attributes}
+
+
+def prefixed(root: Node, prefix: str) -> None:
+    """Put a prefix before all names of a model but those of its assets and default classes, which it alone uses."""
+    for node in (x for part in root.children if part.tag not in ("asset", "default") for x in part.below()):
+        for name, value in node.attributes.items():
+            kind, named = _named(node, name) if node.tag != "attach" else ("", "")
+            if (name == "name" and node.tag != "attach") or (kind and named != "world"):
+                node.attributes[name] = prefix + value
+        if node.tag == "attach":
+            node.attributes["prefix"] = prefix + dict.get(node.attributes, "prefix", "")
+
+
+def others(root: Node, names: set[tuple[str, str]]) -> list[Node]:
+    """Remove and return elements of the other sections that name any but these elements, and tendons of them."""
+    names, found = names | {("body", "world")}, list[Node]()
+    for section in (x for tag in _SECTIONS for x in root.all(tag)):
+        for each in section.children:
+            if not {_named(x, name) for x in each.below() for name in x.attributes} - {("", "")} <= names:
+                found.append(each)
+            elif section.tag == "tendon":
+                names = names | {("tendon", dict.get(each.attributes, "name", ""))}
+        section.children = [each for each in section.children if each not in found]
+    return found
 
 
 def _named(node: Node, attribute: str) -> tuple[str, str]:

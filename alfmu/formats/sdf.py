@@ -131,6 +131,7 @@ class File:
         if not moving:
             root.fail("it has no model that moves")
         others = [] if world is None else world.all("joint", "frame") if not wanted else []
+        others = [*others, *(joint for each in models for joint in self._detachable(each) if not wanted)]
         if len(moving) == 1 and not any(each.tag == "joint" for each in others):
             return moving[0]
         for k, each in enumerate(models):
@@ -141,6 +142,22 @@ class File:
         whole = Node("model", {"name": name}, root.file, moving[0].line, root)
         whole.children = [*moving, *others]
         return whole
+
+    def _detachable(self, model: Node) -> list[Node]:
+        """Return fixed joints in place of plugins that attach a link of another model until a message detaches it."""
+        made = []
+        for plugin in model.children:
+            if plugin.tag != "plugin" or "DetachableJoint" not in plugin.attributes.get("name", ""):
+                continue
+            given, own = Children(plugin), model.attributes.get("name", "")
+            other = given.text("child_model")
+            joint = Node("joint", {"name": f"{own}_attached", "type": "fixed"}, plugin.file, plugin.line, model)
+            joint.add("parent", text=f"{own}::{given.text('parent_link')}")
+            joint.add("child", text=f"{own if other == '__model__' else other}::{given.text('child_link')}")
+            self.linkage.note("detachable joints remain attached", joint)
+            made.append(joint)
+        model.children = [x for x in model.children if "DetachableJoint" not in dict.get(x.attributes, "name", "")]
+        return made
 
     def _gravity(self, node: Node) -> None:
         if (gravity := node.one("gravity")) is not None:

@@ -1,22 +1,23 @@
 """URDF: a tree of links, and the extensions by which files close loops.
 
-Loops: `<loop_joint>` with two links, `<drake:ball_constraint>`, and joints of SDF inside `<gazebo>`. `<mimic>` lets a
-joint follow another. Joints with a `<transmission>` get an input.
+Loops: `<loop_joint>` with two links, `<drake:ball_constraint>`, `<loop>` and `<coupling>` of URDF+, `<constraint>` as
+proposed for URDF, and joints of SDF inside `<gazebo>`. `<mimic>` lets a joint follow another. Joints with a
+`<transmission>` get an input.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..model.errors import InputError
 from ..model.words import shown
-from .linkage import ANYWHERE, Closure, Joint, Link, Linkage, place
+from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, place
 from .loops import listed
 from .markup import Node, Reading, known, numbers
-from .poses import Array, Pose, quaternion, turned, vector
+from .poses import Array, Pose, about, quaternion, turned, vector
 from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
 
@@ -30,6 +31,7 @@ _LOOPS = {
     "revolute": "revolute", "continuous": "revolute", "spherical": "spherical", "ball": "spherical", "fixed": "weld",
     "prismatic": "prismatic",
 }  # fmt: skip
+_LOOPING = ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "loop", "constraint", "coupling")
 _SECTIONS = {"material": "materials", "sensor": "sensors"} | {
     tag: f"settings for other programs (<{tag}>)"
     for tag in ("mujoco", "physics", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
@@ -47,6 +49,18 @@ _MOVING = {
     "springStiffness": "declare the spring in the file that `alfmu import` writes",
 }
 """Settings for Gazebo that change the motion, with the alternative."""
+
+
+def _above(link: Link | None) -> Iterator[Link]:
+    """Yield a link and all that carry it."""
+    while link is not None:
+        yield link
+        link = link.parent
+
+
+def _each(node: Node, *tags: str) -> list[Node]:
+    """Return the children with these tags, of which there is one each at most."""
+    return [child for tag in tags if (child := node.one(tag)) is not None]
 
 
 class File:
@@ -76,7 +90,9 @@ class File:
         every([each for each in root.children if not each.taken], self._section)
         with self.linkage.trying(root):
             self._tree(nodes, joints, base)
-        every(root.all("loop_joint", "drake:loop_joint"), lambda x: closures.append(self._loop(x)))
+        cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
+        every(cut, lambda x: closures.append(self._loop(x)))
+        every(root.all("coupling"), self._coupling)
         every(root.all("drake:ball_constraint"),
               lambda x: closures.append(ball_constraint(x, self.links, len(closures))))  # fmt: skip
         every(root.all("gazebo"), self._gazebo)
@@ -113,7 +129,7 @@ class File:
     def _section(self, child: Node) -> None:
         if child.tag.startswith("xacro:"):
             child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
-        if child.tag not in ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission"):
+        if child.tag not in _LOOPING and child.tag not in ("gazebo", "transmission"):
             what = f"<{child.tag}> does not map; alfmu takes links, joints, loop joints and transmissions"
             self.linkage.skip("unknown", child, what)
 
@@ -203,6 +219,7 @@ class File:
         """Return the joint that places a link, with its mimic element."""
         given = Reading(node)
         name, kind = given.text("name"), given.text("type")
+        given.text("independent", "")  # of URDF+: a choice of coordinates
         if kind not in _KINDS or (kind in _OF_DRAKE) != (node.tag == "drake:joint"):
             node.fail(f"a joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_KINDS)} ones")
         left = {each: each for each in ("safety_controller", "calibration")}
@@ -239,7 +256,7 @@ class File:
             self._limits(joint, kind)
         if kind == "screw":
             joint.lead = Reading(node.need("drake:screw_thread_pitch")).number("value")
-        for dynamics in node.all(*_RESISTING):
+        for dynamics in _each(node, *_RESISTING):
             given = Reading(dynamics)
             joint.damping = (given.positive("damping", joint.damping[0]),) * max(len(joint.axes), 1)
             joint.friction = (given.positive("friction", joint.friction[0]),) * max(len(joint.axes), 1)
@@ -253,7 +270,7 @@ class File:
         """Return the two slides and the hinge of a planar joint, whose axis is the normal of the plane."""
         normal, sizes = self._axis(joint.node), [0.0] * 3
         normal = normal / np.linalg.norm(normal)
-        for dynamics in joint.node.all(*_RESISTING):
+        for dynamics in _each(joint.node, *_RESISTING):
             given = Reading(dynamics)
             sizes = given.numbers("damping", 3, sizes)
             if min(sizes) < 0:
@@ -273,7 +290,7 @@ class File:
 
     def _limits(self, joint: Joint, kind: str) -> None:
         """Read limits of the coordinate, the rate and the effort of a joint."""
-        for child in joint.node.all("limit"):
+        for child in _each(joint.node, "limit"):
             given = Reading(child)
             low, high, effort, speed = (given.limit(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
             if 0 < effort < ANYWHERE:
@@ -302,17 +319,61 @@ class File:
         name, kind = given.text("name"), given.text("type")
         if kind not in _LOOPS:
             node.fail(f"a loop joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_LOOPS)}")
+        turning = kind in ("revolute", "continuous", "prismatic")
+        if node.tag == "constraint":
+            return self._constraint(node, Joint(name, _LOOPS[kind], node), turning)
         ends = []
-        both = node.all("link1", "link2")
-        if len(both) != 2 or len(node.all("link2")) > 1:
-            node.fail("it joins two links; give <link1> and <link2>")
-        for each in both:
+        tags = ("predecessor", "successor") if node.tag == "loop" else ("link1", "link2")
+        both = node.all(*tags)
+        if len(both) != 2 or len(node.all(tags[1])) > 1:
+            node.fail(f"it joins two links; give <{tags[0]}> and <{tags[1]}>")
+        for each in both if both[0].tag == tags[0] else both[::-1]:
             given = Reading(each)
-            ends.append((known(each, given.text("link"), self.links, "link"), self._posed(given)))
-        axes = (self._axis(node),) if kind in ("revolute", "continuous", "prismatic") else ()
+            pose = self._origin(each) if node.tag == "loop" else self._posed(given)
+            ends.append((known(each, given.text("link"), self.links, "link"), pose))
+        axes = (self._axis(node),) if turning else ()
         if not axes:
             self.linkage.leave("axes of joints of a type without an axis", *node.all("axis"))
         return Closure(Joint(name, _LOOPS[kind], node, axes=axes), ends[0], ends[1])
+
+    def _constraint(self, node: Node, joint: Joint, turning: bool) -> Closure:
+        """Return a loop as proposed for URDF, with a frame and an axis in either link."""
+        ends, axes = [], []
+        for which in ("parent", "child"):
+            given = Reading(end := node.need(which))
+            link = known(end, given.text("link"), self.links, "link")
+            origin, axis = node.one(f"{which}_origin"), node.one(f"{which}_axis")
+            pose = self._posed(Reading(origin)) if origin is not None else Pose()
+            axes.append(vector(Reading(axis).numbers("xyz", 3) if axis is not None else (1.0, 0.0, 0.0)))
+            if turning and not np.linalg.norm(axes[-1]) > 0:
+                node.fail("its axis has no direction")
+            ends.append((link, pose))
+        if turning:
+            one, two = (axis / np.linalg.norm(axis) for axis in axes)
+            across = np.cross(one, two)
+            if not across.any() and one @ two < 0:
+                across = np.cross(one, np.eye(3)[np.abs(one).argmin()])
+            if across.any():
+                turn = about(across, float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two)))
+                ends[1] = ends[1][0], ends[1][1] @ Pose(np.zeros(3), turn)
+            joint.axes = (one,)
+        return Closure(joint, ends[0], ends[1])
+
+    def _coupling(self, node: Node) -> None:
+        """Read a coupling of URDF+: the joints from the link that both ends hang on to the successor turn as those to
+        the predecessor, times a ratio."""
+        chains = []
+        for which in ("predecessor", "successor"):
+            end = node.need(which)
+            chains.append(list(_above(known(end, Reading(end).text("link"), self.links, "link"))))
+        ratio = Reading(node.need("ratio")).number("value")
+        by, of = ([joint for link in own if link not in other for joint in link.joints]
+                  for own, other in (chains, chains[::-1]))  # fmt: skip
+        if not (by and of) or any(joint.kind not in ("revolute", "prismatic") for joint in (*by, *of)):
+            node.fail("it couples hinges and slides; at each end there must be one, and no other joint")
+        sums = [tuple((joint, 1.0) for joint in each) for each in (of, by)]
+        name, _ = Reading(node).text("name"), Reading(node).choice("type", ("rolling",), "rolling")
+        self.linkage.couplings.append(Coupling(name, node, sums[0], sums[1], [0.0, ratio, 0.0, 0.0, 0.0]))
 
     def _gazebo(self, node: Node) -> None:
         refers = "reference" in node.attributes
