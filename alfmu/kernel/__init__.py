@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 30
+VERSION = 31
 """Version of scene files, increased whenever their content changes meaning."""
