@@ -8,7 +8,11 @@
 
 #include "internal_begin.h"
 
+#ifndef WITHOUT_DERIVATIVES
 void adjoints_along(Gradient *g, Mark from);
+#else
+static inline void adjoints_along(Gradient *g, Mark from) { (void)g, (void)from; }
+#endif
 
 #include "internal_end.h"
 

@@ -6,6 +6,7 @@
 #include <stddef.h>
 
 #include "component.h"
+#include "gradient.h"
 
 #include "internal_begin.h"
 
@@ -18,7 +19,7 @@ Status component_slopes(Component *c, const unsigned *references, size_t count, 
 Status component_output_derivatives(Component *c, const unsigned *references, size_t count, const int *orders,
     double *values, size_t value_count, const char *call);
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
+    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, Sweep *back,
     const char *call);
 
 #include "internal_end.h"
