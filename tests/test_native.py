@@ -635,6 +635,7 @@ def test_a_library_exports_the_functions_of_its_fmi_alone(built, tmp_path, fmi):
 )
 def test_the_five_bar_is_small(built):
     assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 322e3
+    assert built("five_bar", platforms=[build.HERE], sources=False).stat().st_size <= 235e3
 
 
 @pytest.mark.slow
@@ -675,6 +676,21 @@ def test_sources_leave_out_what_is_never_called(tmp_path):
     assert found[0] == found[1]
     assert "scene_compiled" in native.sources(2)["alfmu.c"]
     assert "scene_compiled" not in "".join(native.used(native.sources(2)).values())
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_sources_are_left_out_on_request(built, fmi):
+    path, whole = (built("particle_on_circle", fmi=fmi, sources=sources) for sources in (False, True))
+    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(whole) as other:
+        files, more = set(archive.namelist()), set(other.namelist()) - set(archive.namelist())
+        assert more == {name for name in other.namelist() if name.startswith("sources/")}
+        assert {name for name in files if archive.read(name) != other.read(name)} <= {"modelDescription.xml"}
+    assert not fmpy.validation.validate_fmu(str(path))
+    with Fmu(path) as own, Fmu(whole) as fmu:
+        assert (run(own, 0.2, 0.02).values == run(fmu, 0.2, 0.02).values).all()
+    for kind in ("python", "source"):
+        with pytest.raises(alfmu.ExportError, match="has no library in place of its sources; leave --no-sources out"):
+            alfmu.export("particle_on_circle", kind=kind, sources=False)
 
 
 @pytest.mark.slow
