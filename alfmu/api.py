@@ -161,6 +161,7 @@ def export(
     interface: str | None = None,
     derivatives: bool | None = None,
     reference: bool | None = None,
+    sources: bool | None = None,
 ) -> Path:
     """Write the FMU of a mechanism or a recipe and return its path, `<name>.fmu` by default.
 
@@ -177,7 +178,7 @@ def export(
         "kernel": kernel,
     }
     own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi, "interface": interface}
-    recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference)
+    recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference, sources=sources)
     return _written(recipe, path, rest_of(recipe))
 
 

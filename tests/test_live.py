@@ -344,7 +344,9 @@ def test_dragging_the_crank_sets_the_start(opened):
     page.wait(lambda s: s["rows"] == 1 and not s["busy"])
     canvas = page.browser.find_element(By.ID, "picture")
     place = "return picture.pixels([arguments[0] * Math.cos(arguments[1]), arguments[0] * Math.sin(arguments[1])])"
-    page.wait(lambda s: page.browser.execute_script("return Boolean(picture.fit) && !picture.whole && !picture.settling"))
+    page.wait(
+        lambda s: page.browser.execute_script("return Boolean(picture.fit) && !picture.whole && !picture.settling")
+    )
     (x0, y0), (x1, y1) = (page.browser.execute_script(place, 0.4, angle) for angle in (np.pi / 4, 1.9))
     box = canvas.rect
     middle = box["width"] / 2, box["height"] / 2

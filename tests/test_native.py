@@ -634,7 +634,8 @@ def test_a_library_exports_the_functions_of_its_fmi_alone(built, tmp_path, fmi):
     build.HERE != "linux64" or build.compiler() in (None, build.zig()), reason="other compilers make other sizes"
 )
 def test_the_five_bar_is_small(built):
-    assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 340e3
+    assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 322e3
+    assert built("five_bar", platforms=[build.HERE], sources=False).stat().st_size <= 235e3
 
 
 @pytest.mark.slow
@@ -672,7 +673,7 @@ def test_sources_leave_out_what_is_never_called(tmp_path):
             (tmp_path / name / each).write_text(text, encoding="ascii")
         made = tmp_path / f"{name}.so"
         command = [*build.compiler(), "-O0", "-fPIC", "-shared", "-fvisibility=hidden", "-ffunction-sections"]
-        command += ["-Wl,--gc-sections", "alfmu.c", "files.c", "-o", str(made), "-lm"]
+        command += ["-fdata-sections", "-Wl,--gc-sections", "alfmu.c", "files.c", "-o", str(made), "-lm"]
         subprocess.run(command, cwd=tmp_path / name, check=True)
         said = subprocess.run(["nm", made], capture_output=True, text=True, check=True).stdout
         found.append({line.split()[-1] for line in said.splitlines() if line.split()[-2] in "tT"})
@@ -698,6 +699,34 @@ def test_an_importer_that_compiles_the_sources_exports_the_functions_of_fmi_alon
     names = {line.split()[-1].removesuffix(".resolver") for line in said.stdout.splitlines()}
     assert {name for name in names if not name.startswith(f"fmi{fmi}")} <= several
     assert f"fmi{fmi}DoStep" in names
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_sources_are_left_out_on_request(built, fmi):
+    path, whole = (built("particle_on_circle", fmi=fmi, sources=sources) for sources in (False, True))
+    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(whole) as other:
+        files, more = set(archive.namelist()), set(other.namelist()) - set(archive.namelist())
+        assert more == {name for name in other.namelist() if name.startswith("sources/")}
+        assert {name for name in files if archive.read(name) != other.read(name)} <= {"modelDescription.xml"}
+    assert not fmpy.validation.validate_fmu(str(path))
+    with Fmu(path) as own, Fmu(whole) as fmu:
+        assert (run(own, 0.2, 0.02).values == run(fmu, 0.2, 0.02).values).all()
+    for kind in ("python", "source"):
+        with pytest.raises(alfmu.ExportError, match="has no library in place of its sources; leave --no-sources out"):
+            alfmu.export("particle_on_circle", kind=kind, sources=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not build.zig(), reason="needs Clang")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_clang_compiles_sources_for_linux(tmp_path, fmi):
+    """There, functions have versions for several processors."""
+    for name, text in native.used(native.sources(fmi)).items():
+        (tmp_path / name).write_text(text, encoding="ascii")
+    command = [*build.zig(), "-target", "x86_64-linux-gnu", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    command += ["-fPIC", "-c", "alfmu.c", "-o", "alfmu.o"]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
 
 
 def preprocessed(path: Path) -> list[str]:

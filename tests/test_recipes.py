@@ -163,6 +163,7 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
         "--step",
         "0.1",
         "--no-reference",
+        "--no-sources",
         "--kind",
         "native",
         "--fmi",
@@ -181,7 +182,7 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
     assert [float(getattr(experiment, x)) for x in ("stopTime", "stepSize", "tolerance")] == [4.0, 0.1, 1e-7]
     with zipfile.ZipFile("x.fmu") as archive:
         assert json.loads(archive.read("resources/options.json"))["options"] == {"rods": 2}
-        assert not [name for name in archive.namelist() if name.startswith("extra")]
+        assert not [name for name in archive.namelist() if name.startswith(("extra", "sources"))]
 
 
 @pytest.mark.slow

@@ -542,6 +542,15 @@ def test_a_result_may_be_written_over_an_argument_of_a_compiled_function():
         assert body.rindex("= x[") < body.index("y[0][0] =")
 
 
+def test_small_integers_take_one_byte():
+    """By hand: twice the number, less one if negative, in base 128."""
+    w = Writer()
+    w.integers([0, -1, 63, -64, 64, -8192, 8192, 2**31 - 1, -(2**31)])
+    count, *numbers = w.parts
+    assert count == b"\x09\0\0\0"
+    assert b"".join(numbers).hex(" ") == "00 01 7e 7f 81 00 ff 7f 81 80 00 8f ff ff ff 7e 8f ff ff ff 7f"
+
+
 # Damage ---------------------------------------------------------------------------------------------------------------
 
 

@@ -81,6 +81,12 @@ def add(command: Command) -> None:
         action=argparse.BooleanOptionalAction,
         help="include reference results (default); without them the FMU is smaller",
     )
+    sub.add_argument(
+        "--sources",
+        action=argparse.BooleanOptionalAction,
+        help="include C sources in a native FMU (default), for importers on further platforms; without them it is "
+        "smaller",
+    )
     add_scene(sub)
     sub.add_argument(
         "--ssp",
@@ -136,6 +142,7 @@ def _export(chosen: argparse.Namespace) -> None:
         communication_step=chosen.step,
         derivatives=chosen.derivatives,
         reference=chosen.reference,
+        sources=chosen.sources,
     )
     if recipe.kind == "source" and chosen.reference and str(chosen.output).endswith(".c"):
         raise InputError(f"{chosen.mechanism}: plain C has no reference results; leave --reference out")
@@ -164,7 +171,7 @@ def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
     own = ["kind", "fmi", "platform", "interface", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
-    own += ["option", "set", "compliances", "derivatives", "reference"]
+    own += ["option", "set", "compliances", "derivatives", "reference", "sources"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
     if not chosen.ssp:

@@ -219,7 +219,8 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
         needs = "This FMU is C to be compiled: one file of C99 that needs math.h and string.h."
         choices["solver.formulation"] = {RESIDUAL: choices["solver.formulation"][RESIDUAL]}
     else:
-        files = native.used(native.sources(fmi, native.left_out(e, derivatives, "me" in interfaces)))
+        without = native.left_out(e, derivatives, "me" in interfaces)
+        files = native.used(native.sources(fmi, without)) if recipe.sources else {}
         scene_files = {f"resources/{SCENE}": identified(scene, guid), f"resources/{OPTIONS}": _options(recipe, e)}
         needs = "This FMU needs nothing but the C library."
     compiled = [name for name in files if name.endswith(".c")]
@@ -230,10 +231,9 @@ def _native(recipe: Recipe, equations: Traced, declared: Mechanism, version: str
     described = model_description(e, version, generator, guid, variables, compiled, *facts)
     form = {}
     if fmi == 3:
-        form = {
-            "sources/buildDescription.xml": build_description(e.name, compiled),
-            "terminalsAndIcons/terminalsAndIcons.xml": document(found),
-        }
+        form["terminalsAndIcons/terminalsAndIcons.xml"] = document(found)
+        if compiled:
+            form["sources/buildDescription.xml"] = build_description(e.name, compiled)
     libraries = native.component(e.name, identified(scene, guid)) if native.WASM in chosen else {}
     for each, data in native.libraries(e.name, [name for name in chosen if name != native.WASM], fmi).items():
         platform = PLATFORMS[each]

@@ -24,7 +24,7 @@ from ..runtime.build import PLATFORMS, file_name
 from ..runtime.embedding import with_scene
 from ..runtime.pipeline import packed
 from ..runtime.shipped import library, there
-from .reached import reached
+from .reached import reached, undeclared
 
 WASM = "wasm32"
 """The platform of an FMU whose runtime is a component of WebAssembly, by the draft of FMI-LS-WASM."""
@@ -46,7 +46,7 @@ class Feature:
     needed: Callable[[Traced], object]
 
 
-_KEPT = {"gradient.h", "interface_jacobian.h"}
+_KEPT = {"adjoint.h", "gradient.h", "interface_jacobian.h"}
 """Headers of `derivatives` that also serve a runtime without derivatives."""
 
 FEATURES = {
@@ -147,6 +147,7 @@ def used(files: Mapping[str, str]) -> dict[str, str]:
     whole = files["alfmu.h"] + files["alfmu.c"]
     apart = set(re.findall(r"\w+", files["files.c"]))
     pieces = reached(whole, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
+    pieces = undeclared(pieces, apart)
     header, include, text = "".join(piece for _, piece in pieces).partition(_HEADER)
     return {**files, "alfmu.h": header, "alfmu.c": include + text}
 

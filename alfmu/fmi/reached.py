@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 
 _FUNCTION = re.compile(r"(?!typedef|enum|struct|union)[A-Za-z][^={}#;]*?\b(\w+)\([^={};]*\)\s*(\{|;)")
 _DATA = re.compile(r"(?!typedef)(?:extern |static )?(?:const )?\w[\w \*]*?\b(\w+)(?:\[[^\]]*\])*\s*(?:=|;)")
@@ -32,6 +32,26 @@ def reached(text: str, public: Callable[[str], object]) -> list[tuple[str, str]]
             waiting += more
             kept |= more
     return [(named[k], chunks[k]) for k in sorted(kept)]
+
+
+def undeclared(pieces: Sequence[tuple[str, str]], public: Collection[str] = ()) -> list[tuple[str, str]]:
+    """Return pieces of C without declarations of functions that only these pieces use, and only behind the
+    definitions, which become static. Declarations that begin with a macro stay."""
+    declared = {
+        k: name
+        for k, (name, chunk) in enumerate(pieces)
+        if name not in ("", *public) and re.match(r"(?![A-Z_]+ )\w.*\);\n\Z", chunk, re.DOTALL)
+    }
+    waiting, needless = set(declared.values()), set[str]()
+    for k, (name, chunk) in enumerate(pieces):
+        if k not in declared:
+            needless |= waiting & {name}
+            waiting.difference_update(_WORD.findall(chunk))
+    return [
+        (name, "static " + chunk if name in needless and not chunk.startswith("static") else chunk)
+        for k, (name, chunk) in enumerate(pieces)
+        if k not in declared or name not in needless
+    ]
 
 
 def _chunks(text: str) -> Iterator[str]:

@@ -40,7 +40,7 @@ INTERFACES = {
 _MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
 """Matches text in every file that declares a recipe."""
 
-_OF_A_KIND = ("kernel", "platforms", "fmi", "interface")
+_OF_A_KIND = ("kernel", "platforms", "fmi", "interface", "sources")
 """Fields that apply to one kind of FMU only."""
 
 
@@ -81,7 +81,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     **dict.fromkeys(("lock", "release", "measure", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
-    **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
+    **dict.fromkeys(("compliances", "reference", "sources"), _one_of(True, False)),
     "derivatives": _one_of(True, False, None),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
@@ -150,6 +150,9 @@ class Recipe(Brief):
     for the default of its kind."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.records`) are inside."""
+    sources: bool = True
+    """Whether a native FMU contains its C sources, from which importers may build it for further platforms; it is
+    smaller without them."""
     interval: InitVar[float | None] = None
     """Former name of `communication_step`."""
 
@@ -186,6 +189,7 @@ class Recipe(Brief):
                 "wasm32" in self.platforms and self.fmi == 2,
                 "WebAssembly (the draft FMI-LS-WASM) is for FMI 3; add --fmi 3, or leave --platform wasm32 out",
             ),
+            (not self.sources and not native, f"{what} has no library in place of its sources; leave --no-sources out"),
             (
                 self.derivatives and self.kind == "source",
                 "sources have no derivatives, which take memory; leave --derivatives out, or use --kind native",

@@ -28,7 +28,7 @@ from ..runtime.library import DONE, Scene, Unit
 from ..runtime.shipped import installed
 from . import native
 from .constants import Structure, literal, loaded, tables
-from .reached import reached
+from .reached import reached, undeclared
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -366,7 +366,7 @@ _OUTSIDE = re.compile(r"fmi[23][A-Z]\w*|NAME_\w+")
 def _reached(text: str) -> str:
     """Return C without unused functions, constants and macros; all others but the public ones become static."""
     made = []
-    for name, chunk in reached(text, _OUTSIDE.fullmatch):
+    for name, chunk in undeclared(reached(text, _OUTSIDE.fullmatch)):
         if name and not chunk.startswith(("#", "static", "API")) and not _OUTSIDE.fullmatch(name):
             chunk = "static " + chunk.removeprefix("extern ")
         made.append(chunk)

@@ -164,14 +164,21 @@ class Writer:
 
     def integers(self, values: Iterable[int] | NDArray) -> None:
         """Write a count and integers."""
-        data = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.int64).astype("<i4")
+        data = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.int64)
         self.integer(data.size)
-        self.parts.append(data.tobytes())
+        self.bare(data)
 
-    def narrow(self, values: NDArray) -> None:
-        """Write a count and integers of 16 bits: all low bytes, then all high bytes, which are similar."""
-        self.integer(values.size)
-        self.parts.append(values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes())
+    def bare(self, values: NDArray) -> None:
+        """Write integers of 32 bits: small ones take one byte, others up to five. The sign is the lowest bit; each byte
+        has seven bits, the highest ones first, and an eighth if more bytes follow."""
+        data = np.where(values < 0, -2 * values - 1, 2 * values)
+        lengths = 1 + sum((data >= 1 << bits).astype(np.int64) for bits in (7, 14, 21, 28))
+        ends = np.cumsum(lengths)
+        made = np.zeros(ends[-1] if len(ends) else 0, np.uint8)
+        for k in range(5):
+            there = lengths > k
+            made[ends[there] - 1 - k] = data[there] >> 7 * k & 127 | 128 * (k > 0)
+        self.parts.append(made.tobytes())
 
     def reals(self, values: Iterable[float]) -> None:
         data = np.array(list(values), "<f8")
@@ -192,17 +199,17 @@ class Writer:
         found = np.zeros(sum(made.outputs), np.int64)
         counts, entries, steps, places, strides = results.T
         found[_in_rows(counts, entries, steps)] = _in_rows(counts, places, strides)  # the last one counts
-        for part in _differences(words, found, count + sum(made.inputs)):
-            self.narrow(part)
+        runs, differences = _differences(words, found, count + sum(made.inputs))
+        self.integer(len(words) + (NARROW_HEAD - 2) * runs)
+        self.bare(differences)
 
 
-def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Return kinds and counts of each run, its operands, and the results, as differences: an archive is a quarter
-    smaller.
+def _differences(words: NDArray, results: NDArray, first: int) -> tuple[int, NDArray]:
+    """Return the number of runs, and all numbers of a function: kind, count and operands of each run, then results.
 
-    Addresses from `first` on, which are results of operations, count back from the end of the run; those of results
-    count back from the end of all runs. The first operands of a run precede the second ones, and each is stored as its
-    difference from the one before.
+    Places are stored as differences, so that archives are smaller. Addresses from `first` on, which are results of
+    operations, count back from the end of the run; those of results count back from the end of all runs. The first
+    operands of a run precede the second ones, and each is stored as its difference from the one before.
     """
 
     begins, heads, at = [], [], 0
@@ -223,9 +230,12 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
         before[(np.cumsum(lengths) - lengths)[lengths > 0]] = 0
         return found - before[: len(found)]
 
+    made = words.copy()
+    made[_in_rows(lengths, _in_rows(each, np.array(begins, np.int64), counts), np.ones_like(lengths))] = stored(
+        places, np.repeat(np.repeat(ends, each), lengths), lengths
+    )
     end = int(ends[-1]) if len(ends) else first
-    operands = stored(places, np.repeat(np.repeat(ends, each), lengths), lengths)
-    return np.array(heads, np.int64).ravel(), operands, stored(results, end, np.array([len(results)]))
+    return len(heads), np.concatenate([made, stored(results, end, np.array([len(results)]))])
 
 
 def _in_rows(counts: NDArray, first: NDArray, steps: NDArray) -> NDArray:

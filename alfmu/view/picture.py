@@ -44,9 +44,9 @@ from .surface import FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
 MAX_FRAMES = 750
 """Largest number of frames of a GIF; a longer motion has fewer frames per second."""
 
-COLORS_OF_ICON = 48
-"""Number of colours of the icon of a plane mechanism, whose colours are flat: half the size of an icon with
-all shades."""
+COLORS_OF_ICON = {False: 48, True: 256}
+"""Number of colours of the icon of a mechanism in the plane, whose colours are flat, and in space: half the size of an
+icon with all shades, or less."""
 
 COLORS_OF_GIF = 96
 """Number of colours shared by all frames of a GIF."""
@@ -265,7 +265,7 @@ def model_png(
 ) -> bytes:
     """Return the PNG of `drawing`, reproducibly: the icon of an FMU."""
     drawn = drawing(mechanism, None, parameters, size, equations)
-    return drawn.png(None if drawn.shapes.space else COLORS_OF_ICON)
+    return drawn.png(COLORS_OF_ICON[drawn.shapes.space is not None])
 
 
 def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:

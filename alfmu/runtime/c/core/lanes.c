@@ -93,6 +93,8 @@ LANES_RUN(run_in_parts, BY_PROCESSOR, PART)
 #endif
 #if HAS_WHOLE
 LANES_RUN(run_whole, __attribute__((target("avx512f"))), LANES)
+#else
+#define run_whole run_in_parts
 #endif
 
 int lanes_compiled(void)
@@ -106,13 +108,10 @@ int lanes_compiled(void)
 
 void lanes_evaluate(const Function *f, Lanes *r)
 {
-#if HAS_WHOLE
-    if (lanes_compiled() == LANES) {
+    if (lanes_compiled() == LANES)
         run_whole(f->narrow, f->narrow + f->words, r);
-        return;
-    }
-#endif
-    run_in_parts(f->narrow, f->narrow + f->words, r);
+    else
+        run_in_parts(f->narrow, f->narrow + f->words, r);
 }
 
 /* Four numbers at any address. */
@@ -145,7 +144,7 @@ static int are_one(int lanes, const double *const *x)
     return one;
 }
 
-BY_PROCESSOR void lanes_gather(double *rows, int lanes, const double *const *x, int length)
+static BY_PROCESSOR void gather(double *rows, int lanes, const double *const *x, int length)
 {
     int each = 0;
     if (are_one(lanes, x))
@@ -167,7 +166,7 @@ BY_PROCESSOR void lanes_gather(double *rows, int lanes, const double *const *x, 
             *rows++ = x[lane][each];
 }
 
-BY_PROCESSOR void lanes_scatter(
+static BY_PROCESSOR void scatter(
     const double *rows, int lanes, const uint16_t *from, double *const *y, int length, int count)
 {
     int each = 0;
@@ -183,6 +182,18 @@ BY_PROCESSOR void lanes_scatter(
     for (; each < length; each++)
         for (int lane = 0; lane < count; lane++)
             y[lane][each] = rows[(from ? from[each] : each) * lanes + lane];
+}
+
+/* Clang needs functions with versions for several processors to be declared as such, and GCC must not see such
+   declarations in other files, so that these are static. */
+void lanes_gather(double *rows, int lanes, const double *const *x, int length)
+{
+    gather(rows, lanes, x, length);
+}
+
+void lanes_scatter(const double *rows, int lanes, const uint16_t *from, double *const *y, int length, int count)
+{
+    scatter(rows, lanes, from, y, length, count);
 }
 
 #endif

@@ -151,47 +151,45 @@ static void check_function(Reader *r, Function *f)
         r->scene->registers = f->registers;
 }
 
-/* Decode places from differences; write them `step` words apart. Sums from `first` on count back from `end`. */
-static void sum_differences(
-    const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
+/* Read places as differences; write them `step` words apart. Sums from `first` on count back from `end`. */
+static void read_places(Reader *r, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
 {
     uint16_t sum = 0;
     for (size_t k = 0; k < count; k++) {
-        sum = (uint16_t)(sum + differences[k]);
+        sum = (uint16_t)(sum + (uint32_t)reader_bare(r));
         places[k * step] = (uint16_t)(sum < first ? sum : sum + end);
     }
 }
 
-/* Read words and results of a function with 16-bit places. The file holds the kind and length of each run, then the
-   operands, then the results; in a run all first operands precede the second ones. */
-static void read_narrow(Reader *r, Function *f, int64_t first)
+/* Read words of a function with 16-bit places, and these of its results. The file holds the kind and length of each
+   run, then its operands, all first ones before the second ones. */
+static void read_narrow(Reader *r, Function *f, int64_t first, int64_t results)
 {
-    size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
-    const uint16_t *head = narrow_integers(r, &heads), *operand = narrow_integers(r, &left);
-    const uint16_t *result = narrow_integers(r, &results);
-    uint16_t *made = r->bad ? NULL : reader_alloc(r, heads / 2 * NARROW_HEAD + left + results + 1, sizeof *made);
+    const size_t words = reader_length(r);
+    uint16_t *made = reader_has(r, words / 2 + (size_t)results, 1)
+        ? reader_alloc(r, words + (size_t)results + 1, sizeof *made)
+        : NULL;
     uint32_t end = (uint32_t)first;
     if (!made)
         return;
-    for (; k + 1 < heads; k += 2) {
-        const unsigned kind = head[k], count = head[k + 1];
-        const unsigned each = kind < KIND_COUNT ? (unsigned)operand_count(kind) : 0;
-        if (!each || count > left / each)
-            break;
-        made[words++] = (uint16_t)kind;
-        made[words++] = (uint16_t)count;
-        made[words++] = (uint16_t)end;
-        end += count * VALUES_OF(kind);
-        for (unsigned j = 0; j < each; j++, operand += count)
-            sum_differences(operand, count, (uint32_t)first, end, made + words + j, each);
-        words += count * each;
-        left -= count * each;
+    for (size_t at = 0; at < words;) {
+        const int32_t kind = reader_bare(r), count = reader_bare(r);
+        const unsigned each = reader_check_between(kind, 0, KIND_COUNT) ? (unsigned)operand_count(kind) : 0;
+        const size_t left = words - at;
+        if (!each || left < NARROW_HEAD || !reader_check_between(count, 0, 1 << 16)
+            || (unsigned)count > (left - NARROW_HEAD) / each) {
+            reader_spoil(r, "a function is damaged");
+            return;
+        }
+        made[at++] = (uint16_t)kind;
+        made[at++] = (uint16_t)count;
+        made[at++] = (uint16_t)end;
+        end += (unsigned)count * VALUES_OF(kind);
+        for (unsigned j = 0; j < each; j++)
+            read_places(r, (unsigned)count, (uint32_t)first, end, made + at + j, each);
+        at += (unsigned)count * each;
     }
-    if (left || k < heads) {
-        reader_spoil(r, "a function is damaged");
-        return;
-    }
-    sum_differences(result, results, (uint32_t)first, end, made + words, 1);
+    read_places(r, (size_t)results, (uint32_t)first, end, made + words, 1);
     f->narrow = made;
     f->words = words;
     f->results = (int)results;
@@ -245,10 +243,8 @@ static void read_function(Reader *r, Function *f)
         f->words = words;
         f->results = (int)all;
     } else {
-        read_narrow(r, f, known);
+        read_narrow(r, f, known, all);
     }
-    if (!r->bad && f->results != all)
-        reader_spoil(r, "a function returns %d numbers instead of %d", f->results, (int)all);
     check_function(r, f);
 }
 

@@ -64,6 +64,18 @@ int32_t reader_integer(Reader *r)
     return at ? (int32_t)(uint32_t)bytes_little(at, 4) : 0;
 }
 
+/* Read an integer of one to five bytes of seven bits, the highest ones first; its sign is the lowest bit. */
+int32_t reader_bare(Reader *r)
+{
+    uint32_t value = 0;
+    const unsigned char *at;
+    do {
+        at = reader_little(r, 1, 1);
+        value = value << 7 | (at ? *at & 127u : 0);
+    } while (at && *at & 128);
+    return (int32_t)(value >> 1 ^ (0u - (value & 1u)));
+}
+
 double reader_real(Reader *r)
 {
     const unsigned char *at = reader_little(r, 1, 8);
@@ -92,34 +104,19 @@ const char *reader_text(Reader *r)
     return made;
 }
 
-/* Read integers of 4 bytes and their number, which must be `count` unless that is -1. */
+/* Read integers and their number, which must be `count` unless that is -1. */
 int32_t *reader_integers(Reader *r, int count, size_t *found)
 {
     const size_t size = reader_length(r);
-    const unsigned char *at = reader_little(r, size, 4);
-    int32_t *made = at ? reader_alloc(r, size + 1, sizeof *made) : NULL;
+    int32_t *made = reader_has(r, size, 1) ? reader_alloc(r, size + 1, sizeof *made) : NULL;
     if (count >= 0 && size != (size_t)count)
         reader_spoil(r, "a list has %zu entries instead of %d", size, count);
     if (!made || r->bad)
         return NULL;
     for (size_t k = 0; k < size; k++)
-        made[k] = (int32_t)(uint32_t)bytes_little(at + 4 * k, 4);
+        made[k] = reader_bare(r);
     if (found)
         *found = size;
-    return made;
-}
-
-/* Read integers of 2 bytes, little-endian. */
-uint16_t *narrow_integers(Reader *r, size_t *found)
-{
-    const size_t size = reader_length(r);
-    const unsigned char *at = reader_little(r, size, 2);
-    uint16_t *made = at ? reader_alloc(r, size + 1, sizeof *made) : NULL;
-    if (!made)
-        return NULL;
-    for (size_t k = 0; k < size; k++)
-        made[k] = (uint16_t)(at[k] + 256u * at[size + k]);
-    *found = size;
     return made;
 }
 

@@ -52,5 +52,10 @@ double *gradient_values_again(Gradient *g, int which, const double *saved);
 Gradient *gradient_new(Instance *i, int directions);
 void gradient_free(Gradient *g);
 #else
+typedef struct Gradient Gradient;
 static inline void gradient_free(struct Gradient *g) { (void)g; }
 #endif
+
+/* Propagates adjoints back along a tape. Only those who need adjoints name such a function, so that libraries for
+   FMI 2, which has none, leave it out. */
+typedef void Sweep(Gradient *g, Mark from);

@@ -222,9 +222,9 @@ static int addressed_knowns(
     return !why;
 }
 
-/* Differentiate along a direction of the knowns, or backwards for weights of the unknowns. */
+/* Differentiate along a direction of the knowns, or, if `back` is not NULL, backwards for weights of the unknowns. */
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back,
+    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, Sweep *back,
     const char *call)
 {
     const size_t *of_unknowns = back ? &seed_count : &found_count, *of_knowns = back ? &found_count : &seed_count;

@@ -148,7 +148,7 @@ API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueRefe
     const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[], fmi2Real changes[])
 {
     INSIDE(fmi2Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
-        changes, unknown_count, 0, "fmi2GetDirectionalDerivative"));
+        changes, unknown_count, NULL, "fmi2GetDirectionalDerivative"));
 }
 
 API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,

@@ -1,5 +1,6 @@
 /* FMI 3.0 for co-simulation, without event mode, and Model Exchange: scalar variables, no clocks. */
 
+#include "adjoint.h"
 #include "baseline.h"
 #include "border.h"
 #include "component.h"
@@ -230,7 +231,7 @@ API fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueRefer
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
     INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
-        sensitivity, sensitivity_count, 0, "fmi3GetDirectionalDerivative"));
+        sensitivity, sensitivity_count, NULL, "fmi3GetDirectionalDerivative"));
 }
 
 API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
@@ -238,7 +239,7 @@ API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
     INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
-        sensitivity, sensitivity_count, 1, "fmi3GetAdjointDerivative"));
+        sensitivity, sensitivity_count, adjoints_along, "fmi3GetAdjointDerivative"));
 }
 
 API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,

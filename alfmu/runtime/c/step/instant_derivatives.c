@@ -4,7 +4,6 @@
 
 #include "instant_derivatives.h"
 
-#include "adjoint.h"
 #include "baseline.h"
 #include "begin.h"
 #include "diagnosis.h"
@@ -64,7 +63,7 @@ static int32_t variable_place(const Instance *i, unsigned reference)
 }
 
 Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *seed, int back, double *found)
+    size_t known_count, const double *seed, Sweep *back, double *found)
 {
     const Mark begin = {0, 0, 0};
     const size_t count = back ? known_count : unknown_count;
@@ -90,7 +89,7 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
         memset(g->adjoints, 0, g->places * sizeof *g->adjoints);
         for (size_t k = 0; k < unknown_count; k++)
             g->adjoints[variable_place(i, unknowns[k])] += seed[k];
-        adjoints_along(g, begin);
+        back(g, begin);
         for (size_t k = 0; k < known_count; k++)
             found[k] = g->adjoints[variable_place(i, knowns[k])];
     } else {
