@@ -132,8 +132,6 @@ void lanes_evaluate(const Function *f, Lanes *r)
     run_in_parts(f->narrow, f->narrow + f->words, r);
 }
 
-/* Four numbers at any address. */
-typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
 #if defined(__clang__)
 #define PICK(x, y, a, b, c, d) __builtin_shufflevector(x, y, a, b, c, d)
 #else
@@ -151,8 +149,6 @@ static inline __attribute__((always_inline)) void transpose(Four *a, Four *b, Fo
     *c = PICK(ab, cd, 2, 3, 6, 7);
     *d = PICK(ba, dc, 2, 3, 6, 7);
 }
-
-#define FOUR(address) (*(Four *)(void *)(address))
 
 static int are_one(int lanes, const double *const *x)
 {
