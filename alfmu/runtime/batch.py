@@ -94,12 +94,10 @@ class Batch:
             raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
         if unit and (outputs is not None or kernel != DEFAULT):
             raise InputError(f"{e.name}: a batch of an instance has its outputs and kernel; leave both options out")
-        if unit and (wanted := (parameters or {}).get("solver.input_order")) not in (
-            None,
-            unit.get("solver.input_order"),
-        ):
-            has = f"has its solver.input_order, {unit.get('solver.input_order'):g}"
-            raise InputError(f"{e.name}: a batch of an instance {has}; set {wanted!r} in the instance before")
+        asked = (parameters or {}).get("solver.input_order")
+        if unit and asked not in (None, kept := unit.get("solver.input_order")):
+            has = f"has its solver.input_order, {kept:g}"
+            raise InputError(f"{e.name}: a batch of an instance {has}; set {asked!r} in the instance before")
         if kernel == "oracle":
             raise InputError(f"{e.name}: the oracle has no batches; use the kernel vm or compiled")
         own = dict(parameters or {})
@@ -118,9 +116,9 @@ class Batch:
             traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
         self.name: str = e.name
         self.count: int = count
-        shares = threads or max(1, min(_processors(), count // LEAST))
-        self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
-        bounds = np.linspace(0, count, min(shares, count) + 1).astype(int)
+        wanted = threads or max(1, min(_processors(), count // LEAST))
+        self._pool = ThreadPoolExecutor(wanted) if wanted > 1 else None
+        bounds = np.linspace(0, count, min(wanted, count) + 1).astype(int)
         self._slices = [slice(a, b) for a, b in pairwise(bounds.tolist())]
         self._take(traced)
 
