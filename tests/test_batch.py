@@ -393,6 +393,10 @@ def test_members_whose_redundant_constraints_would_brake():
         (lambda b: Batch(alfmu.Recipe("four_bar"), 2), "four_bar is of the type Recipe; give a name, a file"),
         (lambda b: Batch("four_bar", 0), "four_bar: a batch of 0 members"),
         (lambda b: Batch(Instance("four_bar"), 2, outputs=["link1.angle"]), "a batch of an instance has its outputs"),
+        (
+            lambda b: Batch(Instance("four_bar"), 2, {"solver.input_order": 1}),
+            "four_bar: a batch of an instance has its solver.input_order, 0; set 1 in the instance before",
+        ),
         (lambda b: setattr(b, "time", np.nan), "four_bar: the time of the start is nan; give one finite number"),
         (lambda b: (b.initialize(), setattr(b, "time", 1.0)), "four_bar: the time is fixed once a member is initialis"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),

@@ -146,6 +146,28 @@ def test_a_first_guess_without_derivatives_is_left_out():
     assert found["p"] == pytest.approx(torque**2 - 0.5, rel=1e-7)
 
 
+def test_a_first_guess_that_cannot_be_assembled_is_left_out():
+    """A crank of 0.5 m turns by a law; the first rod is too short for it. The place of the ram has a closed form."""
+    m = alfmu.Mechanism("ram")
+    length = m.parameter("length", 0.1, "m", minimum=0.05)
+    angle, place = m.coordinate("angle", "rad", start=1.2), m.coordinate("place", "m", start=1.0)
+    crank, ram = m.bar("crank", mass=1.0, length=0.5), m.body("ram", mass=1.0)
+    hinge = m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=angle)
+    m.prismatic("guide", m.ground.at(0, 0), ram.at(0, 0), coordinate=place)
+    m.distance("rod", crank.end, ram.at(0, 0), length=length)
+    m.motion(hinge, 1.2 + 0.5 * m.time)
+    m.gravity(0, 0)
+    m.output("ram.place", place, "m")
+    time = np.linspace(0.0, 1.0, 11)
+    turn = 1.2 + 0.5 * time
+    ram_at = 0.5 * np.cos(turn) + np.sqrt(0.9**2 - (0.5 * np.sin(turn)) ** 2)
+    data = alfmu.Result("measured", time, ("ram.place",), {"ram.place": "m"}, ram_at[:, None])
+    with pytest.raises(alfmu.AssemblyError, match="ram: the loops cannot be closed"):
+        alfmu.fit(m, data, ["length"], bounds={"length": (0.05, 2.0)})
+    found = alfmu.fit(m, data, ["length"], bounds={"length": (0.05, 2.0)}, starts=8)
+    assert found["length"] == pytest.approx(0.9, rel=1e-9)
+
+
 def test_runs_side_by_side_are_those_one_after_the_other():
     times, torque = np.array([1.0, 1.1, 1.15, 1.4, 2.0]), {"A.torque": lambda t: 2 * np.sin(3 * t)}
     runs = Runs("slider_crank", ["m2", "l1"], None, None, torque, {"start.angle": 1.2}, times=times)

@@ -187,20 +187,20 @@ def _runs(
     inputs: Mapping[str, Signal] | None,
     parameters: Mapping[str, float | str],
 ) -> Runs:
-    """Return runs at the times of a table, with its inputs."""
+    """Return runs at the times of a table, with its inputs, before the first start."""
     if not vary:
         raise InputError("no numbers to vary are given; name parameters or start values")
     times = np.asarray(table.time)
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise InputError(f"{table.mechanism}: the times of measurements must grow from row to row")
-    runs = Runs(mechanism, vary, None, None, inputs, parameters, times=times)
+    runs = Runs(mechanism, vary, None, None, inputs, parameters, times=times, begin=False)
     drivers = [v.name for v in runs.unit.input_variables if v.name in table.names]
     for name in drivers:
         if not np.isfinite(table[name]).all():
             raise InputError(f"the input {name} is not finite in the data; fill in the missing values")
     if drivers:
         held: dict[str, Signal] = {name: (times, table[name]) for name in drivers}
-        runs = Runs(mechanism, vary, None, None, {**held, **(inputs or {})}, parameters, times=times)
+        runs = Runs(mechanism, vary, None, None, {**held, **(inputs or {})}, parameters, times=times, begin=False)
     if by_input := [name for name in vary if name in runs.inputs]:
         raise InputError(f"{by_input[0]} is an input; vary parameters and start values")
     return runs
@@ -335,8 +335,13 @@ class _Problem:
     ) -> OptimizeResult:
         """Return the best end of searches from first guesses, without those at which no search can begin."""
         ends, errors = list[OptimizeResult](), list[AlfmuError]()
+        begun = False
         for guess in guesses:
             try:
+                if not begun:
+                    self._runs.set(guess)
+                    self._runs.begin()
+                    begun = True
                 ends.append(self._ended(guess, low, high, scale))
             except AlfmuError as error:
                 errors.append(error)

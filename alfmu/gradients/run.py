@@ -93,6 +93,7 @@ class Runs:
         parameters: Mapping[str, float | str] | None,
         outputs: Sequence[str] | None = None,
         times: NDArray[np.float64] | None = None,
+        begin: bool = True,
     ):
         if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
             raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
@@ -118,7 +119,11 @@ class Runs:
         step = found.interval if communication_step is None else communication_step
         self.times = communication_points(self.unit.name, stop, step) if times is None else times
         self.table = table_of(self.inputs, values_of(self.unit, given), self.times)
-        # The first start issues warnings, and retraces the scene if redundant constraints would brake the motion.
+        if begin:
+            self.begin()
+
+    def begin(self) -> None:
+        """Make the first start, which issues warnings, and retraces the scene if redundant constraints would brake."""
         self.unit.time = float(self.times[0])
         self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
         tell_of_jumps(self.unit.equations)

@@ -47,6 +47,9 @@ def operations_header() -> str:
     for name, table in (("BINARY_OPERATIONS", BINARY), ("UNARY_OPERATIONS", UNARY)):
         rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in named]
         lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
+    texts = [(each, (BINARY | UNARY)[each].format("a", "b")) for each in _SHORT]
+    rows = [f"    X({KINDS.index(each)}, {text})" for each, text in texts]
+    lines += ["#define SHORT_OPERATIONS(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
     for name, table in (("BINARY_PARTIALS", BINARY), ("UNARY_PARTIALS", UNARY)):
         rows = [f"    X({KINDS.index(each)}, {', '.join(_partials(each))})" for each in table if each in named]
         lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
@@ -70,6 +73,13 @@ def operations_header() -> str:
         "#endif",
     ]
     return "\n".join([*lines, ""])
+
+
+_SHORT = (
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT),
+    *(ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FABS, ca.OP_SQRT),
+)
+"""Operations of a few instructions, which compilers replace by vectors."""
 
 
 def _partials(operation: int) -> list[str]:

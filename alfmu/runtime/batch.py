@@ -94,6 +94,10 @@ class Batch:
             raise InputError(f"{e.name}: the parameters are {parameters!r}; give a dictionary of values by their names")
         if unit and (outputs is not None or kernel != DEFAULT):
             raise InputError(f"{e.name}: a batch of an instance has its outputs and kernel; leave both options out")
+        asked = (parameters or {}).get("solver.input_order")
+        if unit and asked not in (None, kept := unit.get("solver.input_order")):
+            has = f"has its solver.input_order, {kept:g}"
+            raise InputError(f"{e.name}: a batch of an instance {has}; set {asked!r} in the instance before")
         if kernel == "oracle":
             raise InputError(f"{e.name}: the oracle has no batches; use the kernel vm or compiled")
         own = dict(parameters or {})

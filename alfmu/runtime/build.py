@@ -76,6 +76,7 @@ _OFTEN = {
     "function_tangents.c",
     "interpret.c",
     "lanes.c",
+    "least_squares.c",
     "side_by_side.c",
     "linear.c",
     "tangent.c",

@@ -15,6 +15,7 @@
 
 #if defined(__GNUC__)
 
+/* Rare operations. */
 #define IN_LANES(kind, value) \
     case kind: \
         for (int lane = 0; lane < LANES; lane++) { \
@@ -24,7 +25,6 @@
         } \
         break;
 
-/* Do an operation other than a sum in all lanes. */
 static BY_PROCESSOR void operate(
     uint32_t kind, const Lanes *restrict x, const Lanes *restrict y, Lanes *restrict values)
 {
@@ -40,6 +40,22 @@ static BY_PROCESSOR void operate(
     case kind: \
         for (; count; count--, at += operands, d++) \
             EACH d->part[part] = value; \
+        break;
+
+/* A run of short operations: the compiler replaces the loop over the lanes by vectors. The value is stored as a whole,
+   since a vector that is read soon after its parts are stored has to wait for them. */
+#define SHORT(kind, value) \
+    case kind: \
+        for (; count; count--, at += 1 + IS_BINARY(kind), d++) { \
+            const Lanes x = r[at[0]].lanes, y = r[at[IS_BINARY(kind)]].lanes; \
+            Lanes z; \
+            for (int lane = 0; lane < LANES; lane++) { \
+                const double a = x.lane[lane], b = y.lane[lane]; \
+                (void)b; \
+                z.lane[lane] = value; \
+            } \
+            d->lanes = z; \
+        } \
         break;
 
 /* Define a function that runs code on registers in lanes, each of which has some vectors of `width` numbers. */
@@ -74,6 +90,7 @@ static BY_PROCESSOR void operate(
                 for (; count; count--, at++, d += 2) \
                     EACH name##_sine_cosine(&PLACED(0), &d[0].part[part], &d[1].part[part]); \
                 break; \
+            SHORT_OPERATIONS(SHORT) \
             default: { \
                 const int operands = 1 + IS_BINARY(head); \
                 for (; count; count--, at += operands, d++) \
@@ -114,8 +131,6 @@ void lanes_evaluate(const Function *f, Lanes *r)
         run_in_parts(f->narrow, f->narrow + f->words, r);
 }
 
-/* Four numbers at any address. */
-typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
 #if defined(__clang__)
 #define PICK(x, y, a, b, c, d) __builtin_shufflevector(x, y, a, b, c, d)
 #else
@@ -133,8 +148,6 @@ static inline __attribute__((always_inline)) void transpose(Four *a, Four *b, Fo
     *c = PICK(ab, cd, 2, 3, 6, 7);
     *d = PICK(ba, dc, 2, 3, 6, 7);
 }
-
-#define FOUR(address) (*(Four *)(void *)(address))
 
 static int are_one(int lanes, const double *const *x)
 {

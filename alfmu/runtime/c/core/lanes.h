@@ -20,6 +20,9 @@
 #define PART 2
 #endif
 typedef double Vector __attribute__((vector_size(8 * PART)));
+/* Four numbers at any address. */
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+#define FOUR(address) (*(Four *)(void *)(address))
 #define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
 #else /* Compilers without vectors. */
 #define BY_PROCESSOR

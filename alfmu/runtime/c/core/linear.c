@@ -2,6 +2,8 @@
 
 #include "baseline.h"
 
+#include "lanes.h"
+
 #define SWEEPS 60
 #define SURE 1e-8 /* share of the largest singular value, below which a rank is uncertain */
 
@@ -195,6 +197,21 @@ void envelope_solve(const Envelope *e, const double *a, const double *b, double 
         x[i] = work[e->place[i]];
 }
 
+/* Subtract multiples of four rows u of a matrix from a row, in `count` columns. */
+static BY_PROCESSOR void subtract_four(
+    double *restrict row, const double *l, const double *restrict u, int size, int count)
+{
+    const double l0 = l[0], l1 = l[1], l2 = l[2], l3 = l[3];
+    const double *restrict u1 = u + size, *restrict u2 = u1 + size, *restrict u3 = u2 + size;
+    int j = 0;
+#if defined(__GNUC__)
+    for (; j + 4 <= count; j += 4)
+        FOUR(row + j) -= l0 * FOUR(u + j) + l1 * FOUR(u1 + j) + (l2 * FOUR(u2 + j) + l3 * FOUR(u3 + j));
+#endif
+    for (; j < count; j++)
+        row[j] -= l0 * u[j] + l1 * u1[j] + (l2 * u2[j] + l3 * u3[j]);
+}
+
 /* Factorise the matrix of s * s blocks (n, n); each block is the sum over terms of a weight (term, row, column) times a
    part (term, row; stored by columns). Rows are in `order`; L, without its unit diagonal, is stored below U. */
 void linear_factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)
@@ -216,10 +233,15 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
         /* Factorise four columns. */
         const int end = k + 4 < size ? k + 4 : size;
         for (int p = k; p < end; p++) {
+            double most = fabs(a[p * size + p]);
             int largest = p;
-            for (int i = p + 1; i < size; i++)
-                if (fabs(a[i * size + p]) > fabs(a[largest * size + p]))
+            for (int i = p + 1; i < size; i++) {
+                const double pivot = fabs(a[i * size + p]);
+                if (pivot > most) {
+                    most = pivot;
                     largest = i;
+                }
+            }
             if (largest != p) {
                 double kept = order[p];
                 order[p] = order[largest];
@@ -242,13 +264,8 @@ void linear_factor(int n, int s, int terms, const double *weights, const double 
                 for (int j = end; j < size; j++)
                     a[i * size + j] -= a[i * size + p] * a[p * size + j];
         if (end - k == 4)
-            for (int i = end; i < size; i++) {
-                const double *restrict u = a + k * size, *l = a + i * size + k;
-                double *restrict row = a + i * size;
-                const double l0 = l[0], l1 = l[1], l2 = l[2], l3 = l[3];
-                for (int j = end; j < size; j++)
-                    row[j] -= l0 * u[j] + l1 * u[j + size] + (l2 * u[j + 2 * size] + l3 * u[j + 3 * size]);
-            }
+            for (int i = end; i < size; i++)
+                subtract_four(a + i * size + end, a + i * size + k, a + k * size + end, size, size - end);
     }
 }
 

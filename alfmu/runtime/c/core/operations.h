@@ -46,6 +46,20 @@
     X(47, acosh(a)) \
     X(48, atanh(a))
 
+#define SHORT_OPERATIONS(X) \
+    X(10, a < b) \
+    X(11, a <= b) \
+    X(12, a == b) \
+    X(13, a != b) \
+    X(14, a && b) \
+    X(15, a || b) \
+    X(26, !a) \
+    X(16, a ? b : 0.0) \
+    X(20, a < b || b != b ? a : b) \
+    X(21, a > b || b != b ? a : b) \
+    X(28, fabs(a)) \
+    X(31, sqrt(a))
+
 #define BINARY_PARTIALS(X) \
     X(10, 0.0, 0.0) \
     X(11, 0.0, 0.0) \

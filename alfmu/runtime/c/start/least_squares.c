@@ -40,9 +40,12 @@ void rows_times_back(const Rows *J, const double *y, double *x)
     const Matrix parts[] = {J->constraints, J->ties};
     memset(x, 0, (size_t)parts->pattern->columns * sizeof *x);
     for (int k = 0; k < 2; y += parts[k++].pattern->rows)
-        for (int c = 0; c < parts[k].pattern->columns; c++)
+        for (int c = 0; c < parts[k].pattern->columns; c++) {
+            double sum = x[c];
             for (int e = parts[k].pattern->offsets[c]; e < parts[k].pattern->offsets[c + 1]; e++)
-                x[c] += parts[k].values[e] * y[parts[k].pattern->indices[e]];
+                sum += parts[k].values[e] * y[parts[k].pattern->indices[e]];
+            x[c] = sum;
+        }
 }
 
 /* Compute J J', regularised by LOOSE of its largest entry on the diagonal; return that entry. */
@@ -51,21 +54,24 @@ double rows_squared(Instance *i, const Rows *J, double *a)
     const Envelope *e = &i->scene->closing;
     const Pattern *above = J->constraints.pattern, *below = J->ties.pattern;
     const size_t arena = arena_mark(i);
-    double *values = arena_alloc(i, (size_t)e->size), *rows = arena_alloc(i, (size_t)e->size), most = 0.0;
+    double *values = arena_alloc(i, (size_t)e->size), *places = arena_alloc(i, (size_t)e->size), most = 0.0;
     memset(a, 0, e->entries * sizeof *a);
     for (int c = 0; c < above->columns; c++) {
         int count = 0;
         for (int k = above->offsets[c]; k < above->offsets[c + 1]; k++, count++) {
             values[count] = J->constraints.values[k];
-            rows[count] = above->indices[k];
+            places[count] = e->place[above->indices[k]];
         }
         for (int k = below->offsets[c]; k < below->offsets[c + 1]; k++, count++) {
             values[count] = J->ties.values[k];
-            rows[count] = above->rows + below->indices[k];
+            places[count] = e->place[above->rows + below->indices[k]];
         }
         for (int k = 0; k < count; k++)
-            for (int j = 0; j <= k; j++)
-                *envelope_entry(e, a, (int)rows[k], (int)rows[j]) += values[k] * values[j];
+            for (int j = 0; j <= k; j++) {
+                const int row = (int)(places[k] > places[j] ? places[k] : places[j]);
+                const int column = (int)(places[k] + places[j]) - row;
+                a[e->start[row] + column] += values[k] * values[j];
+            }
     }
     for (int r = 0; r < e->size; r++)
         most = fmax(most, *envelope_entry(e, a, r, r));

@@ -274,7 +274,7 @@ void rank_freeze(Instance *i)
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
     const int rank = (int)*i->rank;
-    double *zeros, *weighted, *sizes, *matrix = instance_field(i, s->k) + scene_matrix(s);
+    double *zeros, *weighted, *sizes, *roots, *matrix = instance_field(i, s->k) + scene_matrix(s);
     Matrix C;
     if (!s->brakes || rank < 1 || rank > s->l || rank > s->n || s->n > DENSE)
         return;
@@ -282,12 +282,15 @@ void rank_freeze(Instance *i)
     zeros = arena_alloc(i, n);
     weighted = arena_alloc(i, n * l);
     sizes = arena_alloc(i, n);
+    roots = arena_alloc(i, l);
+    for (int r = 0; r < s->l; r++)
+        roots[r] = sqrt(i->penalty[r]);
     memset(zeros, 0, n * sizeof *zeros);
     memset(weighted, 0, n * l * sizeof *weighted);
     constraints_evaluate(i, instance_field(i, s->z), zeros, NULL, C.values, NULL, NULL);
     for (int c = 0; c < s->n; c++)
         for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
-            weighted[c * s->l + C.pattern->indices[e]] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
+            weighted[c * s->l + C.pattern->indices[e]] = roots[C.pattern->indices[e]] * C.values[e];
     linear_span(s->l, s->n, rank, weighted, sizes);
     /* S5: at a singular position keep the combinations of the previous regular one. */
     if (sizes[rank - 1] > REGULAR * sizes[0]) {
@@ -296,7 +299,7 @@ void rank_freeze(Instance *i)
                 double sum = 0.0;
                 for (int k = 0; k < rank; k++)
                     sum += weighted[k * s->l + a] * weighted[k * s->l + b];
-                matrix[a * s->l + b] = sqrt(i->penalty[a]) * sum * sqrt(i->penalty[b]) / *i->largest_penalty;
+                matrix[a * s->l + b] = roots[a] * sum * roots[b] / *i->largest_penalty;
             }
         tape_holding(i, instance_field(i, s->z), matrix);
     }
