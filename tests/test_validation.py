@@ -312,6 +312,13 @@ def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
     assert (zero.result, zero.detail) == (UNJUDGED, "run.default failed")
 
 
+@pytest.mark.slow
+def test_the_start_of_the_checker_is_no_time_of_its_first_check(springs, monkeypatch, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(1.5)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    assert results(examine(springs("2"), checks=["run.default"], timeout=1.0)) == {"run.default": PASSED}
+
+
 def test_a_step_that_does_not_end_with_an_input_of_nan_is_a_risk(springs, monkeypatch):
     """The standard does not say what to do with such inputs; solvers that control their error may never end."""
     monkeypatch.setenv("DEFECT", "stuck")
