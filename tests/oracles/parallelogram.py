@@ -11,6 +11,7 @@ six joints carry least: a unit of [1 0 -1 0 -2 0 2 0] moves nothing, and changes
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from mpmath import cos, matrix, mp, mpf, pi, sin, sqrt, zeros
@@ -47,6 +48,10 @@ class Parallelogram:
 
     def swing(self, th: float, w: float, times: np.ndarray) -> np.ndarray:
         """th and th' at `times` under gravity alone, in elliptic functions: th + pi/2 is a pendulum's angle."""
+        return self._swing(th, w, tuple(times)).copy()
+
+    @cache
+    def _swing(self, th: float, w: float, times: tuple[float, ...]) -> np.ndarray:
         with mp.workdps(DIGITS):
             frequency = sqrt(self.weight / self.inertia)
             rows = [pendulum.swing(frequency, th + pi / 2, w, t) for t in times]
