@@ -75,9 +75,9 @@ class _Joining:
         if len(calls) == 1:
             return calls
         # Repeated operations do not count; they are searched for only if the limit is exceeded with them.
-        if sum(small[call.function].n_instructions() for call in calls) > LONGEST:
-            if sum(self._count(call.function) for call in calls) > LONGEST:
-                return calls
+        counts = (small[call.function].n_instructions() for call in calls)
+        if sum(counts) > LONGEST and sum(self._count(call.function) for call in calls) > LONGEST:
+            return calls
         given = dict.fromkeys(chain(*(call.results for call in calls)))
         inputs, outputs = tuple(taken(calls)), tuple(name for name in given if name in wanted)
         numbers = {name: i for i, name in enumerate(inputs)}

@@ -48,14 +48,7 @@ class Parallelogram:
 
     def swing(self, th: float, w: float, times: np.ndarray) -> np.ndarray:
         """th and th' at `times` under gravity alone, in elliptic functions: th + pi/2 is a pendulum's angle."""
-        return self._swing(th, w, tuple(times)).copy()
-
-    @cache
-    def _swing(self, th: float, w: float, times: tuple[float, ...]) -> np.ndarray:
-        with mp.workdps(DIGITS):
-            frequency = sqrt(self.weight / self.inertia)
-            rows = [pendulum.swing(frequency, th + pi / 2, w, t) for t in times]
-            return np.array([[float(phi - pi / 2), float(rate)] for phi, rate in rows])
+        return _swing(self, th, w, tuple(times)).copy()
 
     def driven(self, th: float, w: float, times: np.ndarray, torque: float) -> np.ndarray:
         """th and th' at `times` under gravity and a constant torque, by integration."""
@@ -215,3 +208,11 @@ def constrained(M: matrix, F: matrix, C: matrix, xi: matrix) -> tuple[matrix, ma
 def floats(x: matrix) -> np.ndarray:
     """A column as an array."""
     return np.array([float(e) for e in x])
+
+
+@cache
+def _swing(linkage: Parallelogram, th: float, w: float, times: tuple[float, ...]) -> np.ndarray:
+    with mp.workdps(DIGITS):
+        frequency = sqrt(linkage.weight / linkage.inertia)
+        rows = [pendulum.swing(frequency, th + pi / 2, w, t) for t in times]
+        return np.array([[float(phi - pi / 2), float(rate)] for phi, rate in rows])
