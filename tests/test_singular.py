@@ -23,6 +23,9 @@ from alfmu.kernel.symbolic import ROUND_OFF
 from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared, run, with_defaults
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+"""Optimised code is judged in `test_compiled`."""
+
 STEPS = (0.02, 0.01, 0.005)
 TORQUE = 4.0
 FOUR_BAR, FIVE_BAR = Parallelogram(m4=None), Parallelogram()
