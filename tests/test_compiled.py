@@ -337,6 +337,7 @@ def test_without_a_compiler(monkeypatch, own_cache):
     assert not libraries(own_cache)
 
 
+@pytest.mark.slow
 def test_auto_takes_the_compiler_that_is_there():
     assert (prepared(derived("particle_on_circle"), "auto").library is not None) == (build.compiler() is not None)
 
