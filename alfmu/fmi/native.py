@@ -6,6 +6,7 @@ import re
 import zipfile
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -137,11 +138,15 @@ _HEADER = '#include "alfmu.h"\n'
 
 def used(files: Mapping[str, str]) -> dict[str, str]:
     """Return the C files of an FMU without functions, constants and macros that nothing in them uses."""
-    whole = files["alfmu.h"] + files["alfmu.c"]
-    apart = set(re.findall(r"\w+", files["files.c"]))
-    pieces = reached(whole, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
-    header, include, text = "".join(piece for _, piece in pieces).partition(_HEADER)
+    header, include, text = _used(files["alfmu.h"] + files["alfmu.c"], files["files.c"]).partition(_HEADER)
     return {**files, "alfmu.h": header, "alfmu.c": include + text}
+
+
+@lru_cache(10)
+def _used(text: str, by: str) -> str:
+    """Return a text without what neither it nor another one uses."""
+    apart = set(re.findall(r"\w+", by))
+    return "".join(piece for _, piece in reached(text, lambda name: name in apart or name.startswith(("fmi2", "fmi3"))))
 
 
 _TYPES = "fmi.h"
@@ -181,6 +186,7 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/""", re
 """A comment, or (as a group) a string or character literal."""
 
 
+@lru_cache(100)
 def _without_comments(text: str) -> str:
     """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
     kept, end = list[str](), 0
