@@ -45,14 +45,24 @@ def uncached(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "off")
 
 
-@pytest.fixture(scope="module")
-def quick_compiler() -> Iterator[None]:
-    """Scenes are compiled without optimisation, in a third of the time, for tests that do not judge compiled code."""
+def _unoptimised() -> Iterator[None]:
     command = compiler()
     with pytest.MonkeyPatch.context() as patch:
         if command and "ziglang" not in command:
             patch.setenv("CC", shlex.join([*command, "-O0"]))
         yield
+
+
+@pytest.fixture(scope="module")
+def quick_compiler() -> Iterator[None]:
+    """Scenes are compiled without optimisation, in a third of the time, for tests that do not judge compiled code."""
+    yield from _unoptimised()
+
+
+@pytest.fixture
+def quickly_compiled() -> Iterator[None]:
+    """The same for one test."""
+    yield from _unoptimised()
 
 
 @pytest.fixture(scope="session")

@@ -148,6 +148,7 @@ def test_inputs_and_time_are_held_where_they_are_given():
     assert len(alfmu.equilibrium(m, time=3.0)) == 0  # more than gravity can balance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signal", "time"), [(HOLD, 0.0), (lambda t: t * HOLD, 1.0), (([0.0, 4.0], [0.0, 2 * HOLD]), 2.0)]
 )
@@ -211,6 +212,7 @@ def test_positions_on_other_branches_are_reached_and_other_assemblies_are_told()
     assert {round(each.coordinates["x3"], 6) for each in equal if each.connected} >= {0.0}
 
 
+@pytest.mark.slow
 def test_a_spring_that_loses_its_length_on_the_way_hides_no_position_and_makes_none():
     """A folding stool, whose spring has no direction where its feet meet."""
     m = alfmu.Mechanism("stool")
@@ -506,6 +508,7 @@ def test_linearisations_are_saved_for_others(tmp_path):
     assert np.array_equal(space.D, lin.D)
 
 
+@pytest.mark.slow
 def test_python_control_gets_the_names():
     pytest.importorskip("control")
     lin = alfmu.linearize("slider_crank", "equilibrium", outputs=["slider.position"])
@@ -533,6 +536,7 @@ def test_the_film_of_a_mode_keeps_the_loops_closed(tmp_path):
     assert run["crank.angle"][0] == pytest.approx(run["crank.angle"][-1], abs=1e-11)
 
 
+@pytest.mark.slow
 def test_further_states_rest_and_are_linearised_with_the_motion():
     """A pendulum on a motor: its current settles, and stands behind coordinates and rates."""
     m = pendulum()

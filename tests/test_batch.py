@@ -44,6 +44,7 @@ def starts(batch: Batch, name: str | None) -> dict[str, np.ndarray]:
     return {chosen: batch.variable(chosen).start + spread}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", RUNS)
 def test_members_are_instances_to_the_bit(case):
     mechanism, method, h, start = RUNS[case]
@@ -79,6 +80,7 @@ COMPILED = {"five_bar": ({}, 0.02), "end_stop": ({}, 0.1), "n_four_bar": ({"loop
 """Mechanisms with limits, with events and with repeated parts: their options and communication steps [s]."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled_members_are_interpreted_ones_to_the_bit(name, monkeypatch):
@@ -592,6 +594,7 @@ def test_an_environment_observes_parameters_and_inputs():
     np.testing.assert_array_equal(many.step(np.array([[1.0], [-2.0]]))[0], [[2.0, 1.0], [3.0, -2.0]])
 
 
+@pytest.mark.slow
 def test_without_gymnasium_an_environment_says_what_to_install():
     code = (
         "import sys; sys.modules['gymnasium'] = None\n"

@@ -57,6 +57,7 @@ def run(e: alfmu.Equations, **given) -> tuple[bytes, object, tuple]:
     return result.values.tobytes(), result.counters, found.outputs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), NAMES)
 def test_runs_from_the_cache_are_the_same_to_the_bit(folder, traces, monkeypatch, name, options):
     with monkeypatch.context() as without:
@@ -70,6 +71,7 @@ def test_runs_from_the_cache_are_the_same_to_the_bit(folder, traces, monkeypatch
     assert expected == first == second
 
 
+@pytest.mark.slow
 def test_a_scene_from_the_cache_has_the_same_bytes_programs_and_functions(folder):
     made, found = (prepared(fresh("five_bar")) for _ in range(2))
     assert pipeline.packed(made) == pipeline.packed(found)
@@ -206,6 +208,7 @@ def test_an_entry_of_a_table_that_a_program_changes_is_in_the_fingerprint(monkey
     assert stored.fingerprint(e) not in (None, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [True, False], ids=["the same equations", "derived again"])
 def test_a_run_after_a_constant_was_changed_is_that_of_a_program_that_had_it_from_the_start(folder, monkeypatch, held):
     m = alfmu.load("five_bar")
@@ -219,6 +222,7 @@ def test_a_run_after_a_constant_was_changed_is_that_of_a_program_that_had_it_fro
     assert run(e if held else m) == before
 
 
+@pytest.mark.slow
 def test_a_mechanism_with_an_option_that_has_no_text_is_not_kept(folder):
     m = alfmu.load("particle_on_circle")
     m.options["why"] = object()
@@ -264,6 +268,7 @@ def test_the_command_shows_and_clears_the_cache(folder, capsys, monkeypatch):
     assert "nothing is kept: ALFMU_CACHE is off" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_without_a_cache_nothing_is_written(folder, monkeypatch, traces):
     monkeypatch.setenv(cache.VARIABLE, "off")
     for _ in range(2):

@@ -54,6 +54,7 @@ def test_what_stays_within_it_says_nothing(caplog):
         assert not caplog.records
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [0.0, 100.0])
 def test_lengths_are_judged_by_the_motion_wherever_the_origin_is(place, caplog):
     """A slider on a spring swings by 2 mm, a tenth more as it gains energy, with an error of 5 % of that."""

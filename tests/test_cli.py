@@ -11,6 +11,7 @@ import subprocess
 import sys
 import termios
 import zipfile
+from collections import OrderedDict
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from alfmu.cli.options import name_list
 from alfmu.kernel import VERSION
 from alfmu.kernel.tables import MAGIC
 from alfmu.runtime import library as binding
-from alfmu.runtime import shipped
+from alfmu.runtime import pipeline, shipped
 from alfmu.runtime.library import library
 
 PENDULUM = """
@@ -197,6 +198,7 @@ STALE = {
 def test_a_library_of_older_sources_is_to_be_built_again(newer, why, monkeypatch, capsys):
     """Sources get newer by `git pull`; what they read and call is in this table."""
     monkeypatch.setattr(*newer)
+    monkeypatch.setattr(pipeline, "_KEPT", OrderedDict())  # scenes that tests before have loaded
     for known in (library, shipped.installed):
         known.cache_clear()
     try:

@@ -180,6 +180,7 @@ def values(e: Equations) -> NDArray:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_both_kernels_make_the_same_run(method):
     """The same tries, with results that differ by round-off."""
@@ -219,6 +220,7 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_scene_refuses_the_functions_of_another(own_cache):
     e = prepared(by_rk4("five_bar"), "compiled")
     Scene(packed(e), installed()).compiled_by(e.library)
@@ -335,6 +337,7 @@ def test_without_a_compiler(monkeypatch, own_cache):
     assert not libraries(own_cache)
 
 
+@pytest.mark.slow
 def test_auto_takes_the_compiler_that_is_there():
     assert (prepared(derived("particle_on_circle"), "auto").library is not None) == (build.compiler() is not None)
 
@@ -491,6 +494,7 @@ def test_from_the_command_line(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_state_that_is_not_finite_reaches_nobody():
     """NaN through the compiled step: refused with a reason, the state before it kept."""
     e = prepared(by_rk4("five_bar"), "compiled")

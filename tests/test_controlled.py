@@ -277,6 +277,7 @@ def test_implicit_methods_pass_singular_positions(kernel, method, bound):
     assert i.counters.patient == 0
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_what_is_saved_goes_on_to_the_last_bit(kernel, method):

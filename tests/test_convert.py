@@ -276,6 +276,7 @@ def test_links_without_mass_or_inertia_are_refused_where_the_other_program_refus
     assert same(motions(m, 0.2), motions(alfmu.imported(tmp_path / "file.urdf").mechanism, 0.2), shift=True) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slack", [False, True])
 def test_springs_dampers_and_inertia_along_sums_are_those_of_tendons(slack: bool, tmp_path: Path):
     """Two sliders, one actuator with feedback on both, by the equations of two masses (DOP853); read back from MJCF."""

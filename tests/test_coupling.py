@@ -115,6 +115,7 @@ def test_what_passes_a_bond_is_the_work(tmp_path):
     assert case.passed == pytest.approx(work, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_study_says_what_it_lacks(tmp_path):
     path = drive(tmp_path)
     system = System.load(path)

@@ -720,6 +720,7 @@ def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
     assert caplog.messages == ([f"{m.name}: {said}"] if gravity is None else [])
 
 
+@pytest.mark.slow
 def test_every_way_to_use_a_mechanism_tells_of_open_gravity_once(caplog, tmp_path):
     def weighed(name: str) -> Mechanism:
         m = Mechanism(name)

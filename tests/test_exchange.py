@@ -128,6 +128,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_errors_are_those_of_the_solver(built, case):
     """At most ten times the error of the same solver on the equation of the reference, and constraints hold."""
@@ -158,6 +159,7 @@ def test_constraints_hold_over_100_s(built, fmi):
     assert found["monitor.velocity_error"].max() <= 1e-10
 
 
+@pytest.mark.slow
 def test_euler_gains_its_first_order(built):
     """Half the step, half the error; constraints hold after steps of Euler's method, too."""
     errors = []
@@ -375,6 +377,7 @@ def test_a_state_of_the_other_interface_is_no_state_to_go_on_from(built, fmi):
     m.fmu.setTime(0.2)
 
 
+@pytest.mark.slow
 def test_both_interfaces_are_in_one_fmu(built, tmp_path):
     """Valid for fmpy and for alfmu; variables of Model Exchange have values in co-simulation, too."""
     for fmi in (2, 3):

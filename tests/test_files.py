@@ -461,6 +461,7 @@ def test_a_table_from_a_spreadsheet_is_read(here):
 RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

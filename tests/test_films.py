@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pages import errors, settle
+from pages import double_click, errors, settle
 from PIL import Image
 from selenium.webdriver.support.ui import WebDriverWait
 
@@ -109,7 +109,7 @@ def test_the_mouse_turns_and_zooms_the_view_and_a_double_click_brings_it_back(ch
     zoomed = np.array(chromium.execute_script(eye + ".map((x, i) => x - stage.controls.target.toArray()[i])"))
     target = np.array(chromium.execute_script("return stage.controls.target.toArray()"))
     assert np.linalg.norm(zoomed) < 0.95 * np.linalg.norm(turned - target)
-    ActionChains(chromium).move_to_element(canvas).double_click().perform()
+    double_click(chromium, canvas)
     assert np.mean(np.abs(picture(chromium) - home).max(axis=2) > 30) < 1e-3
     assert errors(chromium) == []
 

@@ -210,6 +210,7 @@ def test_data_in_other_units_are_refused():
         alfmu.fit("five_bar", degrees, ["m2"])
 
 
+@pytest.mark.slow
 def test_the_command_line_fits(tmp_path, capsys):
     measured().to_csv(tmp_path / "data.csv")
     table, picture = str(tmp_path / "run.csv"), str(tmp_path / "fit.png")

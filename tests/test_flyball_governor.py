@@ -159,6 +159,7 @@ def test_no_regular_position_is_taken_for_a_singular_one():
     assert (i.memory["tally"][1:] == 0).all()  # no step but the quick one
 
 
+@pytest.mark.slow
 def test_none_is_in_a_mechanism_of_many_coordinates():
     """The same among pendulums, with which products of pivots are too small for a number."""
     m = alfmu.load("flyball_governor")

@@ -79,6 +79,7 @@ def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
         np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
 
 
+@pytest.mark.slow
 def test_limits_are_stops_of_a_stiffness_that_suits(tmp_path: Path):
     """An arm falls on its limit and comes to rest there, some hundredths beyond at most whatever its mass."""
     for density in (10, 1000, 100000):
@@ -100,6 +101,7 @@ def test_a_limit_beyond_which_the_start_is_pushes_nothing(tmp_path: Path):
     assert not found.mechanism.end_stops
 
 
+@pytest.mark.slow
 def test_a_folded_leg_starts_within_its_limits_on_request(tmp_path: Path):
     """A slider-crank of equal arms, whose slider stays at zero from there; within the limits, s = 2 l cos(angle)."""
     path = tmp_path / "leg.xml"

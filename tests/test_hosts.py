@@ -234,6 +234,7 @@ def test_a_host_that_unmasks_traps_lives_and_keeps_them(made, kind):
     assert [float.fromhex(each) for each in said.split()] == host.read().tolist()
 
 
+@pytest.mark.slow
 @on_glibc
 @pytest.mark.parametrize("kind", ["native2", "native3", "source2", "source3"])
 def test_a_host_that_rounds_in_another_way_has_the_same_numbers(made, kind):

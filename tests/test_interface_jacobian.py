@@ -169,6 +169,7 @@ def slave_of(path: Path, version: int, **how):
     return unit, description
 
 
+@pytest.mark.slow
 def test_where_the_host_looks_and_returns_early_it_is_that_of_the_step_so_far(built):
     path, seen = built("slider_crank", "native", 3, parameters={"solver.method": "rk4"}), []
 

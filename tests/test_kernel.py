@@ -25,6 +25,9 @@ each_scene = pytest.mark.parametrize(
 )
 
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+"""Optimised code is judged in `test_compiled`."""
+
 each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 

@@ -177,6 +177,7 @@ def test_solutions_of_bodies_with_euler_parameters_are_closed():
     assert max(each.gap for each in found) < 1e-12
 
 
+@pytest.mark.slow
 def test_singular_positions_are_judged_alike_at_any_size():
     """The numbers of a linkage in proportion are the same."""
     judged = [kinematics(four_bar_in_space(size), ["O"], ["C"]).transmission() for size in (1.0, 0.01, 2.0, 10.0)]
@@ -236,6 +237,7 @@ def test_the_verdict_is_the_same_far_away(sort: str):
     assert far.constraint == pytest.approx(found.constraint, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_equilibria_are_found_far_away():
     """The places of the search lie about the start, wherever that is."""
     near, far = (alfmu.equilibrium(five_bar("absolute", 0.3, shift)) for shift in (0j, 300 - 200j))
@@ -384,6 +386,7 @@ def stewart() -> tuple[Mechanism, np.ndarray, np.ndarray]:
     return m, feet, heads
 
 
+@pytest.mark.slow
 def test_stewart_platform():
     """Lengths of the legs for a pose, the pose from the lengths, and the Jacobian by the screws of the legs."""
     m, feet, heads = stewart()
@@ -435,6 +438,7 @@ def test_three_rps():
 # Inverse dynamics ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("absolute", ["", "l", "lc"])
 def test_efforts_move_bodies_by_newton_and_gauss(kind, absolute: str):
@@ -588,6 +592,7 @@ def test_a_place_has_no_rates():
     np.testing.assert_allclose([there[x] for x in "xya"], (0, 0, math.pi / 2), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_cycle_of_few_rows_begins_in_the_middle():
     """No straight way leads from a dead position, beside which the start is."""
     k = kinematics(crank_rocker(), ["D"], ["A"])
@@ -723,6 +728,7 @@ def test_dead_positions_of_the_rocker():
     np.testing.assert_allclose(np.diff(turned["A.angle"]), np.diff(cycle["A.angle"]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_transmission_angle_of_a_slider_crank():
     m = Mechanism("slider")
     crank, rod, slide = (
@@ -749,6 +755,7 @@ def test_transmission_angle_of_a_slider_crank():
         kinematics(push, ["guide"], ["slide"]).cycle()
 
 
+@pytest.mark.slow
 def test_a_pinion_turns_many_times_between_dead_positions():
     """A slider-crank whose slide is a rack: the crank and the rod in line hold it, far more than one turn apart."""
     m = Mechanism("rack")
@@ -774,6 +781,7 @@ def test_a_pinion_turns_many_times_between_dead_positions():
 # Limits, laws, names ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_inverse_keeps_within_the_limits_of_joints():
     m = five_bar()
     m.end_stop("limit", m.joints[0], upper=1.5, lower=-1.0, stiffness=1e4)
@@ -821,6 +829,7 @@ def test_joints_that_cannot_move_are_not_proposed_as_actuated():
 TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -898,6 +907,7 @@ def test_rolling_is_refused_by_name():
         kinematics(m, ["x", "a"])
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
@@ -941,6 +951,7 @@ def test_command(tmp_path: Path, monkeypatch, capsys):
         assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_axis_of_a_body_in_space_is_given_by_euler_parameters():
     """Other signs and lengths of Euler parameters are the same attitude."""
     m, _, _ = stewart()

@@ -195,6 +195,7 @@ def test_a_state_has_which_steps_are_made():
     assert np.array_equal([unit.q, unit.v], there)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_fmus_go_over_to_implicit_steps_too(tmp_path, kind):
     path = alfmu.export("end_stop", tmp_path / "stop.fmu", kind=kind, reference=False)

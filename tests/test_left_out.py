@@ -151,6 +151,7 @@ def test_each_feature_can_be_left_out_alone(tmp_path, name):
     compiled(native.sources(3, {name, *more}), tmp_path / "library.so")
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_a_library_without_what_a_scene_needs_refuses_it(fmu_of, tmp_path):
     path = fmu_of(block(), kind="native", reference=False)
@@ -159,6 +160,7 @@ def test_a_library_without_what_a_scene_needs_refuses_it(fmu_of, tmp_path):
         fmu.initialize()
 
 
+@pytest.mark.slow
 def test_a_scene_tells_what_its_fmu_leaves_out(capsys):
     assert main(["info", "five_bar", "--all"]) in (0, None)
     said = capsys.readouterr().out.partition("omitted from the C library of a native FMU\n")[2]

@@ -137,6 +137,7 @@ def test_fmpy_reads_a_table_and_takes_it_as_input(here, exported):
     assert result["A.torque"][-1] == pytest.approx(0.6, abs=0.07)
 
 
+@pytest.mark.slow
 def test_pandas_has_the_columns_over_time(four_bar):
     pytest.importorskip("pandas")
     table = four_bar.to_pandas()

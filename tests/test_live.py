@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from pages import settle
+from pages import double_click, settle
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
@@ -223,7 +223,7 @@ def test_what_it_saves_makes_the_same_run_on_the_command_line(opened, tmp_path):
     page.browser.find_element(By.ID, "save").click()
     page.browser.find_element(By.ID, "inputs").click()
     files = [tmp_path / f"slider_crank{end}.csv" for end in ("", "_inputs")]
-    end = time.monotonic() + 10
+    end = time.monotonic() + 60
     while not all(file.exists() for file in files):
         assert time.monotonic() < end, list(tmp_path.iterdir())
         time.sleep(0.05)
@@ -336,7 +336,8 @@ def test_drawn_lengths_follow_their_parameters(opened):
     assert np.ptp(np.array(rod)[:, 0]) == pytest.approx(1.7)
 
 
-def test_dragging_the_crank_sets_the_start(opened):
+@pytest.mark.parametrize("late", [False, True])
+def test_dragging_the_crank_sets_the_start(opened, late):
     """The crank goes where it is dragged, and the motion goes on from there, at rest."""
     page = opened(*FIXED)
     page.pause()
@@ -350,12 +351,16 @@ def test_dragging_the_crank_sets_the_start(opened):
     (x0, y0), (x1, y1) = (page.browser.execute_script(place, 0.4, angle) for angle in (np.pi / 4, 1.9))
     box = canvas.rect
     middle = box["width"] / 2, box["height"] / 2
+    if late:  # answers of the runtime, so that the pointer is let go before all that it was moved to is answered
+        page.browser.execute_script(
+            "const { onmessage } = worker; worker.onmessage = (event) => setTimeout(onmessage, 200, event)"
+        )
     chain = ActionChains(page.browser, duration=20).move_to_element_with_offset(canvas, x0 - middle[0], y0 - middle[1])
     chain.click_and_hold()
     for share in np.linspace(0.1, 1.0, 10):
         x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
         chain.move_to_element_with_offset(canvas, x - middle[0], y - middle[1])
-    chain.pause(0.3).release().perform()
+    chain.release().perform()
     page.wait(lambda s: s["rows"] == 1 and not s["busy"])
     angle, rate = (
         float(page.field(f"start.{name}")[1].get_attribute("value")) for name in ("angle", "angular_velocity")
@@ -689,7 +694,7 @@ def test_the_mouse_zooms_and_a_double_click_brings_the_view_back(opened):
     canvas.send_keys("-" * 12)
     page.drawn()
     assert page.browser.execute_script(far) > 1.1 * home
-    ActionChains(page.browser).move_to_element(canvas).double_click().perform()
+    double_click(page.browser, canvas)
     page.drawn()
     assert page.browser.execute_script(far) == pytest.approx(home, rel=1e-6)
 

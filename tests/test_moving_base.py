@@ -113,6 +113,7 @@ def crank(m: Mechanism, torque: float, stop: float, **parameters: Any) -> Any:
     return alfmu.simulate(m, stop, 0.02, parameters=named, inputs={"A.torque": torque})["bar1.angle"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["relative", "absolute"])
 @pytest.mark.parametrize("base", BASES)
 def test_base_that_a_law_moves(base: str, coordinates: str) -> None:
@@ -138,6 +139,7 @@ def test_slow_passage_on_a_base_that_shakes(coordinates: str) -> None:
     assert crank(m, torque, 0.6, method="rk4", step_size=1e-3) == pytest.approx(right, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["relative", "absolute"])
 @pytest.mark.parametrize("start", [(0.0, 0.0, 1.0), (-0.05, 0.1, 0.0)])
 @pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])
@@ -178,6 +180,7 @@ def test_start_rate_from_a_base_that_turns_by_a_law() -> None:
     assert found["bar.angular_velocity", "start.relative_rate"] == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4", "order8"])
 @pytest.mark.parametrize(
     ("name", "torque", "given", "fourth"), [("five_bar", 3.0, {}, 1.0), ("four_bar", 4.0, {"start.angle": 0.0}, None)]
@@ -232,6 +235,7 @@ def test_what_is_read_changes_no_step(coordinates: str) -> None:
     assert ends[0] == ends[1]
 
 
+@pytest.mark.slow
 def test_oracle_takes_limits_in_the_same_direction() -> None:
     law, acceleration = BASES["from rest"]
     right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.2)

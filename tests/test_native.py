@@ -601,6 +601,7 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
         assert run(own, 1.0, 0.02).values == pytest.approx(run(fmu, 1.0, 0.02).values, rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_sources_have_one_version_of_fmi_and_the_scene_is_in_its_resources(built):
     found, scenes = [], []
     for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", fmi=3)):
@@ -663,6 +664,7 @@ def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
         assert own == bare, name
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_sources_leave_out_what_is_never_called(tmp_path):
     """By a linker, which leaves out the same functions of the complete sources, and none of these."""

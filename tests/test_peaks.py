@@ -220,6 +220,7 @@ def watt() -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_peak_of_a_hundredth_of_a_second_is_exact_to_one_percent():
     """The linkage by (4) and (3) in one system and DOP853; inputs let the polynomial begin anew at each point.
 

@@ -628,6 +628,7 @@ def test_rounding_is_not_blown_up():
     assert low < 0.5 < high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("suffix", "start"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
 @pytest.mark.parametrize("name", ["slider_crank", "particle_on_circle"])
 def test_plots_are_written(tmp_path, name, suffix, start):

@@ -50,6 +50,7 @@ def check(found: np.ndarray) -> None:
     assert found[found[:, 0] > 100, 1].max(initial=0.0) < MATTERS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 @pytest.mark.parametrize("ratio", PENALTIES)
 @pytest.mark.parametrize(("name", "coordinates"), [("four_bar", "joint"), ("four_bar", "mixed"), ("five_bar", "mixed")])
@@ -64,6 +65,7 @@ def test_beside_poles_and_singular_positions(name, coordinates, ratio, method):
     check(np.vstack(found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 @pytest.mark.parametrize("ratio", PENALTIES)
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])

@@ -446,6 +446,7 @@ def shares(m: alfmu.Mechanism, size: float, heavy: float) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:table. a point of top")
 @pytest.mark.parametrize("size", [1e-3, 1e-1, 10.0, 1e3])
 def test_shares_are_in_proportion_to_the_size(size):

@@ -13,6 +13,7 @@ from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 from pages import errors
 from scenes import derived
+from selenium.webdriver.support.ui import WebDriverWait
 from studies import prose, rows, script, tables, untraced
 
 import alfmu
@@ -307,8 +308,9 @@ def test_the_page_draws_its_plots_in_a_browser(written, chromium):
     assert "explicit" in convergence["legend"]
     film = chromium.find_element("css selector", "iframe.film")
     chromium.switch_to.frame(film)
-    wait = "const done = arguments[0]; setTimeout(() => done(document.querySelectorAll('canvas, svg').length), 500)"
-    assert chromium.execute_async_script(wait)
+    WebDriverWait(chromium, 60).until(
+        lambda b: b.execute_script("return document.querySelectorAll('canvas, svg').length")
+    )
     chromium.switch_to.default_content()
     assert errors(chromium) == []
 

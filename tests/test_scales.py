@@ -268,6 +268,7 @@ def test_a_torque_turns_a_slider_crank_of_any_size_and_mass_in_proportion(coordi
         assert found.B[1, 0] * mass * length**2 == pytest.approx(1 / inertia, rel=1e-9), (length, mass)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", [True, False], ids=["bodies", "points"])
 def test_a_place_far_from_the_origin_changes_no_position_of_rest(bodies):
     here, there = (
@@ -342,6 +343,7 @@ def test_a_start_that_nothing_determines_is_in_proportion():
         assert np.abs(started(length) - usual).max() <= 1e-12, length
 
 
+@pytest.mark.slow
 def test_a_start_in_space_that_nothing_determines_is_in_proportion_and_turns_with_the_mechanism():
     """A rotor in two gimbals, of which only the rotor's hinge has a start rate, in absolute coordinates."""
 
@@ -438,6 +440,7 @@ def test_constraints_that_agree_within_round_off_run(make):
     assert np.abs(np.array(there) - np.array(other)).max() <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "away", "absolute"),
     [(1.0, 100.0, False), (1.0, 700.0, False), (1.0, 100.0, True), (1e-3, 0.1, False), (1e-3, 0.03, True)],
@@ -485,6 +488,7 @@ def test_round_off_of_places_far_from_the_origin_is_no_contradiction(caplog, siz
     assert there.counters.evaluations <= 1.1 * here.counters.evaluations
 
 
+@pytest.mark.slow
 def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
     """The two angles of joints differ by 1e-8 of their inertia; in a pose of its own the rod moves as it should."""
 

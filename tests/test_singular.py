@@ -23,6 +23,9 @@ from alfmu.kernel.symbolic import ROUND_OFF
 from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared, run, with_defaults
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+"""Optimised code is judged in `test_compiled`."""
+
 STEPS = (0.02, 0.01, 0.005)
 TORQUE = 4.0
 FOUR_BAR, FIVE_BAR = Parallelogram(m4=None), Parallelogram()
@@ -360,6 +363,7 @@ def share(told: float, errors: dict[str, float], exact: dict[str, float]) -> flo
     return told / max(*errors.values(), ROUND_OFF * max(map(abs, exact.values())))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 @pytest.mark.parametrize(
     ("name", "linkage", "torque"),
@@ -383,6 +387,7 @@ def test_reactions_are_as_exact_as_is_told(name, linkage, torque, method):
     assert np.quantile(told, 0.95) < 300
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("distance", [1e-5, 1e-3, 4e-3, 7e-3, 0.05, 0.5])
 def test_the_oracle_tells_as_much(kernel, distance):
@@ -412,6 +417,7 @@ def test_reactions_at_regular_positions_are_as_exact_as_is_told(coordinates):
     assert 1 < np.median(told) < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "fmi"), [("python", 2), ("native", 2), ("native", 3)])
 def test_every_kind_of_fmu_tells_the_error_of_reactions(kind, fmi, tmp_path):
     path = alfmu.export(
@@ -556,6 +562,7 @@ def test_a_short_lever_that_moves_a_long_boom_is_no_singular_position(size, kern
     assert np.abs(found["boom.angle"] - right).max() <= bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "bound"),
     [({}, 1e-7), ({"solver.relative_tolerance": 1e-10}, 1e-11), ({"solver.method": "order8"}, 1e-4)],

@@ -82,6 +82,7 @@ def outputs_of(plain: Plain) -> list[str]:
     return [variable for kind, variable in plain.variables if kind == "output"]
 
 
+@pytest.mark.slow
 @by_a_compiler
 @each_case
 def test_plain_c_gives_the_numbers_of_the_library(case, tmp_path):
@@ -123,6 +124,7 @@ def with_binary(path: Path, fmi: int, other: Path) -> Path:
     return Path(shutil.make_archive(str(folder), "zip", folder)).rename(other)
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, tmp_path, fmi):
@@ -146,6 +148,7 @@ def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, tmp_path,
             own.step(-1.0, 2.02)
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
@@ -173,6 +176,7 @@ def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
     assert "plain C does not tell when it runs" in caplog.text
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("level", ["-O2", "-O3", "-Os"])
 def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_from_cpp(level, tmp_path):
@@ -186,6 +190,7 @@ def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_
     assert '\nextern "C" {\n' in (tmp_path / "hatch.h").read_text()
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
     path = with_binary(fmu_of("five_bar", kind="source"), 2, tmp_path / "own.fmu")
@@ -203,6 +208,7 @@ def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
         library.fmi2FreeInstance(ctypes.c_void_p(one))
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of, tmp_path):
     """A host that looks into steps of several internal ones still has both states; the third is refused with what to
@@ -285,6 +291,7 @@ def sizes(library: Path) -> int:
     return sum(size for _, kind, flags, _, _, size in found if kind == 1 and flags & 2)
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.skipif(build.HERE != "linux64", reason="the limits are for x86-64")
 def test_a_small_five_bar_is_small(tmp_path, capsys):
@@ -312,6 +319,7 @@ def test_a_small_five_bar_is_small(tmp_path, capsys):
             assert plain.get(name) == pytest.approx(instance.get(name), rel=1e-13, abs=1e-13), k
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_path):
     """Values of programs share places: the numbers are those of an instance in which each has its own."""
@@ -408,6 +416,7 @@ def test_options_without_effect_are_refused(tmp_path, what):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("name", ["m", "instance", "rad"])
 def test_a_model_may_have_a_name_of_the_runtime(tmp_path, name):

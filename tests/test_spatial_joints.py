@@ -404,6 +404,7 @@ def test_a_screw_that_constraints_close_keeps_its_thread_over_many_turns():
     assert i.counters.position_error < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("absolute", [True, False])
 def test_the_turns_of_a_screw_are_told_by_its_way_also_where_constraints_close_it(absolute: bool):
     """A nut ten turns up, held by a spring of turns: a linear oscillator; kinematics moves it by more than a turn."""

@@ -37,6 +37,7 @@ def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
         assert np.abs(some[name] - every[name]).max() <= 1e-12 * np.abs(every[name]).max(), name
 
 
+@pytest.mark.slow
 def test_a_monitor_alone_has_its_values():
     """Also those that take accelerations, multipliers or pivots, which no other output asks for then."""
     how = {"inputs": {"A.torque": 4.0}, "parameters": {"solver.method": "rk4"}}

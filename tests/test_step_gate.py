@@ -14,6 +14,7 @@ import alfmu
 from alfmu.runtime import build
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="it is about Linux")
 @pytest.mark.parametrize("kind", ["native", "source"])

@@ -76,6 +76,7 @@ def belt(T: float) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "tolerance", "within", "fewer", "more"),
     [("rk4", 1e-6, 1e-9, 0.85, 1.15), ("auto", 1e-6, 1e-6, 0.7, 1.4), ("auto", 1e-9, 1e-9, 0.6, 1.5)],

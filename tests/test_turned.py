@@ -65,6 +65,7 @@ def test_a_tight_tolerance_holds_in_every_direction(kind, seed):
     assert np.abs(motion(linkage, turn, offset, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("absolute", ["l", "c", "lc"])
 @pytest.mark.parametrize(
     "kind",
@@ -108,6 +109,7 @@ def swing_error(run, turn: Rotation, start: float) -> float:
     return np.abs(np.arctan2(places[:, 1], places[:, 0]) - exact.y[0]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 4])
 def test_bodies_with_coordinates_of_their_own_leave_a_singular_position_in_every_direction(seed):
     """They begin at rest in it, and have no start value that tells a direction."""
@@ -116,6 +118,7 @@ def test_bodies_with_coordinates_of_their_own_leave_a_singular_position_in_every
     assert swing_error(run, turn, 0.0) <= 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 10])
 def test_bodies_with_coordinates_of_their_own_pass_a_singular_position_in_every_direction(seed):
     """In some directions pivots of Euler parameters are small that belong to no singular value."""

@@ -165,6 +165,7 @@ def test_an_fmu_that_is_instantiated_once_per_process_passes(springs, tmp_path, 
     assert examine(springs(version, "-DONCE"), checks=["state.bytes"]).problems != []
 
 
+@pytest.mark.slow
 def test_outputs_that_jump_when_an_input_moves_its_base_are_not_judged_by_differences(tmp_path):
     """Accelerations jump at the communication point, and so does friction; places and velocities are still compared."""
     m = alfmu.Mechanism("shaken")
@@ -292,6 +293,7 @@ def test_a_failure_of_an_fmu_with_clocks_could_not_be_judged(springs, tmp_path, 
     assert "its clocks tick in event mode, which is not used here: fmi3ExitInitializationMode ended" in finding.detail
 
 
+@pytest.mark.slow
 def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
     """All in one process, as where there is no fork: it is started again behind the check that ended it."""
     monkeypatch.setenv("DEFECT", "crash_reference")
@@ -312,6 +314,14 @@ def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
     assert (zero.result, zero.detail) == (UNJUDGED, "run.default failed")
 
 
+@pytest.mark.slow
+def test_the_start_of_the_checker_is_no_time_of_its_first_check(springs, monkeypatch, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(1.5)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    assert results(examine(springs("2"), checks=["run.default"], timeout=1.0)) == {"run.default": PASSED}
+
+
+@pytest.mark.slow
 def test_a_step_that_does_not_end_with_an_input_of_nan_is_a_risk(springs, monkeypatch):
     """The standard does not say what to do with such inputs; solvers that control their error may never end."""
     monkeypatch.setenv("DEFECT", "stuck")
@@ -534,6 +544,7 @@ def test_damaged_records_are_a_problem_and_the_others_run(recorded, tmp_path, fi
     assert results(report)["record.defaults"] == PASSED
 
 
+@pytest.mark.slow
 def test_experiments_of_the_form_before_are_read(recorded, tmp_path):
     """Times were attributes of the experiment itself."""
 

@@ -39,6 +39,7 @@ def host(path, monkeypatch):
     return Wasmtime(path)
 
 
+@pytest.mark.slow
 def test_co_simulation_gives_the_numbers_of_the_native_library(path, host):
     """With a torque, a state that is restored, and a host that looks in between."""
     native = alfmu.simulate(path, 1.0, STEP, inputs={"A.torque": 2.0})
@@ -64,6 +65,7 @@ def test_co_simulation_gives_the_numbers_of_the_native_library(path, host):
     assert host.call("get-directional-derivative", references[:1], [host.references["A.torque"]], [1.0]) == [0.0]
 
 
+@pytest.mark.slow
 def test_model_exchange_gives_the_rates_of_the_native_library(path, host, tmp_path):
     description = fmpy.read_model_description(str(path))
     native = FMU3Model(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 import re
 import runpy
+import sys
 import traceback
 import typing
 import warnings
 from collections.abc import Callable
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +48,25 @@ def known() -> list[str]:
 
 def registered(*groups: str) -> list[str]:
     """Return the names registered in groups of entry points, in alphabetical order."""
-    return sorted({e.name for group in groups for e in entry_points(group=group)})
+    return sorted({e.name for group in groups for e in entries(group)})
+
+
+def entries(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group in all installed packages, read again only if folders of these changed."""
+    return _read(group, tuple((path, _changed(path)) for path in sys.path))
+
+
+@lru_cache(10)
+def _read(group: str, places: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=group))
+
+
+def _changed(path: str) -> int:
+    """Return the time of the last change in a folder; 0 if there is none."""
+    try:
+        return os.stat(path or ".").st_mtime_ns
+    except OSError:
+        return 0
 
 
 def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
@@ -146,7 +167,7 @@ def _factory(mechanism: str | Path) -> Factory:
         from ..formats import factory
 
         return factory(mechanism)
-    for entry in entry_points(group=GROUP):
+    for entry in entries(GROUP):
         if entry.name == str(mechanism):
             return _guarded(mechanism, entry.load)
     name = str(mechanism)
@@ -214,7 +235,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
 
 def _place(frames: traceback.StackSummary, name: str | Path) -> str:
     """Return the file, in the package that registers a name, nearest to the failure in its code; empty if none ran."""
-    modules = [entry.module for entry in entry_points(group=GROUP) if entry.name == str(name)]
+    modules = [entry.module for entry in entries(GROUP) if entry.name == str(name)]
     packages = {module.removeprefix(_OWN).partition(".")[0] for module in modules}
     files = [f.filename for f in frames if packages & {Path(f.filename).stem, *Path(f.filename).parts}]
     return files[-1] if files else ""

@@ -66,6 +66,7 @@ EVALUATED = {
     "power": 0,
     "energy": 0,
     "readings": 0,
+    "shares": 1,
     "closure": 2,
     "guesses": 0,
     "displacements": 0,
@@ -118,7 +119,7 @@ def evaluable(equations: Stage) -> Stage:
     if e.limited:
         beyond = e.stops(q, p)
         results["beyond"] = ([q, p], [beyond, ca.jacobian(beyond, q)])
-    functions = {"readings": e.readings}
+    functions = {"readings": e.readings, "shares": e.shares}
     if e.states:
         functions["state_rates"] = e.state_rates
     if e.held:

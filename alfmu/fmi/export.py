@@ -104,7 +104,8 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     version = importlib.metadata.version("alfmu")
     apart = ("solver.",) if recipe.start == "declared" else ("solver.", "start.")
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
-    picture = model_png(declared, posed, equations=every)
+    key = tuple(sorted((name, repr(value)) for name, value in posed.items()))
+    picture = every.kept.latest(model_png, lambda: model_png(declared, posed, equations=every), key)
     results = record_files(equations) if recipe.reference else {}
     files_of = _python if recipe.kind == "python" else _native
     archive(path, {**results, **files_of(recipe, equations, declared, version, picture)})

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -123,7 +124,7 @@ def sources(
     found = {
         "alfmu.h": text,
         "files.c": apart.replace("#include <", f"{_HEADER}#include <", 1),
-        "alfmu.c": "".join([_HEADER, *sorted(system), *_hidden(bodies), last]),
+        "alfmu.c": "".join([_HEADER, *sorted(system), _hidden(bodies), last]),
     }
     if not instead:
         found["alfmu.c"] = _IN_SOURCES.sub("", found["alfmu.c"])
@@ -135,21 +136,24 @@ def sources(
 _HEADER = '#include "alfmu.h"\n'
 
 
-def _hidden(text: str) -> Iterator[str]:
-    """Yield C whose functions are visible within the library only, for importers that compile it without options."""
-    for each in ("push(hidden)", text, "pop"):
-        pragma = f"#if defined(__GNUC__) && !defined(_WIN32)\n#pragma GCC visibility {each}\n#endif\n"
-        yield text if each is text else pragma
+def _hidden(text: str) -> str:
+    """Return C whose functions are visible within the library only, for importers that compile it without options."""
+    pragma = "#if defined(__GNUC__) && !defined(_WIN32)\n#pragma GCC visibility {}\n#endif\n"
+    return pragma.format("push(hidden)") + text + pragma.format("pop")
 
 
 def used(files: Mapping[str, str]) -> dict[str, str]:
     """Return the C files of an FMU without functions, constants and macros that nothing in them uses."""
-    whole = files["alfmu.h"] + files["alfmu.c"]
-    apart = set(re.findall(r"\w+", files["files.c"]))
-    pieces = reached(whole, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
-    pieces = undeclared(pieces, apart)
-    header, include, text = "".join(piece for _, piece in pieces).partition(_HEADER)
+    header, include, text = _used(files["alfmu.h"] + files["alfmu.c"], files["files.c"]).partition(_HEADER)
     return {**files, "alfmu.h": header, "alfmu.c": include + text}
+
+
+@lru_cache(10)
+def _used(text: str, by: str) -> str:
+    """Return a text without what neither it nor another one uses."""
+    apart = set(re.findall(r"\w+", by))
+    pieces = reached(text, lambda name: name in apart or name.startswith(("fmi2", "fmi3")))
+    return "".join(piece for _, piece in undeclared(pieces, apart))
 
 
 _TYPES = "fmi.h"
@@ -188,6 +192,7 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/""", re
 """A comment, or (as a group) a string or character literal."""
 
 
+@lru_cache(100)
 def _without_comments(text: str) -> str:
     """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
     kept, end = list[str](), 0

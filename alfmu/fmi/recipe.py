@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
-from importlib.metadata import entry_points
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -276,14 +275,14 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
     """
     if isinstance(which, Recipe):
         return which
-    if str(which).endswith(".py"):
-        from ..catalogue.registry import executed
+    from ..catalogue.registry import entries, executed
 
+    if str(which).endswith(".py"):
         path = Path(str(which))
         if path.is_file() and not _MAY_DECLARE.search(path.read_bytes()):
             return Recipe(which)  # avoids running the file twice
         return _declared(path, executed(path)) or Recipe(which)
-    for entry in entry_points(group=GROUP):
+    for entry in entries(GROUP):
         if entry.name == which:
             module = entry.load()
             if found := _declared(Path(module.__file__), vars(module)):

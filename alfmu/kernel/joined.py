@@ -40,6 +40,8 @@ class _Joining:
         self._e, self._only = equations, only
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}
+        self._counts: dict[str, int] = {}
+        """Instructions of functions without repeated operations."""
 
     def steps(self, program: str, steps: Steps, after: set[str]) -> Steps:
         """Return fewer equivalent steps; `after` are the values needed after them."""
@@ -73,10 +75,9 @@ class _Joining:
         if len(calls) == 1:
             return calls
         # Repeated operations do not count; they are searched for only if the limit is exceeded with them.
-        if sum(small[call.function].n_instructions() for call in calls) > LONGEST:
-            counts = {name: len(Instructions.of(small[name])) for name in {call.function for call in calls}}
-            if sum(counts[call.function] for call in calls) > LONGEST:
-                return calls
+        counts = (small[call.function].n_instructions() for call in calls)
+        if sum(counts) > LONGEST and sum(self._count(call.function) for call in calls) > LONGEST:
+            return calls
         given = dict.fromkeys(chain(*(call.results for call in calls)))
         inputs, outputs = tuple(taken(calls)), tuple(name for name in given if name in wanted)
         numbers = {name: i for i, name in enumerate(inputs)}
@@ -89,6 +90,11 @@ class _Joining:
             self._known[key] = f"{program}_{len(self.functions)}"
             self.functions[self._known[key]] = self._function(self._known[key], calls, inputs, outputs)
         return [Call(self._known[key], inputs, outputs)]
+
+    def _count(self, function: str) -> int:
+        if function not in self._counts:
+            self._counts[function] = len(Instructions.of(self._e.functions[function]))
+        return self._counts[function]
 
     def _function(self, name: str, calls: Sequence[Call], inputs: Sequence[str], outputs: Sequence[str]) -> ca.Function:
         functions, lengths = self._e.functions, dict[str, int]()

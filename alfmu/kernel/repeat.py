@@ -42,6 +42,9 @@ _NONE = np.iinfo(np.int64).max
 _LINE = 8
 """Number of table entries whose C text is as long as that of an operation."""
 
+_STRAIGHT, _HEAD = 1.25, 40
+"""Words of an operation in straight code, and of a loop besides its operations and tables, measured."""
+
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """An odd constant without pattern, for hashes."""
 
@@ -104,6 +107,14 @@ def repeats(operations: Operations) -> list[Repeat]:
         taken[repeat.start : repeat.end] = True
         found.append(repeat)
     return _Lines(operations).improved(sorted(found))
+
+
+def words_of(operations: Operations, found: list[Repeat]) -> float:
+    """Return about the number of words of a function with these loops; measured, up to a twentieth less than it has."""
+    lines, made = _Lines(operations), _STRAIGHT * len(operations)
+    for each in found:
+        made += lines.entries(each) + _HEAD - _STRAIGHT * each.period * (each.times - 1)
+    return made
 
 
 class _Sequence:
@@ -192,6 +203,12 @@ class _Lines:
             self._period[best.start : best.end] = best.period
             result.append(best)
         return result
+
+    def entries(self, repeat: Repeat) -> int:
+        """Return the number of entries in the tables of a loop, after those before it."""
+        tables = self._tables(repeat, ends=True)
+        self._period[repeat.start : repeat.end] = repeat.period
+        return tables * repeat.times
 
     def _best(self, ways: list[Repeat], given: Repeat, ends: bool) -> Repeat:
         """Return the variant with the shortest C: fewest table entries, and operations inside and outside the loop."""

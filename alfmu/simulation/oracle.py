@@ -118,7 +118,7 @@ class Instance(Stepped):
             return method.minimum_norm_of_joints(C, alpha, lengths, inverse, lam, CORRECTIONS, unchanged)
 
         def slope(lam: NDArray) -> NDArray:
-            return np.array(e.functions["shares"](q, v, a, lam, self.driven, self.memory["p"], self.time)).ravel()
+            return self._values("shares", q, v, a, lam, self.driven, self.memory["p"], self.time)[0].ravel()
 
         C, nothing = held @ C, slope(np.zeros(l))
         P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held

@@ -74,7 +74,7 @@ class Stepped(runtime.Instance, ABC):
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
         e, arrays = self.equations, ArrayFunctions(self.equations)
-        names = ["dynamics", "constraints", "power", "energy", "readings", *["state_rates"] * bool(e.states)]
+        names = ["dynamics", "constraints", "power", "energy", "readings", "shares", *["state_rates"] * bool(e.states)]
         self._functions = {name: ArrayFunction(arrays, name, e.signatures[name]) for name in names}
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._seen: tuple = (None, None, None)

@@ -11,6 +11,7 @@ six joints carry least: a unit of [1 0 -1 0 -2 0 2 0] moves nothing, and changes
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from mpmath import cos, matrix, mp, mpf, pi, sin, sqrt, zeros
@@ -47,10 +48,7 @@ class Parallelogram:
 
     def swing(self, th: float, w: float, times: np.ndarray) -> np.ndarray:
         """th and th' at `times` under gravity alone, in elliptic functions: th + pi/2 is a pendulum's angle."""
-        with mp.workdps(DIGITS):
-            frequency = sqrt(self.weight / self.inertia)
-            rows = [pendulum.swing(frequency, th + pi / 2, w, t) for t in times]
-            return np.array([[float(phi - pi / 2), float(rate)] for phi, rate in rows])
+        return _swing(self, th, w, tuple(times)).copy()
 
     def driven(self, th: float, w: float, times: np.ndarray, torque: float) -> np.ndarray:
         """th and th' at `times` under gravity and a constant torque, by integration."""
@@ -210,3 +208,11 @@ def constrained(M: matrix, F: matrix, C: matrix, xi: matrix) -> tuple[matrix, ma
 def floats(x: matrix) -> np.ndarray:
     """A column as an array."""
     return np.array([float(e) for e in x])
+
+
+@cache
+def _swing(linkage: Parallelogram, th: float, w: float, times: tuple[float, ...]) -> np.ndarray:
+    with mp.workdps(DIGITS):
+        frequency = sqrt(linkage.weight / linkage.inertia)
+        rows = [pendulum.swing(frequency, th + pi / 2, w, t) for t in times]
+        return np.array([[float(phi - pi / 2), float(rate)] for phi, rate in rows])

@@ -38,6 +38,9 @@ OTHERS_AGREE = 1e-3
 
 _RESULTS = (PASSED, FAILED, RISKY, NOTED, NOT_APPLICABLE, UNJUDGED)
 
+_STARTING = 60.0
+"""Time [s] that the process of the checks may take to start, which is no time of its first check."""
+
 _DIED = 70
 """Exit code of the process for an error of the checker itself."""
 
@@ -350,7 +353,7 @@ def _watched(box: Path, timeout: float, progress: Callable[[str], object]) -> tu
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, start_new_session=True
         )
-        shown, since, late = "", time.monotonic(), False
+        shown, since, late = "", time.monotonic() + _STARTING, False
         try:
             while True:
                 with suppress(subprocess.TimeoutExpired):

@@ -21,9 +21,9 @@ function grab(event) {
 }
 
 // Assemble the mechanism anew, where the point that is held is nearest to the pointer.
-async function pull() {
-  if (!pulling || pulling.busy || !pulling.fresh || run.starting) return;
-  const mine = pulling, { point } = mine;
+async function pull(mine) {
+  if (mine.busy || !mine.fresh || run.starting) return;
+  const { point } = mine;
   mine.busy = true;
   mine.fresh = false;
   if (!mine.moved) {
@@ -37,7 +37,7 @@ async function pull() {
   const answer = await ask("pull", {
     values: given().filter(([reference]) => !tied.has(reference)),
     starts: mine.starts,
-    target: picture.metres(...mine.to),
+    target: mine.target,
     point: { x: point.x, y: point.y, references: point.columns.map((c) => about.shown[c]) },
   });
   mine.busy = false;
@@ -45,7 +45,8 @@ async function pull() {
   about.tied.forEach(({ value }, i) => change(value, mine.starts[i]));
   anew(answer);
   picture.pulled = pulling ? { ...point, to: mine.to } : null;
-  if (mine.fresh) pull(); else if (mine.released) mine.released();
+  pull(mine); // to where the pointer has gone meanwhile
+  if (!mine.busy && mine.released) mine.released();
 }
 
 canvas.addEventListener("pointerdown", (event) => {
@@ -64,8 +65,9 @@ canvas.addEventListener("pointermove", (event) => {
   }
   if (pulling) {
     pulling.to = [x, y];
+    pulling.target = picture.metres(x, y);
     pulling.fresh = true;
-    pull();
+    pull(pulling);
   }
 });
 
@@ -173,6 +175,6 @@ window.alfmu = {
   },
   state: () => ({
     time: latest(), now: run.now, playing: run.playing, failed: run.failed, warned: run.warned, ready: run.ready,
-    busy: Boolean(run.busy || run.starting || wanted), rows: run.rows.length,
+    busy: Boolean(run.busy || run.starting || wanted || waiting.size), rows: run.rows.length,
   }),
 };

@@ -92,7 +92,7 @@ uint32_t scene_check_sum(uint32_t sum, const unsigned char *at, size_t count)
         for (int k = 0; k < 256; k++)
             table[j][k] = table[j - 1][k] >> 8 ^ table[0][table[j - 1][k] & 255];
     for (; count >= 4; count -= 4, at += 4) {
-        sum ^= (uint32_t)bytes_little(at, 4);
+        sum ^= at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
         sum = table[3][sum & 255] ^ table[2][sum >> 8 & 255] ^ table[1][sum >> 16 & 255] ^ table[0][sum >> 24];
     }
     for (; count; count--, at++)
