@@ -559,7 +559,9 @@ class Scene:
         The margin also vanishes where a mechanism moves almost no mass, as at a dead centre with heavy sliders.
         """
         held = self.held if self.kind == "weighted" else SX.ones(self.e.l)
-        C = ca.densify(self.e.C(q, self.p)) * held
+        # A displacement by the size of the smallest loop counts as much as 1 rad: mechanisms of any size are alike.
+        own = ca.vertcat(*(1 / self.settings.inverse_loop if c.unit == "m" else 1 for c in self.e.coordinates))
+        C = (ca.densify(self.e.C(q, self.p)) * held) @ ca.diag(SX(own))
         K = C @ C.T
         # A vanishing row of a joint is compared with the size of all its rows.
         joints = [(row.name, row.unit) for row in self.e.rows]
