@@ -301,6 +301,7 @@ def crank_rocker(size: float) -> Mechanism:
     return m
 
 
+@pytest.mark.filterwarnings("ignore:.*if millimetres were meant")
 def test_a_motion_near_a_singular_position_takes_as_many_evaluations_in_all_sizes():
     one, *others = (alfmu.simulate(crank_rocker(size), 1.0, 0.02) for size in (1.0, 0.1, 1e-3, 1e3))
     for run in others:
