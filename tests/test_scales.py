@@ -282,6 +282,34 @@ def test_a_place_far_from_the_origin_changes_no_position_of_rest(bodies):
         assert np.abs(one.eigenvalues - other.eigenvalues).max() <= 1e-6 * size
 
 
+def crank_rocker(size: float) -> Mechanism:
+    """Bars with coordinates of their own, in a field in proportion to the size: angles and times are those of 1 m."""
+    m = Mechanism("crank_rocker")
+    A, B, C = size * np.array([[0.06 * np.cos(2.0), 0.06 * np.sin(2.0)], [0.45, 0.1], [0.5, -0.3]])
+    bars = []
+    for name, start, end in (("crank", 0 * A, A), ("rod", A, B), ("rocker", C, B)):
+        (x, y), (dx, dy) = (start + end) / 2, end - start
+        place = [m.coordinate(f"{name}.{k}", "m", start=at) for k, at in (("X", x), ("Y", y))]
+        free = {"rate": 12.0, "independent": True} if name == "crank" else {}
+        turn = m.coordinate(f"{name}.turn", start=np.arctan2(dy, dx), **free)
+        bars.append(m.bar(name, mass=1.0, length=float(np.hypot(dx, dy)), pose=(*place, turn)))
+    crank, rod, rocker = bars
+    m.revolute("O", m.ground.at(0, 0), crank.start)
+    m.revolute("A", crank.end, rod.start)
+    m.revolute("B", rod.end, rocker.end)
+    m.revolute("C", m.ground.at(*map(float, C)), rocker.start)
+    m.gravity(0, -9.81 * size)
+    return m
+
+
+@pytest.mark.filterwarnings("ignore:.*if millimetres were meant")
+def test_a_motion_near_a_singular_position_takes_as_many_evaluations_in_all_sizes():
+    one, *others = (alfmu.simulate(crank_rocker(size), 1.0, 0.02) for size in (1.0, 0.1, 1e-3, 1e3))
+    for run in others:
+        assert np.abs(run["crank.angle"] - one["crank.angle"]).max() <= 1e-6
+        assert run.counters.evaluations <= 1.1 * one.counters.evaluations
+
+
 def beside_a_crank() -> Mechanism:
     """The same linkage with a coupler alone torn off."""
     m = Mechanism("mixed")

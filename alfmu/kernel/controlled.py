@@ -262,23 +262,29 @@ class _Explicit(_Step):
             return x if share is None else x / share
 
         off = "off_q", "off_v", *("off_x" for _ in self.tracer.states)
+        worked = ["off_work"] * self.tracer.supplies
 
         def parted(*_: SX) -> tuple[SX, ...]:
             found = judged(error)
-            return found[:n], found[n : 2 * n], *(found[2 * n + 1 :] for _ in off[2:])
+            powers = [x[2 * n] for x in map(scene.symbol, rates)]
+            work = (scene.work_size(z, dt, found[2 * n], powers) for _ in worked)
+            return found[:n], found[n : 2 * n], *(found[2 * n + 1 :] for _ in off[2:]), *work
 
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
             *x, off_q, off_v = known[: 2 + len(off[2:])]
             change = known[len(x) + 2 : len(x) + 2 + len(x)]
             left = map(scene.symbol, ("round_off", "round_off_along"))
             least = [judged(scene.least_error(rule, dt, v, a)) for a in left] if rounds else None
-            return scene.error_size(z, q, v, (off_q, off_v), least, (*x, *change))
+            size, floor = scene.error_size(z, q, v, (off_q, off_v), least, (*x, *change))
+            for name in worked:
+                size = ca.fmax(size, scene.symbol(name))
+            return size, floor
 
-        calls(f"{self.name}_off", spaced("z step", rates, "k"), spaced(off), parted)
+        calls(f"{self.name}_off", spaced("z step", rates, ["control"] * len(worked), "k"), spaced(off, worked), parted)
         # The second time off_v lies along the motion already: no other function is needed.
         for change in ("off_q", *["round_off_along"] * rounds):
             self.tracer.along(calls, change, "off_v")
-        known = spaced("z q v", self.tracer.states, off, *["step round_off round_off_along"] * rounds, "k")
+        known = spaced("z q v", self.tracer.states, off, *["step round_off round_off_along"] * rounds, worked, "k")
         calls(f"{self.name}_error", known, "error floor", size)
         if self.kinked:
             places = [str(i + 1) for i in range(len(rule.nodes))]
