@@ -887,6 +887,8 @@ def test_loops_of_other_dialects_of_urdf_are_those_of_loop_joints(tmp_path: Path
         runs.append(alfmu.simulate(alfmu.imported(path).mechanism, 0.3, 0.1, parameters=start)["motor.angle"])
     assert np.ptp(runs[0]) > 0.1
     np.testing.assert_allclose(runs[1:], runs[:1] * 2, atol=1e-9)
+    path.write_text(text[:begin] + dialects[2].replace("revolute", "spherical") + text[end:])
+    assert any("axes of joints of a type without an axis" in x for x in alfmu.imported(path).left_out)
 
 
 def test_a_coupling_of_urdf_plus_turns_the_successor_by_its_ratio(tmp_path: Path):
