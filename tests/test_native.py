@@ -688,7 +688,7 @@ def test_sources_leave_out_what_is_never_called(tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="reads symbols by nm")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_importer_that_compiles_the_sources_exports_the_functions_of_fmi_alone(fmi, tmp_path):
-    """The compiler warns of nothing, as of a macro that two of the files of the runtime define: they are one file here."""
+    """Without any warning, as of a macro that two files of the runtime define, which are one file there."""
     for each, text in native.sources(fmi).items():
         (tmp_path / each).write_text(text, encoding="ascii")
     command = [*build.compiler(), "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "alfmu.c", "files.c"]
