@@ -145,7 +145,7 @@ class File:
 
     def _detachable(self, model: Node) -> list[Node]:
         """Return fixed joints in place of plugins that attach a link of another model until a message detaches it."""
-        own, made = model.attributes.get("name", ""), []
+        own, made = model.attributes.get("name", ""), list[Node]()
         for plugin in (x for x in model.all("plugin") if "DetachableJoint" in x.attributes.get("name", "")):
             given, name = Children(plugin), f"{own}_attached" + f"_{len(made) + 1}" * bool(made)
             other = given.text("child_model")
