@@ -384,6 +384,7 @@ def alone(what: str) -> Mechanism:
         "gravity": lambda: m.gravity(0, -9.0),
         "sum": lambda: m.end_stop("stop", 2 * th + 0.1, upper=1.0, stiffness=1.0, unit="rad"),
         "stop": lambda: m.end_stop("stop", th**2, upper=1.0, stiffness=1.0, unit="rad"),
+        "apart": lambda: [m.end_stop(f"to{k + 1}", k * th, upper=-0.5, stiffness=1.0, unit="rad") for k in (-1, 1)],
     }
     if what in parts:
         parts[what]()
@@ -399,6 +400,7 @@ REFUSED = {
     "world": "the name of the ground in files", "stiffness": "no constant",
     "gravity": r"it is 9 m/s2; in a URDF",
     "pose": "permit 4 motions, and the coordinates 2", "stop": "pendulum: an end stop: an end stop acts",
+    "apart": "to2: end stops of A leave no angle or way between 0.5 and -0.5",
 }  # fmt: skip
 
 

@@ -887,6 +887,8 @@ def test_loops_of_other_dialects_of_urdf_are_those_of_loop_joints(tmp_path: Path
         runs.append(alfmu.simulate(alfmu.imported(path).mechanism, 0.3, 0.1, parameters=start)["motor.angle"])
     assert np.ptp(runs[0]) > 0.1
     np.testing.assert_allclose(runs[1:], runs[:1] * 2, atol=1e-9)
+    path.write_text(text[:begin] + dialects[2].replace("revolute", "spherical") + text[end:])
+    assert any("axes of joints of a type without an axis" in x for x in alfmu.imported(path).left_out)
 
 
 def test_a_coupling_of_urdf_plus_turns_the_successor_by_its_ratio(tmp_path: Path):
@@ -933,3 +935,37 @@ def test_a_detachable_joint_of_gazebo_remains_attached(tmp_path: Path):
 
     swing = solve_ivp(falls, (0, 0.5), [0.0, 0.0], "DOP853", run.time, rtol=1e-12, atol=1e-12).y[0]
     np.testing.assert_allclose(angle, swing, atol=1e-8)
+
+
+def test_many_detachable_joints_remain_and_only_they_are_taken_for_such(tmp_path: Path):
+    """Two loads on an arm, and a link and a joint that have the name of the plugin; bodies counted by hand."""
+    inertial = "<inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz></inertia></inertial>"
+    joint = "<joint name='{}' type='revolute'><parent>{}</parent><child>{}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+    plugin = ("<plugin filename='f' name='gz::sim::systems::DetachableJoint'><parent_link>a</parent_link>"
+              "<child_model>{}</child_model><child_link>b</child_link></plugin>")  # fmt: skip
+    path = tmp_path / "w.sdf"
+    path.write_text(
+        f"<sdf version='1.9'><world name='w'><model name='arm'><link name='a'>{inertial}</link>"
+        f"<link name='DetachableJointTip'><pose>0.1 0 0 0 0 0</pose>{inertial}</link>" + joint.format("j", "world", "a")
+        + joint.format("DetachableJoint", "a", "DetachableJointTip") + plugin.format("one") + plugin.format("two")
+        + "</model>" + "".join(f"<model name='{x}'><link name='b'>{inertial}</link></model>" for x in ("one", "two"))
+        + "</world></sdf>"
+    )  # fmt: skip
+    m = alfmu.imported(path).mechanism
+    assert {x.name for x in m.spatial_bodies} == {"arm_a", "arm_DetachableJointTip", "one_b", "two_b"}
+    assert len(m.coordinates) == 2
+
+
+def test_flags_of_a_model_hold_for_those_attached_to_it(tmp_path: Path):
+    """Without friction and limits a ball of the radius r at the length l falls by g l / (l^2 + 2 r^2 / 5)."""
+    path, flags = tmp_path / "scene.xml", 'contact="disable" frictionloss="disable" limit="disable"'
+    path.write_text(
+        f'<mujoco><option><flag {flags}/></option><asset><model name="arm" file="arm.xml"/></asset><worldbody>'
+        '<attach model="arm" prefix="a_"/></worldbody></mujoco>'
+    )
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j" axis="0 1 0" frictionloss="90" range="5 9" limited="true"/>'
+        '<geom size="0.1" pos="0.5 0 0" mass="1"/></body></worldbody></mujoco>'
+    )
+    run = alfmu.simulate(alfmu.imported(path).mechanism, 1e-3, 1e-3)
+    assert run["a_j.angular_velocity"][-1] == pytest.approx(9.81 * 0.5 / (0.5**2 + 0.4 * 0.1**2) * 1e-3, rel=1e-5)

@@ -82,9 +82,8 @@ def outputs_of(plain: Plain) -> list[str]:
     return [variable for kind, variable in plain.variables if kind == "output"]
 
 
-@pytest.mark.slow
 @by_a_compiler
-@each_case
+@pytest.mark.parametrize("case", ["block", *(pytest.param(x, marks=pytest.mark.slow) for x in CASES if x != "block")])
 def test_plain_c_gives_the_numbers_of_the_library(case, tmp_path):
     """To the last bit, where the native FMU makes steps of RK4 with the same iterations."""
     mechanism = CASES[case]()

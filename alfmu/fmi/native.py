@@ -192,7 +192,7 @@ _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/""", re
 """A comment, or (as a group) a string or character literal."""
 
 
-@lru_cache(100)
+@lru_cache(200)  # more than there are files, of which all are read in turn
 def _without_comments(text: str) -> str:
     """Return a text without comments and empty lines, indented by tabs, so that archives are smaller."""
     kept, end = list[str](), 0

@@ -328,7 +328,10 @@ class _Describing:
         joint, factor = along[0]
         low, high = sorted((low / factor, high / factor))
         old = joint.limits[0] if joint.limits else (low, high)
-        joint.limits = ((max(low, old[0]), min(high, old[1])),)
+        low, high = max(low, old[0]), min(high, old[1])
+        if low > high:
+            self.refuse(name, f"end stops of {joint.name} leave no angle or way between {low:g} and {high:g}")
+        joint.limits = ((low, high),)
 
     def _rated(self) -> None:
         """Convert quadratic energies and linear dampers, of joints, of sums of their coordinates, and of balls."""

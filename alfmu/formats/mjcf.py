@@ -180,6 +180,7 @@ class File:
             made = copy.copy(self)
             made.folders = [root.file.resolve().parent, *self.folders]
             made._begin(root, prefix)
+            made.settings.off = self.settings.off  # flags hold for all models
             self.models.append(made)
             if made.settings.bounds != (0.0, 0.0) or made.settings.total:
                 node.fail("bounds of masses of an attached model do not map; give them in the model around it")

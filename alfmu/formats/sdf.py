@@ -145,18 +145,16 @@ class File:
 
     def _detachable(self, model: Node) -> list[Node]:
         """Return fixed joints in place of plugins that attach a link of another model until a message detaches it."""
-        made = []
-        for plugin in model.children:
-            if plugin.tag != "plugin" or "DetachableJoint" not in plugin.attributes.get("name", ""):
-                continue
-            given, own = Children(plugin), model.attributes.get("name", "")
+        own, made = model.attributes.get("name", ""), list[Node]()
+        for plugin in (x for x in model.all("plugin") if "DetachableJoint" in x.attributes.get("name", "")):
+            given, name = Children(plugin), f"{own}_attached" + f"_{len(made) + 1}" * bool(made)
             other = given.text("child_model")
-            joint = Node("joint", {"name": f"{own}_attached", "type": "fixed"}, plugin.file, plugin.line, model)
+            joint = Node("joint", {"name": name, "type": "fixed"}, plugin.file, plugin.line, model)
             joint.add("parent", text=f"{own}::{given.text('parent_link')}")
             joint.add("child", text=f"{own if other == '__model__' else other}::{given.text('child_link')}")
             self.linkage.note("detachable joints remain attached", joint)
             made.append(joint)
-        model.children = [x for x in model.children if "DetachableJoint" not in dict.get(x.attributes, "name", "")]
+            model.children.remove(plugin)
         return made
 
     def _gravity(self, node: Node) -> None:

@@ -32,6 +32,7 @@ _LOOPS = {
     "prismatic": "prismatic",
 }  # fmt: skip
 _LOOPING = ("loop_joint", "drake:loop_joint", "drake:ball_constraint", "loop", "constraint", "coupling")
+_NO_AXIS = "axes of joints of a type without an axis"
 _SECTIONS = {"material": "materials", "sensor": "sensors"} | {
     tag: f"settings for other programs (<{tag}>)"
     for tag in ("mujoco", "physics", "ros2_control", "frame", "drake:collision_filter_group", "collision_filter_group")
@@ -333,7 +334,7 @@ class File:
             ends.append((known(each, given.text("link"), self.links, "link"), pose))
         axes = (self._axis(node),) if turning else ()
         if not axes:
-            self.linkage.leave("axes of joints of a type without an axis", *node.all("axis"))
+            self.linkage.leave(_NO_AXIS, *node.all("axis"))
         return Closure(Joint(name, _LOOPS[kind], node, axes=axes), ends[0], ends[1])
 
     def _constraint(self, node: Node, joint: Joint, turning: bool) -> Closure:
@@ -357,6 +358,8 @@ class File:
                 turn = about(across, float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two)))
                 ends[1] = ends[1][0], ends[1][1] @ Pose(np.zeros(3), turn)
             joint.axes = (one,)
+        else:
+            self.linkage.leave(_NO_AXIS, *node.all("parent_axis", "child_axis"))
         return Closure(joint, ends[0], ends[1])
 
     def _coupling(self, node: Node) -> None:

@@ -1,7 +1,6 @@
 /* Lists of operations, and the arrays and heaps that arranging needs. */
 
-#ifndef ALFMU_ARRANGE_OPERATIONS_H
-#define ALFMU_ARRANGE_OPERATIONS_H
+#pragma once
 
 #include "baseline.h"
 #include "operations.h"
@@ -36,5 +35,3 @@ int arrange_less(const int a[3], const int b[3]);
 void arrange_push(Heap *heap, int first, int second, int third);
 void arrange_pop(Heap *heap, int taken[3]);
 void arrange_add(Operations *o, int kind, int made, int other);
-
-#endif

@@ -23,7 +23,7 @@ void tangent_along(Lanes *d, double partial, const Lanes *tangent)
                 d->lane[lane] += partial * tangent->lane[lane];
 }
 
-BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr)
+static BY_PROCESSOR void through(const Flat *flat, const double *r, Lanes *dr)
 {
     for (int k = 0; k < flat->count; k++) {
         const Run_of *run = flat->runs + k;
@@ -68,4 +68,10 @@ BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr)
         }
         }
     }
+}
+
+/* Static in its versions, as those of `lanes.c`. */
+void tangents_through(const Flat *flat, const double *r, Lanes *dr)
+{
+    through(flat, r, dr);
 }

@@ -9,4 +9,4 @@ void tangent_along(Lanes *d, double partial, const Lanes *tangent);
 
 /* Propagate tangents, or adjoints, through a function whose registers hold the values, if the arguments have their
    tangents, or the results their adjoints. */
-BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr);
+void tangents_through(const Flat *flat, const double *r, Lanes *dr);
