@@ -79,6 +79,64 @@ def test_it_moves_as_in_mujoco(text: str, twin: str, tmp_path: Path):
         np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
 
 
+SITES = (
+    '<site name="base" pos="0.1 -0.1 0.3" zaxis="1 0.5 0.2"/><body name="f" pos="0.5 0.5 0.5" euler="0.1 0.2 0.3">'
+    '<freejoint/><geom type="box" size="0.1 0.05 0.02" pos="0.01 0.02 0.03"/><site name="fly" pos="0.1 0 0.05" '
+    'euler="0.3 0 0.2"/></body>'
+)
+
+
+@MUJOCO
+@pytest.mark.parametrize(
+    "actuators",
+    [
+        '<motor cranksite="tip" slidersite="base" cranklength="1.5" gear="3"/>',
+        '<position cranksite="tip" slidersite="low" cranklength="1.5" gear="-2" kp="7" kv="0.3" forcerange="-3 2"/>',
+        '<velocity cranksite="fly" slidersite="tip" cranklength="3" gear="2" kv="0.7"/>'
+        '<intvelocity cranksite="low" slidersite="fly" cranklength="3" kp="5" kv="0.7" actrange="-9 9"/>',
+        '<position cranksite="tip" slidersite="base" cranklength="0.05" gear="3" kp="7" kv="0.3"/>',  # does not reach
+        '<motor site="tip" gear="1 2 3 4 5 6"/><motor site="tip" refsite="low" gear="-3 2 1 4 5 6"/>',
+        '<motor site="fly" refsite="base" gear="1 2 3 4 5 6"/><position site="tip" refsite="fly" gear="3 2" kp="3"/>',
+        '<general site="tip" gear="1 2 3" biastype="affine" biasprm="0.3 2 -0.7"/>'
+        '<position site="tip" refsite="low" gear="1 2 3" kp="3" kv="0.4"/>',
+        '<damper joint="ja" kv="2" ctrlrange="0 5" gear="2"/>'
+        '<damper site="tip" refsite="low" gear="1 2 3" kv="0.4" ctrlrange="0 5"/>',
+        '<general joint="jb" gaintype="affine" gainprm="3 -2 0.5" biastype="affine" biasprm="0.1 2 -0.3" gear="2"/>'
+        '<cylinder joint="jc" timeconst="0.1" area="2" bias="0.1 -3 -0.4"/>',
+    ],
+)
+def test_actuators_between_sites_act_as_in_mujoco(actuators: str, tmp_path: Path):
+    """Rods to sliders, of the world, of bodies above and of others; forces of sites; gains by lengths and rates."""
+    path = tmp_path / "arm.xml"
+    text = arm(after=f"<actuator>{actuators}</actuator>").replace("<worldbody>", f"<worldbody>{SITES}")
+    text = text.replace('<body name="b"', '<site name="low" pos="0.05 0.01 0.02" zaxis="0.3 1 2"/><body name="b"')
+    path.write_text(text.replace("</body></body></body>", '<site name="tip" pos="0.03 0 0.01"/></body></body></body>'))
+    for seed in range(10):
+        found, reference, _ = by_mujoco(path, *moving(path, seed))
+        np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
+
+
+def test_a_rod_that_does_not_reach_its_slider_is_told(tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    rod = '<actuator><motor name="u" cranksite="s" slidersite="o" cranklength="{}"/></actuator>'
+    sites = '<site name="o"/><body name="a"><site name="s" pos="0.3 0 0"/>'
+    for length, told in (("0.29", True), ("0.31", False)):
+        path.write_text(arm(after=rod.format(length)).replace('<body name="a">', sites))
+        assert ("rod does not reach" in str(alfmu.imported(path).warnings)) == told
+
+
+def test_states_of_actuators_begin_and_end_as_the_file_has_it(tmp_path: Path):
+    """An integral of the input within its limits, from the act of a keyframe."""
+    path = tmp_path / "arm.xml"
+    given = '<intvelocity name="u" joint="ja" kp="9" actrange="-0.2 0.35"/>'
+    path.write_text(arm(after=f'<actuator>{given}</actuator><keyframe><key name="k" act="0.1"/></keyframe>'))
+    m = alfmu.imported(path, key="k").mechanism
+    run = alfmu.simulate(m, 0.4, 0.1, inputs={"u": 1.0})
+    np.testing.assert_allclose(run["u_state"], np.minimum(0.1 + run.time, 0.35), atol=1e-8)
+    run = alfmu.simulate(m, 0.4, 0.1, inputs={"u": -1.0})
+    np.testing.assert_allclose(run["u_state"], np.maximum(0.1 - run.time, -0.2), atol=1e-8)
+
+
 @pytest.mark.slow
 def test_limits_are_stops_of_a_stiffness_that_suits(tmp_path: Path):
     """An arm falls on its limit and comes to rest there, some hundredths beyond at most whatever its mass."""

@@ -573,3 +573,38 @@ def test_a_motion_that_passes_a_singular_position_at_a_distance_takes_no_limit_t
     mechanism = alfmu.imported(Path(__file__).parent / "linkages" / "passing.xml", key="k").mechanism
     run = alfmu.simulate(mechanism, 0.25, 0.002, parameters=settings)
     assert np.abs(run["monitor.energy"] - run["monitor.energy"][0]).max() <= bound
+
+
+def test_a_body_beside_a_loop_does_not_make_its_singular_positions_wider():
+    """A parallel crank mechanism all but passes its change points, alone and beside a top on a ball joint."""
+
+    def made(top: bool) -> alfmu.Mechanism:
+        m = alfmu.Mechanism("gate")
+        m.gravity(0, 0, -9.81)
+        if top:
+            body = m.spatial_body("top", mass=1.0, inertia=(0.01, 0.02, 0.03), center=(0, 0, 0.3), relative=True)
+            e = [m.coordinate("e0", "1", start=1.0, independent=True)]
+            e += [m.coordinate(f"e{i}", "1", start=0.0, rate=0.5 * (i == 1), independent=True) for i in (1, 2, 3)]
+            m.spherical("B", m.spatial_ground.at(0, 3, 0), body.at(), coordinates=tuple(e))
+        lengths = {"crank": 1.0, "coupler": 2.0, "rocker": 1.0005}
+        bars = [
+            m.spatial_body(n, mass=1.0, inertia=(0.01, 0.1, 0.1), center=(x / 2, 0, 0), relative=True)
+            for n, x in lengths.items()
+        ]
+        q = [m.coordinate("q1", "rad", start=1.0, rate=3.0, independent=True)]
+        q += [m.coordinate(f"q{i}", "rad", start=x) for i, x in ((2, -1.0), (3, 1.0))]
+        ground, axis = m.spatial_ground, (0, -1, 0)
+        for name, first, second, x in (
+            ("A", ground.at(), bars[0].at(), q[0]),
+            ("P", bars[0].at(1, 0, 0), bars[1].at(), q[1]),
+            ("Q", ground.at(2, 0, 0), bars[2].at(), q[2]),
+            ("R", bars[1].at(2, 0, 0), bars[2].at(1.0005, 0, 0), None),
+        ):
+            m.spatial_revolute(name, first, second, axis=axis, **({"coordinate": x} if x is not None else {}))
+        return m
+
+    steps = {"solver.method": "rk4", "solver.step_size": 2e-4}
+    alone, beside = (alfmu.simulate(made(top), 1.5, 0.01, parameters=steps) for top in (False, True))
+    assert alone["monitor.distance"].min() < 0.03
+    assert alone.counters.patient == beside.counters.patient == 0
+    np.testing.assert_allclose(beside["A.angle"], alone["A.angle"], atol=1e-7)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import operator
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,10 +19,23 @@ from ..model.errors import DeclarationError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import quantity
 from .closing import Closed, Loops
-from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, place
+from .linkage import (
+    ANYWHERE,
+    Closure,
+    Coupling,
+    Frame,
+    Joint,
+    Link,
+    Linkage,
+    Motor,
+    Sum,
+    Tendon,
+    Wrench,
+    place,
+)  # fmt: skip
 from .markup import Node
 from .poses import Array, Pose, cleaned, of_quaternion, quaternion, vector
-from .script import Named, Script
+from .script import Named, Script, called
 
 _LONGEST = 60
 """Longest name in characters: with suffixes, it fits a line of Python."""
@@ -59,6 +72,9 @@ _LIGHT = 1e-7
 
 _AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 _SUFFIXES = {"rad": "angle", "m": "position"}
+_INTEGRALS = {"rad/s": "rad", "m/s": "m", "N": "N.s", "N.m": "N.m.s"}
+"""Units of integrals of inputs over time."""
+
 _UNITS = {
     "revolute": ("rad",), "prismatic": ("m",), "screw": ("rad",), "universal": ("rad", "rad"), "spherical": ("1",) * 4,
 }  # fmt: skip
@@ -489,20 +505,32 @@ class _Declaring:
         u = self.script.do("input", name, motor.unit, **({"start": motor.start} if motor.start else {}), keep=name)
         if motor.control is not None:
             u = u.limited(*motor.control)
-        if motor.lag:
+        if motor.lag or motor.integrates:
             state = self._name(f"{name}_state", "state", (".start",))
-            x = self.script.do("state", state, motor.unit, start=motor.start, keep=state)
-            self.script.do("derivative", x, (1 / motor.lag) * (u - x))
+            begun = motor.start if motor.begun is None and not motor.integrates else motor.begun or 0.0
+            unit = _INTEGRALS.get(motor.unit, "s") if motor.integrates else motor.unit
+            x = self.script.do("state", state, unit, start=begun, keep=state)
+            speed = u if motor.integrates else (1 / motor.lag) * (u - x)
+            if motor.state is not None:  # the state stays at a limit while its rate leads beyond
+                low, high = motor.state
+                falls, rises = called("fmin", speed, 0.0), called("fmax", speed, 0.0)
+                speed = called("if_else", x > low, falls, 0.0) + called("if_else", x < high, rises, 0.0)
+            self.script.do("derivative", x, speed)
             u = x
+        along, forces = self._ways(motor, name)
+
+        def fed(length: float, rate: float) -> list[Named]:
+            """Return the feedback of length and rate."""
+            return [(size * motor.gear) * along(rates) for size, rates in ((length, False), (rate, True)) if size]
+
         effort = u if motor.gain == 1 else motor.gain * u
+        if slopes := fed(*motor.slopes):
+            effort = functools.reduce(operator.add, slopes, motor.gain) * u
         constant, length, rate = motor.bias
         if motor.ratio:
             mass = self.linkage.mass_along(motor.along) / motor.gear**2
             rate -= 2 * motor.ratio * float(np.sqrt(motor.gain * mass))
-        if length:
-            effort = effort + (length * motor.gear) * self._along(motor.along)
-        if rate:
-            effort = effort + (rate * motor.gear) * self._along(motor.along, rates=True)
+        effort = functools.reduce(operator.add, fed(length, rate), effort)
         if constant:
             effort = effort + constant
         if motor.force is not None:
@@ -510,6 +538,73 @@ class _Declaring:
         for joint, factor in motor.along:
             share = motor.gear * factor
             efforts.setdefault(joint, []).append(effort if share == 1 else share * effort)
+        if forces:
+            effort = self.script.let(
+                self._name(f"{name}_effort", "effort"), effort if motor.gear == 1 else motor.gear * effort
+            )
+        for end, force, torque in forces:
+            if end[0] is None:
+                continue
+            if force is not None:
+                parts = [force[i] * effort for i in range(3)]
+                self.script.do("force", self._marker(end), *parts)
+            if torque is not None:
+                self.script.do("torque", self.bodies[end[0]], torque * effort)
+
+    def _marker(self, frame: Frame) -> Named:
+        """Return the origin of a frame as a point of a body."""
+        return self.bodies[frame[0]].at(self._point(frame[0], self._zero(frame[0]).at(frame[1].place)))
+
+    def _turned_by(self, frame: Frame, vector: Array) -> Named:
+        """Return a vector in the axes of a frame, in those of the ground."""
+        return self.bodies[frame[0]].turned(cleaned(self._zero(frame[0]).turn @ frame[1].turn @ vector).tolist())
+
+    def _ways(
+        self, motor: Motor, name: str
+    ) -> tuple[Callable[[bool], Named], list[tuple[Frame, Named | None, Named | None]]]:
+        """Return a function for the length of a motor or its rate, and forces and torques at frames per effort."""
+        across = motor.across
+        if across is None:
+            return lambda rates: self._along(motor.along, rates=rates), []
+
+        def let(what: str, value: Named) -> Named:
+            return self.script.let(self._name(f"{name}_{what}", what), value)
+
+        if isinstance(across, Wrench):
+            axes, carrier = across.against or across.on, across.carrier
+            way, turn = (
+                let(what, self._turned_by(axes, x)) if x.any() else None
+                for what, x in (("direction", across.force), ("axis", across.torque))
+            )
+            apart, forces = self._marker(across.on).place, [(across.on, way, turn)]
+            if across.against is not None:
+                apart = apart - self._marker(across.against).place
+                forces.append((across.against, way and -way, turn and -turn))
+            if carrier is not None and way is not None:
+                forces.append(((carrier, Pose()), None, called("cross", way, apart)))
+
+            def along(rates: bool) -> Named:
+                assert way is not None
+                parts = way, apart
+                if carrier is not None:
+                    parts = self.bodies[carrier].seen(way), self.bodies[carrier].seen(apart)
+                moves = [self.script.rate(parts[1][i]) for i in range(3)] if rates else []
+                return called("dot", parts[0], called("vertcat", *moves) if rates else parts[1])
+
+            return along, forces
+        pin, guide = self._marker(across.pin), self._marker(across.guide)
+        axis = let("axis", self._turned_by(across.guide, np.array((0.0, 0.0, 1.0))))
+        way = let("way", pin.place - guide.place)
+        foot = let("foot", called("dot", axis, way))
+        square = let("square", foot**2 - called("sumsqr", way) + across.rod**2)
+        root = called("sqrt", called("fmax", square, 1e-30 * across.rod**2))
+        slope = let("slope", called("if_else", square > 0.0, 1.0 / root, 0.0))
+        share = let("share", -(foot * slope) + 1.0)
+        force = let("force", share * axis + slope * way)
+        couple = let("couple", share * called("cross", axis, way))
+        length = let("length", foot - root)
+        forces = [(across.pin, force, None), (across.guide, -force, couple)]
+        return lambda rates: self.script.rate(length) if rates else length, forces
 
 
 def _quaternion_rate(e: Array, spin: Array) -> Array:

@@ -127,6 +127,13 @@ def moving(link: Link | None) -> Link | None:
     return link
 
 
+def _moving_links(link: Link | None) -> Iterator[Link]:
+    """Yield the moving links that carry a link, the nearest first."""
+    while (link := moving(link)) is not None:
+        yield link
+        link = link.parent
+
+
 def rank(matrix: Array) -> int:
     """Return the rank of constraints at a position that closes loops to some ten digits."""
     sizes = np.linalg.svd(matrix, compute_uv=False) if matrix.size else np.zeros(0)
@@ -185,10 +192,48 @@ class Tendon:
     limits: tuple[float, float] | None = None
 
 
+Frame = tuple[Link | None, Pose]
+"""A frame on a link; None is the ground."""
+
+
+@dataclass(eq=False)
+class Wrench:
+    """A force and a torque at a frame and in its axes; if there is a frame `against`, they are in the axes of that one,
+    act on its link in the opposite direction, and their length is the way from it.
+
+    As in MuJoCo, forces do not turn the link that carries both."""
+
+    on: Frame
+    against: Frame | None
+    force: Array
+    torque: Array
+
+    @property
+    def carrier(self) -> Link | None:
+        """The last link that moves both frames; None if there is none."""
+        if self.against is None:
+            return None
+        above = [*_moving_links(self.against[0])]
+        return next((link for link in _moving_links(self.on[0]) if link in above), None)
+
+
+@dataclass(eq=False)
+class Crank:
+    """A rod without mass from a pin to a slider on the z axis of a frame; its length is the way of the slider.
+
+    The slider is at the end nearer to the origin. If the rod is too short to reach the axis, the length is the way to
+    the foot of the pin, as in MuJoCo.
+    """
+
+    pin: Frame
+    guide: Frame
+    rod: float
+
+
 @dataclass(eq=False)
 class Motor:
-    """An input for an effort along a joint or a sum of coordinates: gear * limited(gain * u + bias), with lengths and
-    rates scaled by gear."""
+    """An input for an effort along a joint or a sum of coordinates, or between frames: gear * limited(gain * u + bias),
+    with lengths and rates scaled by gear."""
 
     name: str
     node: Node
@@ -205,6 +250,16 @@ class Motor:
     control: tuple[float, float] | None = None
     force: tuple[float, float] | None = None
     start: float = 0.0
+    across: Wrench | Crank | None = None
+    """Frames between which it acts instead of along coordinates."""
+    slopes: tuple[float, float] = (0.0, 0.0)
+    """Gain per length and per rate of the joint."""
+    integrates: bool = False
+    """Whether a state, the integral of the input, takes the place of the input."""
+    state: tuple[float, float] | None = None
+    """Limits of the state of a lag or of an integral."""
+    begun: float | None = None
+    """Start value of that state."""
 
 
 class LeftOut(InputError):
@@ -452,7 +507,7 @@ class Linkage:
     def drive(self, names: Iterable[str], strict: bool = True) -> None:
         """Add a motor to joints by their names, `all` for every joint with one coordinate; others are refused."""
         able = {j.name: j for j in self.joints if j.kind in ("revolute", "prismatic", "screw") and not j.follows}
-        driven = {motor.along[0][0] for motor in self.motors}
+        driven = {joint for motor in self.motors for joint, _ in motor.along[:1]}
         for name in able if list(names) == ["all"] else names:
             if strict:
                 known(self.node, name, able, "joint to drive")

@@ -18,7 +18,7 @@ import numpy as np
 from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
-from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, Sum, Tendon, moving, place
+from .linkage import Closure, Coupling, Crank, Joint, Link, Linkage, Motor, Sum, Tendon, Wrench, moving, place
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
@@ -31,10 +31,10 @@ _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"as
 _MEDIUM = "alfmu has no medium around bodies"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
-_ACTUATORS = ("motor", "general", "position", "velocity")
+_ACTUATORS = ("motor", "general", "position", "velocity", "intvelocity", "damper", "cylinder")
 _SHARED = {
     "name", "class", "group", "user", "joint", "tendon", "gear", "ctrllimited", "ctrlrange", "forcelimited",
-    "forcerange",
+    "forcerange", "site", "refsite", "cranksite", "slidersite", "cranklength",
 }  # fmt: skip
 """Attributes of actuators of all kinds; defaults of one kind apply to all."""
 
@@ -712,53 +712,102 @@ class File:
             implied = kind == "motor" or (kind != "general" and name in _IMPLIED)
             if name not in _SHARED and origin.tag != kind and not implied:
                 origin.fail(f"{name} of <{origin.tag}> also applies to the <{kind}> in line {node.line}; give it there")
-        for each in ("site", "body", "slidersite", "cranksite", "refsite"):
-            if given.has(each):
-                what = f"{each} does not map: alfmu takes motors on joints and on fixed tendons"
-                self.linkage.skip("actuators", node, what)
-        which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
-        along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
-        name = given.text("name", f"{given.text(which)}_{kind}")
-        rotary = along[0][0].kind == "revolute"
-        gear = given.numbers("gear", range(1, 7), (1.0,))[0]
-        motor = Motor(name, node, along, "N.m" if rotary else "N", gear)
-        gain = given.numbers("gainprm", range(1, 11), (1.0,))[0]
+        motor = self._transmission(given)
+        units = {"N": ("m", "m/s"), "N.m": ("rad", "rad/s")}.get(motor.unit, ("1", "1"))
+        gain = given.numbers("gainprm", range(1, 11), (1.0,))
         prm = [*given.numbers("biasprm", range(1, 11), (0.0,)), 0.0, 0.0]
         dynamics = given.text("dyntype", "none") if kind in ("general", "position") else "none"
+        if dynamics not in ("none", "integrator", *_LAGS) and not given.has("timeconst"):
+            what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)}, integrator and none"
+            self.linkage.skip("actuators", node, what)
         lag = given.numbers("dynprm", range(1, 11), (1.0,))[0] if dynamics in _LAGS else 0.0
-        if kind == "position":
-            kp, kv = given.positive("kp", gain), given.positive("kv", max(-prm[2], 0.0))
-            motor.gain, motor.bias, motor.unit = kp, (0.0, -kp, -kv), "rad" if rotary else "m"
+        motor.integrates = dynamics == "integrator" or kind == "intvelocity"
+        if kind in ("position", "intvelocity"):
+            kp, kv = given.positive("kp", gain[0]), given.positive("kv", max(-prm[2], 0.0))
+            motor.gain, motor.bias, motor.unit = kp, (0.0, -kp, -kv), units[kind == "intvelocity"]
             motor.ratio = given.positive("dampratio", 0.0 if given.has("kv") else max(prm[2], 0.0))
-            lag = given.positive("timeconst", lag)
+            lag = given.positive("timeconst", lag) if kind == "position" else 0.0
         elif kind == "velocity":
-            kv = given.positive("kv", gain)
-            motor.gain, motor.bias, motor.unit = kv, (0.0, 0.0, -kv), "rad/s" if rotary else "m/s"
+            kv = given.positive("kv", gain[0])
+            motor.gain, motor.bias, motor.unit = kv, (0.0, 0.0, -kv), units[1]
+        elif kind == "damper":
+            motor.gain, motor.slopes, motor.unit = 0.0, (0.0, -given.positive("kv", 1.0)), "1"
+        elif kind == "cylinder":
+            lag, motor.gain = given.positive("timeconst", 1.0), given.positive("area", 1.0)
+            if given.has("diameter"):
+                motor.gain = math.pi * given.positive("diameter") ** 2 / 4
+            constant, length, rate = given.numbers("bias", 3, (0.0, 0.0, 0.0))
+            motor.bias, motor.unit = (constant, length, rate), "1"
         elif kind == "general":
-            given.choice("gaintype", ("fixed",), "fixed")
+            affine = given.choice("gaintype", ("fixed", "affine"), "fixed") == "affine"
             bias = given.choice("biastype", ("none", "affine"), "none")
-            motor.gain, motor.bias = gain, (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
-            motor.unit = motor.unit if bias == "none" else "1"
+            motor.gain, motor.bias = gain[0], (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
+            motor.unit = motor.unit if bias == "none" and not affine else "1"
+            if affine:
+                motor.slopes = (gain[1] if len(gain) > 1 else 0.0, gain[2] if len(gain) > 2 else 0.0)
             if bias == "affine" and prm[2] > 0 and prm[1] == -motor.gain:
                 motor.bias, motor.ratio = (prm[0], prm[1], 0.0), prm[2]
-        if dynamics not in ("none", *_LAGS) and not given.has("timeconst"):
-            what = f"dyntype {shown(dynamics[:40])} does not map; alfmu takes {', '.join(_LAGS)} and none"
-            self.linkage.skip("actuators", node, what)
         motor.lag = lag
-        motor.control = self._range(given, "ctrl")
+        motor.control, motor.state = self._range(given, "ctrl"), self._range(given, "act")
         inherit = given.positive("inheritrange", 0.0)
-        if inherit and motor.control is None and along[0][0].limits:
-            low, high = along[0][0].limits[0]
+        if inherit and motor.along and motor.along[0][0].limits:
+            low, high = motor.along[0][0].limits[0]
             middle, half = (low + high) / 2, inherit * (high - low) / 2
-            motor.control = (middle - half, middle + half)
+            which = "state" if motor.integrates else "control"
+            setattr(motor, which, getattr(motor, which) or (middle - half, middle + half))
         motor.force = self._range(given, "force")
-        if lag and (limits := self._range(given, "act")) is not None:
-            given.fail("actrange", f"actrange from {limits[0]:g} to {limits[1]:g} does not map; limit ctrlrange")
-        given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators with a lag at most"))
+        given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators with a lag or an integral at most"))
         unused = (*_IMPLIED, "kp", "kv", "timeconst") if kind == "motor" else _IMPLIED
         given.done(("class", "group", "user", "ctrllimited", "forcelimited", "lengthrange", "actlimited", "actrange",
                     "actearly", "interp", *unused))  # fmt: skip
+        self._fed_back(motor)
         self.linkage.motors.append(motor)
+
+    def _transmission(self, given: Reading) -> Motor:
+        """Return a motor along a joint or a fixed tendon, at a site, or by a rod between two sites."""
+        node, named = given.node, given.text("name", "")
+        gear = given.numbers("gear", range(1, 7), (1.0,))
+        if given.has("body"):
+            self.linkage.skip("actuators", node, "body does not map: alfmu has no contacts")
+        if given.has("cranksite"):
+            pin, guide = (known(node, given.text(x), self.sites, "site") for x in ("cranksite", "slidersite"))
+            rod = given.number("cranklength")
+            if not rod > 0:
+                given.fail("cranklength", f"cranklength is {rod:g}; it must be above zero")
+            made = Motor(named or f"{given.text('cranksite')}_{node.tag}", node, (), "N", gear[0])
+            made.across = Crank(pin, guide, rod)
+            at = [self._at_reference(link) @ pose for link, pose in (pin, guide)]
+            apart, axis = at[0].place - at[1].place, at[1].turn[:, 2]
+            if np.linalg.norm(np.cross(axis, apart)) >= rod:
+                what = (
+                    "slider-cranks whose rod does not reach the axis of the slider at the reference, where the effort"
+                )
+                self.linkage.warn(f"{what} acts along it, as in MuJoCo", node)
+            return made
+        if given.has("site"):
+            on = known(node, given.text("site"), self.sites, "site")
+            against = known(node, given.text("refsite"), self.sites, "site") if given.has("refsite") else None
+            force, torque = np.split(vector([*gear, *[0.0] * 6][:6]), 2)
+            unit = "N" if not torque.any() else "1" if force.any() else "N.m"
+            made = Motor(named or f"{given.text('site')}_{node.tag}", node, (), unit)
+            made.across = Wrench(on, against, force, torque)
+            return made
+        which = next((each for each in ("joint", "jointinparent", "tendon") if given.has(each)), "joint")
+        along = self._summed(given, which, "tendon" if which == "tendon" else "joint")
+        rotary = along[0][0].kind == "revolute"
+        return Motor(named or f"{given.text(which)}_{node.tag}", node, along, "N.m" if rotary else "N", gear[0])
+
+    def _fed_back(self, motor: Motor) -> None:
+        """Refuse feedback of what an actuator at a site does not measure; without another site its length is zero."""
+        if motor.ratio and not motor.along:
+            motor.node.fail("a damping ratio does not map here, as it depends on the inertia; give kv")
+        if not isinstance(motor.across, Wrench):
+            return
+        if motor.across.against is None:
+            motor.bias, motor.slopes = (motor.bias[0], 0.0, motor.bias[2]), (0.0, motor.slopes[1])
+        if motor.across.torque.any() and any((*motor.bias[1:], *motor.slopes)):
+            what = "feedback of the rotation of a site does not map: alfmu takes that of its place, and of joints"
+            self.linkage.skip("actuators", motor.node, what)
 
     def _range(self, given: Reading, what: str, point: bool = False) -> tuple[float, float] | None:
         """Return a range, None if it is not in force; `point`: its ends may be equal, as for a ball joint."""
@@ -820,11 +869,12 @@ class File:
                 if size[0] > 1 and not any(joint.start[-4:]):
                     given.fail("qpos", f"the quaternion of {joint.name} is zero")
         self.linkage.posed = given.has("qpos") and len(joints) == len(self.linkage.joints)
-        given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
-        if given.has("ctrl"):
-            motors = [motor for motor in self.linkage.motors if motor.node in inside]
-            for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
-                motor.start = x
+        given.refuse(dict.fromkeys(("mpos", "mquat"), "alfmu has no such state"))
+        motors = [motor for motor in self.linkage.motors if motor.node in inside]
+        stated = [motor for motor in motors if motor.lag or motor.integrates]
+        for name, attribute, some in (("ctrl", "start", motors), ("act", "begun", stated)):
+            for motor, x in zip(some, given.numbers(name, len(some)), strict=True) if given.has(name) else ():
+                setattr(motor, attribute, x)
         given.done(("name", "time"))
 
 

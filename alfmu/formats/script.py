@@ -39,22 +39,59 @@ class Named:
     def __add__(self, other: Named | float) -> Named:
         return Named(self.value + value_of(other), f"{self.text} + {written(other)}", False)
 
+    def __radd__(self, other: float) -> Named:
+        return Named(other + self.value, f"{written(other)} + {self.text}", False)
+
     def __sub__(self, other: Named | float) -> Named:
         return Named(self.value - value_of(other), f"{self.text} - {_bracketed(other)}", False)
 
     def __rmul__(self, factor: float) -> Named:
         return Named(factor * self.value, f"{written(factor)} * {_bracketed(self)}", True)
 
+    def __rtruediv__(self, factor: float) -> Named:
+        return Named(factor / self.value, f"{written(factor)} / {_bracketed(self)}", False)
+
+    def __gt__(self, other: float) -> Named:
+        return Named(self.value > other, f"{_bracketed(self)} > {written(other)}", False)
+
+    def __lt__(self, other: float) -> Named:
+        return Named(self.value < other, f"{_bracketed(self)} < {written(other)}", False)
+
     def __mul__(self, other: Named) -> Named:
         return Named(self.value * other.value, f"{_bracketed(self)} * {_bracketed(other)}", True)
+
+    def __neg__(self) -> Named:
+        return Named(-self.value, f"-{_bracketed(self)}", False)
+
+    def __getitem__(self, i: int) -> Named:
+        return Named(self.value[i], f"{_bracketed(self)}[{i}]")
 
     def __pow__(self, power: int) -> Named:
         return Named(self.value**power, f"{_bracketed(self)}**{power}", True)
 
+    @property
+    def place(self) -> Named:
+        """Return the position (3,) of a point in ground axes."""
+        return Named(self.value.place, f"{self.text}.place")
+
+    def turned(self, vector: Sequence[float]) -> Named:
+        """Return a vector (3,) of a body's frame in ground axes."""
+        given = [float(x) for x in vector]
+        return Named(self.value.rotation @ ca.DM(given), f"{self.text}.rotation @ ca.DM({written(given)})", False)
+
+    def seen(self, vector: Named) -> Named:
+        """Return a vector (3,) of ground axes in a body's frame."""
+        return Named(self.value.rotation.T @ vector.value, f"{self.text}.rotation.T @ {_bracketed(vector)}", False)
+
     def limited(self, low: float, high: float) -> Named:
         """Return the value limited to an interval."""
-        value = ca.fmin(ca.fmax(self.value, low), high)
-        return Named(value, f"ca.fmin(ca.fmax({self.text}, {written(low)}), {written(high)})")
+        return called("fmin", called("fmax", self, low), high)
+
+
+def called(function: str, *arguments: Any) -> Named:
+    """Return the value of one of CasADi's functions."""
+    value = getattr(ca, function)(*map(value_of, arguments))
+    return Named(value, f"ca.{function}({', '.join(map(written, arguments))})")
 
 
 def value_of(thing: Any) -> Any:
@@ -121,6 +158,12 @@ class Script:
         """Return the rate of a coordinate."""
         return Named(self.mechanism.rate(coordinate.value), f"m.rate({coordinate.text})")
 
+    def let(self, name: str, value: Named) -> Named:
+        """Give an expression a name."""
+        line = f"{name} = {value.text}"
+        self._lines.append(line if len(line) <= _WIDTH else f"{name} = (\n    {_folded(value.text)}\n)")
+        return Named(value.value, name)
+
     def remark(self, text: str) -> None:
         """Add an empty line and a comment."""
         self._lines += ["", f"# {text}"]
@@ -129,7 +172,7 @@ class Script:
         """Return a Python file with one function."""
         body = "\n".join(self._lines)
         head = [f'"""{docstring}"""', ""]
-        if "ca.f" in body:
+        if re.search(r"\bca\.\w+\(", body):
             head += ["import casadi as ca", ""]
         name, description = written(self.mechanism.name), written(self.mechanism.description)
         head += ["from alfmu import Mechanism", "", "", f"def {function}() -> Mechanism:"]

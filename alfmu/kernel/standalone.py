@@ -233,7 +233,7 @@ class _Patient(Alternatives):
 
     def pivots(self, plan: Plan) -> None:
         """S1: trace a function of the pivots of H over their scales, the diagonal of H, the sum of weights of C in each
-        column, and the largest mass over its scale."""
+        column, and the largest mass over its scale; masses that no constraint touches are their own scales."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -243,7 +243,7 @@ class _Patient(Alternatives):
             H: SX = method.augmented_mass(M, C, scene.weights)
             D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            heaviest = ca.mmax(ca.diag(M) * scene.inverse_scales)
+            heaviest = ca.mmax(ca.if_else(columns > 0, ca.diag(M) * scene.inverse_scales, 0))
             return D * scene.inverse_scales[elimination_order(e)], ca.diag(H), columns, heaviest
 
         calls("pivots", "q p k", "pivots diagonal columns heaviest", found)

@@ -40,7 +40,8 @@ def moving(path: Path, seed: int) -> tuple[list[str], NDArray, NDArray, NDArray,
     found = situation(source(mechanism, given))
     e, q, v = found.equations, found.state.q, found.state.v
     u = 2 * rng.normal(size=len(mechanism.inputs))
-    M, C, F, xi = (np.array(x) for x in e.functions["dynamics"](q, v, u, found.p, 0.0))
+    fed = np.concatenate([u, np.zeros(len(mechanism.states))])  # MuJoCo's activations begin at zero
+    M, C, F, xi = (np.array(x) for x in e.functions["dynamics"](q, v, fed, found.p, 0.0))
     whole = np.block([[M, C.T], [C, np.zeros((len(C),) * 2)]])
     a = np.linalg.lstsq(whole, np.concatenate([F.ravel(), xi.ravel()]), rcond=1e-13)[0][: len(M)]
     return [c.name for c in e.coordinates], q, v, a, u
