@@ -12,8 +12,6 @@ from .analysis.situation import subject
 from .analysis.start import prepare, rest_of, simulated
 from .catalogue.registry import load, mechanisms
 from .equations import Equations
-from .fmi.export import described as _described
-from .fmi.export import export as _written
 from .fmi.recipe import Recipe
 from .fmi.recipe import load as recipe_of
 from .model.errors import AlfmuError, AlfmuWarning, InputError
@@ -170,6 +168,8 @@ def export(
     arguments give the same bytes. Raises AlfmuError if the mechanism cannot start from the defaults, ExportError if it
     cannot be compiled, and WriteError if the file cannot be written; no partial file is left.
     """
+    from .fmi.export import export as written
+
     own: dict[str, Any] = {
         "options": options,
         "parameters": parameters,
@@ -179,7 +179,7 @@ def export(
     }
     own |= {"start": start, "kind": kind, "platforms": platforms, "fmi": fmi, "interface": interface}
     recipe = recipe_of(mechanism).changed(**own, derivatives=derivatives, reference=reference, sources=sources)
-    return _written(recipe, path, rest_of(recipe))
+    return written(recipe, path, rest_of(recipe))
 
 
 def convert(
@@ -212,7 +212,9 @@ def convert(
 
 def described(recipe: Recipe) -> tuple[Element, dict[str, bytes]]:
     """Return the description of an FMU of kind python and the files of its scene, for pythonfmu's own command."""
-    return _described(recipe, rest_of(recipe))
+    from .fmi.export import described as made
+
+    return made(recipe, rest_of(recipe))
 
 
 def draw(

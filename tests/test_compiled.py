@@ -125,6 +125,20 @@ def test_every_operation_means_the_same_in_c(tmp_path):
         assert np.allclose(y, expected, rtol=4e-16, atol=0, equal_nan=True)
 
 
+def test_instructions_are_read_once_and_the_oldest_are_dropped(monkeypatch):
+    """Three functions of 40 additions each, of which 100 instructions have room for two."""
+    for name, value in (("_KNOWN", OrderedDict()), ("_COUNT", [0]), ("MOST", 100)):
+        monkeypatch.setattr(stream, name, value)
+    x = ca.SX.sym("x")
+    functions = [ca.Function(f"f{k}", [x], [sum((ca.sin(x + k) for _ in range(1, 41)), ca.SX(0))]) for k in range(3)]
+    read, decoded = [], stream._serialised
+    monkeypatch.setattr(stream, "_serialised", lambda f: read.append(f.name()) or decoded(f))
+    for k in (0, 1, 1, 0, 2, 2, 1, 0):
+        stream.Instructions.of(functions[k])
+    assert read == ["f0", "f1", "f2", "f0"]
+    assert stream._COUNT[0] == sum(len(made) for _, made in stream._KNOWN.values()) <= 100
+
+
 def test_an_operation_that_has_no_c_is_named():
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.erfinv(x)])

@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import casadi as ca
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from ..model.errors import ExportError
 from ..model.hooks import handed_in
-from ..model.kept import latest
 
 NOTHING, VALUE, INPUT, CONSTANT = range(4)
 """Kinds of operands."""
@@ -79,10 +79,15 @@ OPERATIONS = 256
 ROLE = np.array([ROLES.index(_OF_ROLES.get(code, "unary")) for code in range(OPERATIONS)], np.int32)
 """The role of each operation of CasADi, as an index of ROLES."""
 
-MOST, SMALL = 60, 25_000
-"""Number of functions whose instructions are cached, and most instructions of each, some 100 bytes per instruction."""
+MOST = 1_000_000
+"""Number of cached instructions of all functions, some 100 bytes each; mechanisms in space have as many."""
 
 _KNOWN: OrderedDict[int, tuple[ca.Function, Instructions]] = OrderedDict()
+
+_COUNT = [0]
+"""Number of instructions in `_KNOWN`."""
+
+_LOCK = Lock()
 
 
 def library() -> Any:
@@ -118,11 +123,17 @@ class Instructions:
 
     @classmethod
     def of(cls, f: ca.Function) -> Instructions:
-        """Return the instructions of a symbolic function that calls no other; cached for recently used functions."""
-        if f.n_instructions() > SMALL:
-            return cls._of(f)
-        found = latest(_KNOWN, id(f), lambda: (f, cls._of(f)), MOST)  # caching the function keeps its id unique
-        return found[1]
+        """Return the instructions of a symbolic function that calls no other; cached for the latest functions."""
+        if found := _KNOWN.get(id(f)):
+            return found[1]
+        made = cls._of(f)
+        with _LOCK:
+            if id(f) not in _KNOWN:
+                _KNOWN[id(f)] = f, made  # caching the function keeps its id unique
+                _COUNT[0] += len(made)
+            while _COUNT[0] > MOST:
+                _COUNT[0] -= len(_KNOWN.popitem(last=False)[1][1])
+        return made
 
     @classmethod
     def _of(cls, f: ca.Function) -> Instructions:

@@ -44,7 +44,7 @@ static BY_PROCESSOR void operate(
 
 /* A run of short operations: the compiler replaces the loop over the lanes by vectors. The value is stored as a whole,
    since a vector that is read soon after its parts are stored has to wait for them. */
-#define SHORT_IN_LANES(kind, value) \
+#define IN_VECTORS(kind, value) \
     case kind: \
         for (; count; count--, at += 1 + IS_BINARY(kind), d++) { \
             const Lanes x = r[at[0]].lanes, y = r[at[IS_BINARY(kind)]].lanes; \
@@ -90,7 +90,7 @@ static BY_PROCESSOR void operate(
                 for (; count; count--, at++, d += 2) \
                     EACH name##_sine_cosine(&PLACED(0), &d[0].part[part], &d[1].part[part]); \
                 break; \
-            SHORT_OPERATIONS(SHORT_IN_LANES) \
+            SHORT_OPERATIONS(IN_VECTORS) \
             default: { \
                 const int operands = 1 + IS_BINARY(head); \
                 for (; count; count--, at += operands, d++) \
