@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 31
+VERSION = 32
 """Version of scene files, increased whenever their content changes meaning."""
