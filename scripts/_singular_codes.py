@@ -54,7 +54,7 @@ class Code:
     control: str = "step"
     module: str = ""
     """Name of the Python module to import."""
-    variants: Sequence[dict[str, float]] = ({},)
+    variants: Sequence[dict[str, Any]] = ({},)
     """Candidate arguments of `build`: each problem uses those with the least error at a medium setting, a long row the
     first ones."""
 
@@ -157,9 +157,9 @@ def _settings(tolerance: float) -> dict[str, float]:
     return {"solver.relative_tolerance": tolerance, "solver.absolute_tolerance": tolerance}
 
 
-def by_alfmu(p: Problem, kernel: str = "vm") -> Simulation:
+def by_alfmu(p: Problem, kernel: str = "vm", method: str = "auto") -> Simulation:
     """Run alfmu's library, a whole run in one call."""
-    e = with_defaults(alfmu.derive(declared(p)), {"solver.method": "auto", **CATALOGUE.get(p.name, ("", {}, {}))[2]})
+    e = with_defaults(alfmu.derive(declared(p)), {"solver.method": method, **CATALOGUE.get(p.name, ("", {}, {}))[2]})
     names = _columns(p, e)
     scene = prepared(specialised(e, names), kernel)
 
@@ -429,6 +429,7 @@ def by_scipy(p: Problem, frequency: float) -> Simulation:
 
 
 FIXED, ORDER_1 = (1e-2, 5e-3, 2.5e-3, 1e-3, 5e-4), (1e-2, 1e-3, 2e-4)
+METHODS = [{"method": "explicit"}, {"method": "stiff"}]
 STABLE = [{"frequency": w} for w in (40.0, 5.0, 100.0)]
 HARD = [{"hardness": c} for c in (0.2, 1.0, 2.0, 4.0)]
 PROXIMAL = [{"frequency": w, "mu": mu} for w in (20.0, 0.0, 60.0, 150.0) for mu in (1e-6, 1e-4, 1e-8, 1e-10)]
@@ -436,6 +437,9 @@ PROXIMAL = [{"frequency": w, "mu": mu} for w in (20.0, 0.0, 60.0, 150.0) for mu 
 CODES = {
     "alfmu": Code(by_alfmu, "alfmu", TOLERANCES, "tolerance", "alfmu"),
     "alfmu, compiled": Code(partial(by_alfmu, kernel="compiled"), "alfmu", TOLERANCES, "tolerance", "alfmu"),
+    "alfmu, chosen method": Code(
+        by_alfmu, "alfmu", (1e-4, 1e-8, 1e-10, 1e-11, 1e-12, 1e-13), "tolerance", "alfmu", METHODS
+    ),
     "alfmu, FMU": Code(by_fmu, "fmpy", TOLERANCES, "tolerance", "fmpy"),
     "Pinocchio, constraintDynamics": Code(by_pinocchio, "pin", FIXED, module="pinocchio", variants=PROXIMAL),
     "Pinocchio, lcaba": Code(partial(by_pinocchio, lcaba=True), "pin", FIXED, module="pinocchio", variants=PROXIMAL),

@@ -108,7 +108,7 @@ def measured(name: str, code: str) -> None:
             simulate, alone = chosen.build(problem, **variant), len(variants) == 1
             row = {} if alone else judge(simulate, chosen.values[1], 0, 5)
             rank = row.get("result", "ok") not in DONE, row.get("error [m]", 0.0)
-            ways.append((rank, simulate, ", ".join(f"{key} {x:g}" for key, x in variant.items())))  # type: ignore[arg-type]
+            ways.append((rank, simulate, ", ".join(f"{key} {rounded(x)}" for key, x in variant.items())))  # type: ignore[arg-type]
     except Exception as error:
         print(json.dumps(base | {"result": f"stopped: {_said(error)}"}), flush=True)
         return

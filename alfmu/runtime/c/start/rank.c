@@ -222,7 +222,7 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     const size_t arena = arena_mark(i), n = (size_t)s->n, count = (size_t)(s->l + s->ties);
     Rows J;
     double *way, *weights, *phi, *near, *dq, size;
-    int active = 0, found = 0;
+    int active = 0, found = 0, from, to;
     for (int r = 0; r < s->l; r++)
         active += i->penalty[r] > 0.0;
     if (*i->rank >= active || *i->rank < 1.0 || s->n > DENSE)
@@ -237,8 +237,11 @@ static int rank_changes_near(Instance *i, const double *q, const double *v)
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
-    /* Try the motion at the start first, then a random one: a loop may rest on a moving base. */
-    for (int a = linear_largest(v, s->n) > 0.0 ? 0 : SIDE_PLACES; a < 2 * SIDE_PLACES && !found; a++) {
+    /* Try the motion at the start first; of several degrees of freedom a random one, too: a loop may rest on a moving
+       base. */
+    from = linear_largest(v, s->n) > 0.0 ? 0 : SIDE_PLACES;
+    to = from == 0 && (int)*i->rank >= s->n - 1 ? SIDE_PLACES : 2 * SIDE_PLACES;
+    for (int a = from; a < to && !found; a++) {
         if (a % SIDE_PLACES == 0) {
             memcpy(way, v, n * sizeof *way);
             if (a > 0) {
