@@ -516,6 +516,34 @@ def test_round_off_of_places_far_from_the_origin_is_no_contradiction(caplog, siz
     assert there.counters.evaluations <= 1.1 * here.counters.evaluations
 
 
+@pytest.mark.parametrize("coordinates", ["joint", "absolute"])
+def test_a_small_mechanism_far_from_the_origin_is_told_of_round_off(caplog, coordinates):
+    for size, away, told in ((1.0, 100.0, False), (1e-3, 10.0, False), (1.0, 1e5, True), (1e-3, 300.0, True)):
+        m = Mechanism("pair")
+        end = size * np.array([np.cos(2.0), np.sin(2.0)])
+        bars = []
+        for name, (X, Y), angle in (("left", (0, 0), 2.0), ("right", (size, 0), 2.0), ("rod", end, 0.0)):
+            pose = ()
+            if coordinates == "absolute":
+                free = {"independent": True} if name == "left" else {}
+                X, Y = away + X + size / 2 * np.cos(angle), away + Y + size / 2 * np.sin(angle)
+                pose = (m.coordinate(f"{name}.X", "m", start=float(X)), m.coordinate(f"{name}.Y", "m", start=float(Y)),
+                        m.coordinate(f"{name}.turn", start=angle, **free))  # fmt: skip
+            bars.append(m.bar(name, mass=1.0, length=size, **({"pose": pose} if pose else {})))
+        turns = [None] * 3
+        if coordinates == "joint":
+            turns = [m.coordinate(f"q{k}", start=x, independent=k == 0) for k, x in enumerate((2.0, 2.0, -2.0))]
+        left, right, rod = bars
+        m.revolute("A", m.ground.at(away, away), left.start, coordinate=turns[0])
+        m.revolute("B", m.ground.at(away + size, away), right.start, coordinate=turns[1])
+        m.revolute("C", left.end, rod.start, coordinate=turns[2])
+        m.revolute("D", rod.end, right.end)
+        m.gravity(0, -9.81)
+        caplog.clear()
+        unit(m).initialize()
+        assert ("times the size of its smallest loop" in caplog.text) == told
+
+
 @pytest.mark.slow
 def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
     """The two angles of joints differ by 1e-8 of their inertia; in a pose of its own the rod moves as it should."""

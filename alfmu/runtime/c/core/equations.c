@@ -112,17 +112,24 @@ double instance_largest(const Instance *i, const double *x)
     return found;
 }
 
+/* Return how far points of the ground, or coordinates, are from the origin, over the size of the smallest loop. */
+double constraints_reach(const Instance *i, const double *q)
+{
+    const Scene *s = i->scene;
+    double far = s->farthest / *i->loop;
+    for (int c = 0; c < s->n; c++)
+        far = coordinate_is_length(s, c) ? fmax(far, fabs(q[c]) / *i->loop) : far;
+    return far;
+}
+
 /* Compute the limits (l) of |Phi|, or of |Phi-dot| at velocities v: the tolerance, or the round-off of the row, or of
-   places, to which redundant constraints agree: that of the farthest coordinate, over the size of the smallest loop. */
+   places, to which redundant constraints agree. */
 void constraints_limits(const Instance *i, const double *C, const double *q, const double *v, double *limits)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
     const double *x = v ? v : q;
-    double far = s->farthest / *i->loop;
-    for (int c = 0; c < s->n; c++)
-        far = coordinate_is_length(s, c) ? fmax(far, fabs(q[c]) / *i->loop) : far;
-    far *= v ? instance_largest(i, v) : 1.0;
+    const double far = constraints_reach(i, q) * (v ? instance_largest(i, v) : 1.0);
     memset(limits, 0, (size_t)s->l * sizeof *limits);
     for (int c = 0; c < s->n; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)

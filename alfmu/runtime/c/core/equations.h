@@ -16,4 +16,5 @@ double energy_at_speed(Instance *i, double speed);
 int coordinate_is_length(const Scene *s, int coordinate);
 int coordinate_is_angle(const Scene *s, int coordinate);
 double instance_largest(const Instance *i, const double *x);
+double constraints_reach(const Instance *i, const double *q);
 void constraints_limits(const Instance *i, const double *C, const double *q, const double *v, double *limits);
