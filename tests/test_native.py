@@ -635,8 +635,8 @@ def test_a_library_exports_the_functions_of_its_fmi_alone(built, tmp_path, fmi):
     build.HERE != "linux64" or build.compiler() in (None, build.zig()), reason="other compilers make other sizes"
 )
 def test_the_five_bar_is_small(built):
-    assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 322e3
-    assert built("five_bar", platforms=[build.HERE], sources=False).stat().st_size <= 235e3
+    assert built("five_bar", platforms=[build.HERE]).stat().st_size <= 326e3
+    assert built("five_bar", platforms=[build.HERE], sources=False).stat().st_size <= 237e3
 
 
 @pytest.mark.slow

@@ -56,10 +56,6 @@ def _structures() -> tuple[dict[str, Any], dict[str, tuple[str, str]]]:
     return made, targets
 
 
-_LEFT_OUT = ("compiled", "in_lanes")
-"""Fields that sources do not have."""
-
-
 def _count(text: str, owner: Structure) -> int:
     """Return the value of a text, a sum of products of fields, thresholds and numbers."""
 
@@ -79,10 +75,13 @@ def loaded(scene: Scene) -> Structure:
     return _structures()[0]["Scene"].from_address(scene.address)
 
 
-def tables(scene: Structure, texts: bool, words: int, used: Container[str]) -> tuple[str, int]:
+def tables(
+    scene: Structure, texts: bool, words: int, used: Container[str], without: Container[str]
+) -> tuple[str, int]:
     """Return the scene as a constant of C with the arrays `used` by the C, and their size in bytes.
 
-    Texts that only messages use are empty unless `texts` is set; the words of programs have `words` bytes each.
+    Texts that only messages use are empty unless `texts` is set; the words of programs have `words` bytes each. The C
+    has no fields `without`.
     """
     arrays: dict[str, str] = {}
     size = ctypes.sizeof(scene)
@@ -97,7 +96,7 @@ def tables(scene: Structure, texts: bool, words: int, used: Container[str]) -> t
             return literal(x)
         if isinstance(x, ctypes.Structure):
             kind = type(x).__name__
-            names = (part[0] for part in x._fields_ if part[0] not in _LEFT_OUT)
+            names = (part[0] for part in x._fields_ if part[0] not in without)
             each = [below(x, f"{kind}.{name}", getattr(x, name)) for name in names]
             return f"{{{', '.join(each)}}}"
         return str(x)

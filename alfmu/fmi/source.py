@@ -77,8 +77,11 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     _abbreviate(scene)
     work, kinds, forms = _measured(scene, own, run, steps)
     widest = max(abs(word) for each in scene.programs[: scene.program_count] for word in each.code[: each.words])
+    functions = scene.functions[: scene.function_count]
+    widest = max(widest, *(max(each.inputs, each.outputs, each.results, each.base) for each in functions))
     word = 16 if widest < 2**15 else 32
-    constants, size = tables(scene, fmi > 0, word // 8, used)
+    left = ["compiled", "in_lanes", *["wide"] * ("wide" not in forms)]
+    constants, size = tables(scene, fmi > 0, word // 8, used, left)
     length = kept.library.alfmu_length(kept.address, starts)
     place = length + _INSTANCE + (2 * _TEXT // 8 if fmi else 0)
     defined: dict[str, object] = {"NUMBERS": length, "MESSAGE": _TEXT if fmi else 8, "HAS_START": int(starts)}
@@ -106,6 +109,7 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     ]
     if not any(isinstance(step, Lanes | Routine) for program in run.values() for step in every(program.steps)):
         texts = [each.replace("at = routine_run(i, at);", "return;") for each in texts]
+    header = re.sub(rf"^\t[\w ]+\*(?:{'|'.join(left)});\n", "", header, flags=re.MULTILINE)
     text = _reached("".join([header, constants, start, *texts]))
     text = _prefixed(text, fmi) if fmi else _named(text, name)
     if "wide" not in forms:
@@ -334,7 +338,6 @@ _INSTEAD = {
     r"\bscene_of_fmu\(resources, why, why_size\)": "((void)resources, (Scene *)(void *)&the_scene)",
     r"\bscene_free\(c->scene\);": "",
     r"(?<![\w>])(?!c->scene\b)(\w+(?:->\w+)*)->scene\b(?!\s*=[^=])": r"SCENE_OF(\1)",
-    r"^\tCompiled \*(?:compiled|in_lanes);$": "",
     r"^} Scene;$": "} Scene;\nstatic const Scene the_scene;\n#define SCENE_OF(i) ((void)(i), &the_scene)",
 }
 """Replacements for headers, compiler extensions, memory allocation, files and loaded scenes, by pattern."""

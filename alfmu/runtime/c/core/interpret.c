@@ -249,10 +249,14 @@ void function_evaluate(const Function *f, double *r, double *values)
         return;
     }
 #endif
-    if (HAS_NARROW && (!HAS_WIDE || f->narrow))
-        narrow_runs(f->narrow, f->narrow + f->words, r);
-    else if (HAS_WIDE)
+#if HAS_WIDE
+    if (!HAS_NARROW || !f->narrow) {
         wide_runs(f->wide, f->wide + f->words, r, values);
+        return;
+    }
+#endif
+    if (HAS_NARROW)
+        narrow_runs(f->narrow, f->narrow + f->words, r);
 }
 
 static size_t result(const Function *f, size_t k)
@@ -261,7 +265,11 @@ static size_t result(const Function *f, size_t k)
     if (f->brief)
         return (size_t)f->brief[f->words + k] + (size_t)f->base;
 #endif
-    return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
+#if HAS_WIDE
+    if (!f->narrow)
+        return (size_t)f->wide[f->words + k];
+#endif
+    return f->narrow[f->words + k];
 }
 
 void function_call_alone(Instance *i, int which, const double *const *x, double *const *y)
@@ -330,12 +338,15 @@ static inline void call_at(Instance *i, const Function *f, const Word *at)
                 y[e] = (r + f->base)[from[e]];
         } else
 #endif
-        if (f->narrow) {
-            const uint16_t *from = f->narrow + f->words + k;
+#if HAS_WIDE
+        if (!f->narrow) {
+            const int32_t *from = f->wide + f->words + k;
             for (int e = 0; e < length; e++)
                 y[e] = r[from[e]];
-        } else {
-            const int32_t *from = f->wide + f->words + k;
+        } else
+#endif
+        {
+            const uint16_t *from = f->narrow + f->words + k;
             for (int e = 0; e < length; e++)
                 y[e] = r[from[e]];
         }

@@ -94,12 +94,12 @@ typedef WORD Word;
    followed by the places of its results. Places have 16 bits (narrow) or 32 (wide); a run of a narrow function also
    has the place of its first result. */
 typedef struct {
-    int inputs, outputs, results, base;
+    Word inputs, outputs, results, base;
     const Word *lengths;    /* [inputs + outputs] of arguments, then of results */
     const uint16_t *narrow; /* [words + results] */
     const int32_t *wide;    /* [words + results] */
     const uint8_t *brief;   /* [words + results] the same as narrow, in sources: places count from `base` */
-    size_t words;
+    unsigned words;
     int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */
     Compiled *in_lanes; /* the same for a row of `lanes_compiled` instances in place of each number, or NULL */

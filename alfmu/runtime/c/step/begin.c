@@ -25,9 +25,10 @@
 #include "topology.h"
 #include "way.h"
 
-/* Distance of a mechanism from the origin over the size of its smallest loop from which a warning says that round-off of
-   places counts: at 1e4, an angle that passes singular positions is off by 4 times a tolerance of 1e-9, at 1e5 by 700. */
-#define FAR_AWAY 3e4
+/* Distance of a mechanism from the origin over the size of its smallest loop from which a warning says that round-off
+   of places counts: at 1e4, an angle that passes singular positions is off by 4 times a tolerance of 1e-9, at 1e5 by
+   700 times. */
+#define OUT_OF_REACH 3e4
 
 static Outcome read_compliances(Instance *i)
 {
@@ -157,7 +158,7 @@ static Outcome begin_run(Instance *i)
     begin_motion(i, q, v, time);
     if (s->l)
         agreement_warn_of_second_order(i, held, q);
-    if (s->l && constraints_reach(i, q) > FAR_AWAY)
+    if (s->l && constraints_reach(i, q) > OUT_OF_REACH)
         instance_warn(i, WARNED_OF_REACH,
             "%s: its points lie up to %.2g m from the origin, %.1g times the size of its smallest loop (%.2g m), so "
             "that round-off of places may exceed solver.relative_tolerance behind singular positions; declare it near "
