@@ -87,7 +87,7 @@ def test_an_svg_and_a_png_show_the_same():
 
 @pytest.mark.parametrize("name", ["four_bar", "bennett"])
 def test_the_icon_of_an_fmu_is_the_drawing(name):
-    """In its most frequent colours: edges alone change, and by little; shades of bodies in space by less than is seen."""
+    """In its most frequent colours: edges alone change, and by little, as do shades of bodies in space."""
     drawn = load(name).draw()
     most = COLORS_OF_ICON[drawn.shapes.space is not None]
     assert model_png(load(name)) == drawn.png(most)

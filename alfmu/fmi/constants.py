@@ -75,9 +75,7 @@ def loaded(scene: Scene) -> Structure:
     return _structures()[0]["Scene"].from_address(scene.address)
 
 
-def tables(
-    scene: Structure, texts: bool, words: int, used: Container[str], without: Container[str]
-) -> tuple[str, int]:
+def tables(scene: Structure, texts: bool, words: int, used: Container[str], without: Container[str]) -> tuple[str, int]:
     """Return the scene as a constant of C with the arrays `used` by the C, and their size in bytes.
 
     Texts that only messages use are empty unless `texts` is set; the words of programs have `words` bytes each. The C

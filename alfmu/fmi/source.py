@@ -110,6 +110,8 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     if not any(isinstance(step, Lanes | Routine) for program in run.values() for step in every(program.steps)):
         texts = [each.replace("at = routine_run(i, at);", "return;") for each in texts]
     header = re.sub(rf"^\t[\w ]+\*(?:{'|'.join(left)});\n", "", header, flags=re.MULTILINE)
+    if "wide" not in forms:
+        texts = [_WIDE.sub("", each) for each in texts]
     text = _reached("".join([header, constants, start, *texts]))
     text = _prefixed(text, fmi) if fmi else _named(text, name)
     if "wide" not in forms:
@@ -119,6 +121,9 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
         files |= {f"{name}.h": _header(kept, name, place), f"{name}_main.c": _example(kept, name, equations)}
     return files
 
+
+_WIDE = re.compile(r"^#if HAS_WIDE\n.*?^#endif\n", re.MULTILINE | re.DOTALL)
+"""Matches what functions with wide places need."""
 
 _HELD = [
     "#ifndef INSTANCES\n#define INSTANCES 1 /* at the same time */\n#endif",

@@ -66,7 +66,7 @@ INDEPENDENT_MASS = 1e3
 """mass added to independent coordinates over that of the motion [1]: large enough that a stage reaches the branch by
 moving dependent coordinates instead."""
 
-KEPT = 3
+REFINED = 3
 """corrections of a motion before it is scaled to that of the independent coordinates [1]: each leaves the pivot
 contributed by masses over the squared distance of what the constraints hardly hold; with one a Stewart platform loses
 7e-7 J of 30 in a passage, whatever the tolerance, with three 2e-9 J."""
@@ -279,9 +279,12 @@ def returned(
     """
     speed = speed or (lambda x: C @ x)
 
+    def refined(x: Array) -> Array:
+        return x + project_residual(M, C, alpha, solve, speed(x), lambda d: speed(x + d))
+
     def kept(x: Array) -> Array:
-        for _ in range(KEPT):
-            x = x + project_residual(M, C, alpha, solve, speed(x), lambda d, x=x: speed(x + d))
+        for _ in range(REFINED):
+            x = refined(x)
         return x
 
     way, d = kept(v), kept(wanted - q)

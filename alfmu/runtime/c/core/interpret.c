@@ -101,6 +101,7 @@ static void all_passes(const int32_t *at, int32_t kind, int32_t count, const dou
 #define OPERAND(k) r[at[k]]
 #define NEXT(n) at += (n)
 
+#if HAS_WIDE
 static void wide_runs(const int32_t *at, const int32_t *end, const double *r, double *d)
 {
     static const unsigned char operands[] = {OPERAND_COUNTS};
@@ -130,6 +131,7 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         }
     }
 }
+#endif
 
 #undef BINARY
 #define BINARY(kind, value) \
@@ -243,6 +245,7 @@ RUNS(brief_runs, uint8_t, two_brief)
 /* Evaluate a function whose arguments are in the registers. */
 void function_evaluate(const Function *f, double *r, double *values)
 {
+    (void)values;
 #ifdef IN_SOURCES
     if (f->brief) {
         brief_runs(f->brief, f->brief + f->words, r + f->base);
