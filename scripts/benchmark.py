@@ -430,11 +430,10 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> Results:
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
     """Return medians [s] of an initialisation, a doStep, and a step of the kernel with outputs, timed in turns."""
     unpacked = top / "native"
-    sources = sorted(map(str, (unpacked / "sources").glob("*.c")))
     flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", "-DNDEBUG", f'-DGUID="{guid}"', f"-I{HEADERS}"]
-    flags += [f"-I{unpacked / 'sources'}", str(SCRIPTS / "native_bench.c")]
+    flags += [f"-I{unpacked / 'sources'}", str(SCRIPTS / "native_bench.c"), str(unpacked / "sources" / "files.c")]
     libraries = ["-lm", *["-ldl"] * sys.platform.startswith("linux")]
-    subprocess.run([*compiler(), *flags, *sources, "-o", str(top / "host"), *libraries], check=True)
+    subprocess.run([*compiler(), *flags, "-o", str(top / "host"), *libraries], check=True)
     given = [str(steps), str(DT), str(rounds), (unpacked / "resources").as_uri()]
     said = subprocess.run([str(top / "host"), *given], check=True, capture_output=True)
     return np.median(np.array(said.stdout.split(), float).reshape(-1, 3), axis=0).tolist()

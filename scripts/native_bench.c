@@ -1,13 +1,12 @@
-/* Times a native FMU from C, linked with its sources: GUID is given when it is compiled, argv are steps, step [s],
-   rounds and the URI of its resources. Prints for each round the time [s] of an instantiation with initialisation, of a doStep, and of what the kernel
-   does in it: a step, and the outputs at its end. */
+/* Times a native FMU from C, compiled with its sources: GUID is given when it is compiled, argv are steps, step [s],
+   rounds and the URI of its resources. Prints for each round the time [s] of an instantiation with initialisation, of a
+   doStep, and of what the kernel does in it: a step, and the outputs at its end. */
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
 
-#include "alfmu.h"
-#include "fmi2Functions.h"
+#include "alfmu.c" /* whose functions are static */
 
 /* Of this process alone, whatever else the machine does. */
 static double now(void)
