@@ -34,6 +34,7 @@ from alfmu.studies.trees import (
     axes_points,
     by_exudyn,
     by_mujoco,
+    pinocchio_contacts,
     pinocchio_model,
     places,
     poses,
@@ -214,10 +215,7 @@ def by_pinocchio(p: Problem, frequency: float, mu: float, lcaba: bool = False) -
     import pinocchio as pin
 
     model, closures, order = pinocchio_model(pin, p, frequency)
-    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for one in closures:
-        models.append(one)
-        datas.append(one.createData())
+    models, datas = pinocchio_contacts(pin, closures)
     data, n = model.createData(), model.nv
     if lcaba:
         pin.computeJointMinimalOrdering(model, data, models)

@@ -34,6 +34,7 @@ from .trees import (
     Simulation,
     Start,
     Tree,
+    pinocchio_contacts,
     pinocchio_model,
     places,
     poses,
@@ -146,10 +147,7 @@ def by_pinocchio(p: Machine, frequency: float = 0.0, method: str = "RK4") -> Sim
     import pinocchio as pin
 
     model, closures, order = pinocchio_model(pin, p, frequency)
-    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for closure in closures:
-        models.append(closure)
-        datas.append(closure.createData())
+    models, datas = pinocchio_contacts(pin, closures)
     data, n = model.createData(), model.nv
     pin.initConstraintDynamics(model, data, models, datas)
     proximal, tau = pin.ProximalSettings(1e-12, 1e-12, 1e-8, 3), np.zeros(n)

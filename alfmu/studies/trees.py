@@ -157,6 +157,15 @@ def axes_points(c: Closure) -> list[tuple[Point, Point]]:
     return pairs
 
 
+def pinocchio_contacts(pin: ModuleType, closures: Sequence[Any]) -> tuple[Any, Any]:
+    """Return Pinocchio's vectors of constraints and of their data."""
+    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    for closure in closures:
+        models.append(closure)
+        datas.append(closure.createData())
+    return models, datas
+
+
 def pinocchio_model(pin: ModuleType, p: Tree, frequency: float = 0.0) -> tuple[Any, list[Any], list[int]]:
     """Return a model in Pinocchio, its loops closed by `CONTACT_3D` with critically damped stabilisation of a frequency
     [1/s], and the place of each body's coordinate."""
