@@ -210,11 +210,11 @@ EXCEEDED = 1e-9
 """excess of a multiplier over its limit [1]: the joint is released at this excess, so that the decision is certain."""
 
 IDLE = 1e-12
-"""second rate over the largest without friction [1]: a joint at rest with a smaller one is held; in rad/s^2 or m/s^2 if
-the largest is below 1."""
+"""acceleration of a joint over the largest one without friction [1]: a joint at rest with a smaller one sticks; in
+rad/s^2 or m/s^2 if the largest is below 1."""
 
 IDLER = 100.0
-"""ratio of second rates [1]: a joint that began to slide is at rest if others hold it to less than this multiple of
+"""ratio of accelerations [1]: a joint that began to slide is at rest if others hold it to less than this multiple of
 IDLE."""
 
 SHARING_ROUNDS = 200
