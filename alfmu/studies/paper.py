@@ -26,8 +26,7 @@ from ..model.errors import StepError, needs
 from ..model.settings import Settings
 from ..simulation import prepared
 from ..simulation.oracle import Instance
-from ..view.plot import save
-from .charts import require
+from ..view.plot import require, save
 from .tables import Row, number, paragraph, shown, write_csv
 
 if TYPE_CHECKING:
