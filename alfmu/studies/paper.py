@@ -662,10 +662,7 @@ def _accuracy_plot(rows: Sequence[Row]) -> Figure:
 # The four-bar through its singular positions ----------------------------------------------------------------------
 
 
-PROCEDURES = {
-    "classic": replace(CLASSIC, max_iterations=PAPER_MOST),
-    "residual": DEFAULT,
-}
+PROCEDURES = {"classic": replace(CLASSIC, max_iterations=PAPER_MOST), "residual": DEFAULT}
 """The paper's procedure, (8) stopped early, and the defaults."""
 
 
