@@ -185,8 +185,8 @@ SEEN_FLOOR = 0.1
 """round-off in the error over the tolerance [1]: careful attempts continue if it is larger."""
 
 STUCK = 20
-"""number of attempts [1]: no motion continues from a singular position if the errors of this many steps near it cannot be
-judged, within the length proposed for the first of them."""
+"""number of attempts [1]: no motion continues from a singular position if the errors of this many steps near it cannot
+be judged, within the length proposed for the first of them."""
 
 REST = 1e-9
 """rate [rad/s or m/s]: a joint with dry friction is at rest below it; projections leave 1e-15 of velocities near 1."""
