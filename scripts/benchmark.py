@@ -604,12 +604,7 @@ def scale_plot(rows: Sequence[Row]) -> Figure:
 
 # The report -------------------------------------------------------------------------------------------------------
 
-STEP_LIMITS = {
-    "compiled {} / solve": 0.3,
-    f"{INTERPRETED} {{}}": 1.6,
-    "oracle / compiled {}": 50,
-    "oracle / vm {}": 50,
-}
+STEP_LIMITS = {"compiled {} / solve": 0.3, f"{INTERPRETED} {{}}": 1.6, "oracle / compiled {}": 50, "oracle / vm {}": 50}
 DOSTEP_LIMITS = {"compiled": 3, "vm": 4}
 SPREAD_LIMIT = 60
 NATIVE_LIMITS = {

@@ -284,11 +284,7 @@ def page(rows: Sequence[Row], names: Sequence[str], classes: Sequence[Row], comm
         "**Who comes closest to alfmu in the same time**",
         markdown(heads, [[row.get(key) for key in heads] for row in duels]),
         "**Largest error of the force [N], of the most accurate run**",
-        markdown(
-            ["problem", *codes],
-            [[name, *(felt(rows, name, code) for code in codes)] for name in names],
-            2,
-        ),
+        markdown(["problem", *codes], [[name, *(felt(rows, name, code) for code in codes)] for name in names], 2),
         "**Pole or limit**",
         markdown(list(classes[0]), [list(row.values()) for row in classes]) if classes else "not asked for",
         "**Lost runs**",

@@ -24,7 +24,7 @@ from alfmu.cli import main, runs
 from alfmu.fmi.drive import Fmu
 from alfmu.model import files
 from alfmu.simulation import communication_points, prepared, run, with_defaults
-from alfmu.simulation.stepped import least_squares
+from alfmu.simulation.blajer import least_squares
 from alfmu.view.drawing import as_data, from_data
 from alfmu.view.shapes import geometry
 

@@ -246,6 +246,15 @@ def test_settings_beside_the_usual_ones_run_as_by_the_oracle(settings):
     assert np.abs(a - b).max() <= lost * np.abs(b).max()
 
 
+@pytest.mark.parametrize("kernel", ["vm", "oracle"])
+def test_penalties_by_row_too_small_for_the_iterations_are_refused(kernel):
+    """Each of two passes gains mass / penalty of 1 kg / 100 kg at most, far from the limit of 1e-7."""
+    instance = made(derived("five_bar"), kernel, Settings(method="rk4", penalty=[100.0] * 8, max_iterations=2))
+    instance.set("start.angle", 0.4)
+    with pytest.raises(alfmu.StepError, match=r"with solver.penalty 100 .* after 2 passes.*; use solver.penalty 0"):
+        initialized(instance).read()
+
+
 @each_kernel
 @pytest.mark.parametrize("off", [None, 4])
 def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):

@@ -91,11 +91,7 @@ def add(command: Command) -> None:
         help="time in s to follow the motion; 0 for the start alone (default: the mechanism's own)",
     )
     sub.add_argument(
-        "--at",
-        metavar="S",
-        type=float,
-        default=0.0,
-        help="time in s at which laws of time are evaluated for the start",
+        "--at", metavar="S", type=float, default=0.0, help="time in s at which laws of time are evaluated for the start"
     )
 
     sub = command("kinematics", _kinematics, "move a mechanism by its actuated joints: positions, Jacobian, efforts")

@@ -65,9 +65,7 @@ def add_start(sub: argparse.ArgumentParser) -> None:
 def add_kernel(sub: argparse.ArgumentParser) -> None:
     each = "; ".join(f"{name}, {text}" for name, text in KERNELS.items())
     sub.add_argument(
-        "--kernel",
-        choices=list(KERNELS),
-        help=f"kernel that runs the method (default: {DEFAULT}): {each}",
+        "--kernel", choices=list(KERNELS), help=f"kernel that runs the method (default: {DEFAULT}): {each}"
     )
 
 

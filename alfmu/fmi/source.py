@@ -220,7 +220,8 @@ def _shorten(program: Structure, places: Sequence[int]) -> None:
 
 
 def _abbreviate(scene: Structure) -> None:
-    """Give functions places of 8 bits where these suffice, counted from the first constant that a function reads.
+    """Write register numbers of functions with 8 bits if these suffice, relative to the first constant that a function
+    reads.
 
     Constants of functions with many registers come last.
     """

@@ -556,7 +556,7 @@ class _Declaring:
         return self.bodies[frame[0]].at(self._point(frame[0], self._zero(frame[0]).at(frame[1].place)))
 
     def _turned_by(self, frame: Frame, vector: Array) -> Named:
-        """Return a vector in the axes of a frame, in those of the ground."""
+        """Convert a vector from the axes of a frame to those of the ground."""
         return self.bodies[frame[0]].turned(cleaned(self._zero(frame[0]).turn @ frame[1].turn @ vector).tolist())
 
     def _ways(

@@ -327,7 +327,7 @@ class Linkage:
         node.all(*harmless)
 
     def every(self, nodes: Iterable[Node], read: Callable[[Node], object]) -> None:
-        """Read elements, each of which may be refused."""
+        """Read elements; if one is refused, record the reason and continue with the next."""
         for node in nodes:
             with self.trying(node):
                 read(node)

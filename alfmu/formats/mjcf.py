@@ -150,7 +150,7 @@ class File:
             self._start(key)
 
     def _begin(self, root: Node, prefix: str = "") -> None:
-        """Read what one model alone uses: settings of its compiler, default classes, meshes."""
+        """Read the parts that belong to a single model: compiler settings, default classes, meshes."""
         self.root, self.settings, self.prefix = root, _Settings(), prefix
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         self.meshes = {

@@ -29,7 +29,7 @@ _GRAVITY = 9.81
 
 _HINGED = {"revolute": "hinge", "prismatic": "slide", "spherical": "ball", "free": "free"}
 _KINDS = {"spherical": "ball", "free": "floating", "weld": "fixed"}
-"""Kinds of joints with other names in MJCF, and in URDF and SDF."""
+"""Names of kinds of joints in MJCF, and those in URDF and SDF that differ from alfmu's."""
 
 
 def written(

@@ -384,7 +384,7 @@ class _Problem:
 
     def _apart(self, guesses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return root mean squares of the weighted residuals of guesses, NaN for those that fail."""
-        with collected():  # their warnings are not those of the fit
+        with collected():  # warnings about guesses are not shown
             found = self._runs.side_by_side(guesses, self._measured)
         left = ((found - self._seen) / self._sizes)[:, self._known]
         return np.sqrt((left**2).mean(axis=1))

@@ -99,7 +99,7 @@ class Plan:
     corrections: int
     """Corrections of q, and of v, after the step."""
     quick: bool = False
-    """Whether convergence of few iterations is judged by their rate; otherwise the last change must be within the
+    """Whether convergence is judged by the rate of the changes; otherwise the last change must be within the
     tolerance."""
     weighted: bool = False
     """Whether each constraint may have its own penalty."""

@@ -107,7 +107,7 @@ class Layout:
     u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
               constraint, alpha over the scale of the pivot of each coordinate, and if constraints may have a
               compliance the least one over that of each; if redundant ones would brake, the matrix that replaces
-              all penalties over alpha (`oracle.Instance.hold`)
+              all penalties over alpha (`blajer.Method.hold`)
     dt        internal step [s]
     control   CONTROL
     tally     TALLY

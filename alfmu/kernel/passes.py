@@ -443,7 +443,7 @@ def in_line(*values: NDArray) -> list[tuple[int, ...]]:
         while end <= at < count - 1:
             end = next(ends)
         step, last = [0] * len(values), at
-        if at < count - 1 and np.abs(steps[:, at]).max() < BEHIND // 2:  # a larger one leaves the constants
+        if at < count - 1 and np.abs(steps[:, at]).max() < BEHIND // 2:  # a larger step would lead out of the constants
             step, last = steps[:, at].tolist(), end
         rows.append((last + 1 - at, *chain(*zip(first[at], step, strict=True))))
         at = last + 1

@@ -236,7 +236,7 @@ class _Lines:
         which, entry = o.written[:, made].reshape(2, 2, *shape)
         numbers = np.array([o.result[1, part], *o.operand[:, part]]).reshape(3, *shape)
         numbers = np.concatenate([numbers, made.reshape(2, *shape), which, entry])
-        steps = numbers[:, 1:] - numbers[:, :-1]  # between iterations
+        steps = numbers[:, 1:] - numbers[:, :-1]  # differences between successive iterations
 
         def even(steps: NDArray, ends: bool) -> NDArray:
             """Return the step of each index; _NONE if it varies."""

@@ -159,7 +159,7 @@ def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_po
 
 def grip(calls: Calls, known: str, a: str, lam: str) -> None:
     """Compute the quantities that decide on sticking and sliding: multipliers of the constraints of joints, their
-    limits, second rates, and the convergence of the laws."""
+    limits, accelerations, and the convergence of the laws."""
     scene, e = calls.scene, calls.scene.e
 
     def found(t: SX, q: SX, v: SX, u: SX, a: SX, lam: SX, rubbed: SX) -> SX:

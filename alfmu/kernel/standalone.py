@@ -399,7 +399,7 @@ def _results(step: Step) -> tuple[str, ...]:
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:
-    """Yield a call with its inputs at its own time; past inputs are moved where they are extrapolated."""
+    """Yield a step whose inputs, extrapolated ones too, follow their slopes to the time of the step."""
     if not isinstance(step, Call):
         yield step
     elif step.function == "inputs":

@@ -185,8 +185,8 @@ SEEN_FLOOR = 0.1
 """round-off in the error over the tolerance [1]: careful attempts continue if it is larger."""
 
 STUCK = 20
-"""number of attempts [1]: no motion continues if this many near a singular position cannot be judged before the step
-proposed at the first of them is covered."""
+"""number of attempts [1]: no motion continues from a singular position if the errors of this many steps near it cannot
+be judged, within the length proposed for the first of them."""
 
 REST = 1e-9
 """rate [rad/s or m/s]: a joint with dry friction is at rest below it; projections leave 1e-15 of velocities near 1."""
@@ -210,11 +210,11 @@ EXCEEDED = 1e-9
 """excess of a multiplier over its limit [1]: the joint is released at this excess, so that the decision is certain."""
 
 IDLE = 1e-12
-"""second rate over the largest without friction [1]: a joint at rest with a smaller one is held; in rad/s^2 or m/s^2 if
-the largest is below 1."""
+"""acceleration of a joint over the largest one without friction [1]: a joint at rest with a smaller one sticks; in
+rad/s^2 or m/s^2 if the largest is below 1."""
 
 IDLER = 100.0
-"""ratio of second rates [1]: a joint that began to slide is at rest if others hold it to less than this multiple of
+"""ratio of accelerations [1]: a joint that began to slide is at rest if others hold it to less than this multiple of
 IDLE."""
 
 SHARING_ROUNDS = 200

@@ -18,7 +18,7 @@ Array = Any
 Divide = Callable[[Array, Array], Array]
 
 
-# First order: collocation -------------------------------------------------------------------------------------
+# First order: collocation by accelerations alone; the kernel stores a tangent as H, Q, V of `stiffness` ---------------
 
 
 def tangent(
@@ -37,46 +37,6 @@ def tangent(
     The iteration starts at `zeros`, (n, k) and (l, k).
     """
     return method.residual(M, R, C, X, alpha, solve, *zeros, most, done)[0]
-
-
-def solved(s: Array, aq: Array, av: Array, rq: Array, rv: Array, eye: Array, divide: Divide) -> tuple[Array, Array]:
-    """Apply (I - s J)^-1 to (rq, rv) by a system of n equations."""
-    dv = divide(eye - s * av - s * s * aq, rv + s * (aq @ rq))
-    return rq + s * dv, dv
-
-
-def corrected(
-    rule: Collocation,
-    dt: Array,
-    tangents: Sequence[tuple[Array, Array]],
-    residues: Sequence[tuple[Array, Array]],
-    eye: Array,
-    joined: Callable[[list[list[Array]]], Array],
-    split: Callable[[Array, int], list[Array]],
-    divide: Divide,
-) -> list[tuple[Array, Array]]:
-    """Return the changes of the rates (v, a) at the s nodes of a collocation step, by one system of s n equations.
-
-    `tangents` (aq, av) and `residues` are given by node; `joined` builds a matrix from blocks, `split` cuts a vector
-    into equal parts.
-    """
-    A, nodes, squared = rule.matrix, range(len(rule.nodes)), _squared(rule)
-    blocks = [
-        [(eye if i == j else 0 * eye) - (dt * A[i][j]) * av - (dt * dt * squared[i][j]) * aq for j in nodes]
-        for i, (aq, av) in enumerate(tangents)
-    ]
-    right = []
-    for i, ((aq, _), (_, rv)) in enumerate(zip(tangents, residues, strict=True)):
-        shift = sum((A[i][j] * residues[j][0] for j in nodes[1:]), A[i][0] * residues[0][0])
-        right.append([rv + dt * (aq @ shift)])
-    changes = split(divide(joined(blocks), joined(right)), len(A))
-    return [
-        (rq + dt * sum((A[i][j] * changes[j] for j in nodes[1:]), A[i][0] * changes[0]), changes[i])
-        for i, (rq, _) in enumerate(residues)
-    ]
-
-
-# Collocation by accelerations alone; the kernel stores a tangent as H, Q, V of `stiffness` ----------------------------
 
 
 def stiffness(H: Array, C: Array, alpha: Array, Rq: Array, Rv: Array, Xq: Array, Xv: Array) -> tuple[Array, ...]:
@@ -102,7 +62,7 @@ def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
 
 
 def filter_weights(s: Array) -> list[list[list[Array]]]:
-    """Return the weights of H, Q, V in the matrix of `solved`, (H - s V - s^2 Q) dv = H rv + s Q rq."""
+    """Return the weights of H, Q, V in the matrix of (I - s J)^-1, for (H - s V - s^2 Q) dv = H rv + s Q rq."""
     return [[[1.0]], [[-s * s]], [[-s]]]
 
 

@@ -156,7 +156,7 @@ class Gear(Pair):
 
     pressure_angle: Scalar
     ring: int
-    """Which of the two has its teeth inside; -1 for none."""
+    """Index, 0 or 1, of the internal gear; -1 if both are external."""
 
     def rims(self) -> list[Rim]:
         both = zip((self.first, self.second), self.radii, strict=True)

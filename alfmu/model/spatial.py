@@ -633,7 +633,7 @@ class SpatialFreedom(Brief):
 
     @property
     def freedoms(self) -> dict[str, str]:
-        """This free motion, with its unit."""
+        """The unit of this free motion, by its name."""
         return {self.which: self.joint.freedoms[self.which]}
 
     @property

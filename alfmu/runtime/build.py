@@ -84,8 +84,8 @@ _OFTEN = {
 """Files that run in every step, and those of derivatives, which otherwise take three to six times as long."""
 
 _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
-"""Optimisation of frequently run files, and of others: an FMU contains the library, which is 25 to 30 % smaller this
-way, and as fast. Vectorised loops are explicit in the sources."""
+"""Options for frequently run files, and for the others: with them the library, which every FMU contains, is 25 to 30 %
+smaller, and as fast. Vectorised loops are explicit in the sources."""
 
 _SMALLEST = ("-fno-schedule-insns2", "-fno-caller-saves", "-fno-inline-functions-called-once", "-fno-if-conversion")
 """Code of GCC that is no shorter, but repeats itself more: compressed, the library is 4 % smaller."""

@@ -1,385 +1,223 @@
-"""Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, the kernel's reference.
+"""An instance that steps and reads by `blajer.Method`: slow, used like any other; tests hold the kernel against it.
 
-Read it with the paper open: `alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` those of
-singular positions. This module computes accelerations and multipliers by every formulation, steps of RK4 with
-projections (10), the branch of the motion through singular positions, and plastic impacts, from functions of the
-equations only; `stepped` has the rest of an instance.
+The runtime has the values by name, start, scales, ranks, switches, impacts, times of jumps and state. This module
+divides communication steps as the runtime does, evaluates outputs, and updates counters, messages and whole turns.
 """
 
 from __future__ import annotations
 
+import ctypes
+import logging
 import math
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Iterable
+from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.evaluation import loops
-from ..kernel.memory import GROSS, SETTINGS
-from ..kernel.thresholds import PATIENT, REGULAR
-from ..method import formulations as method
-from ..method import singular as branch
-from ..method.formulations import CORRECTIONS
-from ..method.integrators import rk4
-from ..model.errors import OpenError, StepError
-from .stepped import EPS, Reading, Stepped, least_squares, unchanged
+from ..equations import Equations
+from ..equations.interface import MONITORS, Counters, events
+from ..kernel.thresholds import SAID, SHORTEST, UNFINISHED
+from ..model.errors import AlfmuError, InputError, OpenError, StepError
+from ..model.settings import internal_steps
+from .blajer import Method
 
-Found = tuple[NDArray, NDArray, int, NDArray]
-"""Accelerations a (n,), multipliers lam (l,), number of multiplier iterations, residual Phi-ddot (l,)."""
-
-TINY = float(np.finfo(float).tiny)
+_LOGGER = logging.getLogger("alfmu")
 
 
-class Instance(Stepped):
-    """An instance whose internal steps and readings use the method in this module."""
+class Instance(Method):
+    """An instance with steps and outputs computed in Python, with `rk4` only."""
 
-    # Equations ----------------------------------------------------------------------------------------------------
+    run = None  # type: ignore[assignment]
+    """Disabled, because it would run the C steps; `alfmu.simulation.run` then makes single steps."""
 
-    def augmented(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, method.Solve]:
-        """Return M, C, Phi and C v of (1) and (2), and a solver with H."""
-        M, C, Phi, Cv = self.constraints(q, v)
-        return M, C, Phi, Cv, self.inverse(method.augmented_mass(M, C, self.alpha))
+    def _take(self, equations: Equations) -> None:
+        self._by_row = False
+        super()._take(equations)
+        self._seen: tuple = (None, None, None)
 
-    # Accelerations ------------------------------------------------------------------------------------------------
-
-    def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1) -> Found:
-        """Return accelerations and multipliers by the chosen formulation, with `patience` times the usual
-        iterations."""
-        M, C, F, xi = self.dynamics(q, v, u, t)
-        kind, alpha, s, used = self.settings.formulation, self.alpha, self.settings, 1
-        if not all(np.isfinite(x).all() for x in (M, F, xi)):
-            raise self._error(StepError, t, "the equations of motion are not finite")
-        solve = self.inverse(M if kind == "stiffness" else method.augmented_mass(M, C, alpha))
-        _, _, Phi, Cv = self.constraints(q, v)
-        stabilised = method.stabilised(xi, Cv, Phi, s.zeta, s.omega)
-        if kind in ("residual", "classic"):
-            iterate = method.residual if kind == "residual" else method.classic
-            a, lam, used, converged = self.iterated(iterate, M, F, C, xi, solve, patience)  # (8)
-            self.counters.unconverged += not converged
-        elif kind == "penalty":
-            a, lam = method.penalty(F, C, stabilised, alpha, solve)  # (6)
-        elif kind == "stiffness":
-            a, lam = method.stiffness(F, C, Phi, s.omega**2 * alpha, solve)  # (5)
-        else:
-            held, lam = self.active, np.zeros_like(xi)
-            a, lam[held] = method.dae(M, F, C[held], (xi if kind == "dae" else stabilised)[held], least_squares)  # (9)
-        self.counters.evaluations += 1
-        self.counters.multiplier_iterations += used
-        return a, lam, used, C @ a - xi
-
-    def iterated(
-        self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, solve: method.Solve, patience: int = 1
-    ) -> tuple[NDArray, NDArray, int, bool]:
-        """Iterate (8), classic or residual, until the change of the accelerations is within their tolerance.
-
-        Null vectors of C' do not act on a, so alpha times the round-off of each pass accumulates in lam along them. As
-        they do act on tangents, they are removed from the returned lam.
-        """
-        sizes, left = self._sizes, math.inf
-        scale = np.abs(F / sizes).max(initial=0.0) / np.abs(M / np.outer(sizes, sizes)).max(initial=1e-300)
-
-        def done(da: NDArray, a: NDArray) -> bool:
-            nonlocal left
-            left = float(np.linalg.norm(sizes * da)) / max(float(np.linalg.norm(sizes * a)), TINY)
-            return np.abs(sizes * da).max() <= self.settings.tolerance * max(np.abs(sizes * a).max(), scale)
-
-        zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
-        a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
-        if not converged:
-            self._unfinished = max(self._unfinished, left)
-        before = math.inf
-
-        def settled(change: NDArray, value: NDArray) -> bool:
-            nonlocal before
-            change, last, before = change @ change, before, change @ change
-            return method.settled(change, last, value @ value, self.settings.tolerance)
-
-        return a, method.minimum_norm(C, self.alpha, solve, lam, method.SETTLING, settled), used, converged
-
-    @staticmethod
-    def _light(M: NDArray, alpha: NDArray) -> NDArray:
-        """Return M scaled down to be small compared with the penalties; without penalties, M itself."""
-        ratio = method.LIGHT * alpha.max(initial=0.0) / max(M.diagonal().max(initial=0.0), TINY)
-        return M * min(1.0, ratio or 1.0)
-
-    def carried(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
-        """Return multipliers equivalent to lam (l,) with the least loads of joints, or shared by the given
-        compliances."""
-        e, l = self.equations, len(lam)
-        M, C, _, _ = self.constraints(q, v)
-        held = np.diag(self.active.astype(float))
-        if e.compliances:
-            alpha, lengths = np.diag(self.stiffnesses), held * np.isin(np.arange(l), e.lengths)
-
-            def inverse(C: NDArray) -> method.Solve:
-                return self.inverse(method.augmented_mass(self._light(M, alpha), C, alpha))
-
-            return method.minimum_norm_of_joints(C, alpha, lengths, inverse, lam, CORRECTIONS, unchanged)
-
-        def slope(lam: NDArray) -> NDArray:
-            return self._values("shares", q, v, a, lam, self.driven, self.memory["p"], self.time)[0].ravel()
-
-        C, nothing = held @ C, slope(np.zeros(l))
-        P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held
-        sizes = np.where(P.diagonal() > EPS, P.diagonal(), 1.0)
-        columns = (C**2 / sizes[:, None]).sum(axis=0)
-        there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # small for a column of round-off
-        weights = np.diag(np.divide(method.HELD_SHARES * there, columns, out=np.zeros_like(columns), where=columns > 0))
-        eased = P + method.EASE * np.diag(sizes)
-        solve, start = self.inverse(method.augmented_mass(eased, C.T, weights)), (0 * lam, np.zeros(C.shape[1]))
-        return lam + method.shared_again(P, held @ slope(lam), C, weights, solve, *start, CORRECTIONS, unchanged)[0]
-
-    def impact(self, q: NDArray, v: NDArray) -> NDArray:
-        """Return v (n,) after a plastic impact that satisfies the constraints: M dv + C' impulse = 0, C dv = -C v."""
-        M, C, _, Cv, solve = self.augmented(q, v)
-        return v + self.iterated(method.residual, M, np.zeros_like(v), C, -Cv, solve)[0]
-
-    def hold(self, q: NDArray) -> None:
-        """Freeze the rank: use the independent combinations of constraints at q (n,) until the next call.
-
-        H omits redundant constraints if they would brake stages beside the motion; lam then has least norm by itself.
-        """
-        if self.equations.survey.brakes:
-            root = np.sqrt(self.penalty)
-            rows, sizes, _ = np.linalg.svd(root[:, None] * self.constraints(q, np.zeros_like(q))[1])
-            if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else keep those before this singular position
-                self.alpha = root[:, None] * (rows[:, : self.rank] @ rows[:, : self.rank].T) * root
-
-    # Projections --------------------------------------------------------------------------------------------------
-
-    def project(self, q: NDArray, v: NDArray, t: float, near: bool = False) -> tuple[NDArray, NDArray, float, float]:
-        """Return q and v projected onto the constraints by (10), and the largest remaining |Phi| and |Phi-dot|.
-
-        Near a singular position corrections converge slowly in the direction that the constraints hardly fix, which
-        magnifies the remaining gap, so one more is made. Gaps above the tolerance are counted. Raises OpenError if a
-        gap exceeds `GROSS`.
-        """
-        M, C, Phi, Cv, solve = self.augmented(q, v)
-        for _ in range(CORRECTIONS):
-            if self._closed(Phi, C, q, q):
-                if not near:
-                    break
-                near = False
-            q = self._closer(M, C, Phi, solve, q)
-            M, C, Phi, Cv, solve = self.augmented(q, v)
-            self.counters.projection_iterations += 1
-        for _ in range(CORRECTIONS):
-            if self._closed(Cv, C, q, v):
-                break
-            v = self._slower(M, C, Cv, solve, v)
-            Cv = self.constraints(q, v)[3]
-            self.counters.projection_iterations += 1
-        for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
-            worst, row = self._worst(residue)
-            if not worst <= GROSS:
-                left = f"{what} = {worst:.1e} at {row} > {GROSS:.0e} after {CORRECTIONS} corrections"
-                raise self._error(OpenError, t, left)
-        self.counters.unprojected += not (self._closed(Phi, C, q, q) and self._closed(Cv, C, q, v))
-        return q, v, self._largest(Phi), self._largest(Cv)
-
-    def _closer(self, M: NDArray, C: NDArray, Phi: NDArray, solve: method.Solve, q: NDArray) -> NDArray:
-        """Return q after a correction (10)."""
-
-        return q + method.project_residual(M, C, self.alpha, solve, Phi, lambda d: self.constraints(q + d, d)[2])
-
-    def _slower(self, M: NDArray, C: NDArray, Cv: NDArray, solve: method.Solve, v: NDArray) -> NDArray:
-        """Return v after a correction (10)."""
-        return v + method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
-
-    def _closed(self, residue: NDArray, C: NDArray, q: NDArray, x: NDArray) -> bool:
-        """Return whether residuals of constraints, of x = q or v, are within the tolerance, or the round-off of their
-        row or of places if larger."""
-        far = self._far(q) * (1.0 if x is q else np.abs(self._sizes * x).max(initial=0.0))
-        limit = 8 * EPS * np.maximum(abs(C) @ np.abs(x), far * self.units)
-        return bool((np.abs(residue) <= np.maximum(self.settings.tolerance * self.units, limit))[self.active].all())
-
-    @property
-    def _sizes(self) -> NDArray:
-        """One over the unit of each coordinate."""
-        return np.array([self.inverse_length if c.unit == "m" else 1.0 for c in self.equations.coordinates])
-
-    def _far(self, q: NDArray) -> float:
-        """Return the largest coordinate of a place, over the size of the smallest loop."""
-        lengths = [abs(x) for x, c in zip(q, self.equations.coordinates, strict=True) if c.unit == "m"]
-        return self.inverse_loop * max(self.equations.reach, *lengths, 0.0)
-
-    # Singular positions -------------------------------------------------------------------------------------------
-
-    def margin(self, q: NDArray) -> tuple[bool, float]:
-        """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
-        ratios = self.pivots(q)
-        if self.equations.turns and np.log(ratios).sum() >= self.regular:
-            return False, 1.0
-        near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
-        more = len(small) - self.freedom
-        if self.equations.turns:
-            more = min(more, loops(self.equations))
-        return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
-
-    def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
-        """Return the distance to a singular position, its change per spacing, and a spacing (n,) long enough to measure
-        it: along v, or in the direction that the runtime has found."""
-        self._unit.scene.library.alfmu_update_way(self._unit.address)
-        spacing = shortest * (self.way + self.memory["k"][SETTINGS.index("along")] * v)
-        for _ in range(branch.DOUBLINGS):
-            before, here, after = (self.margin(q + k * spacing)[1] for k in (-1, 0, 1))
-            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-            if here > self.nothing or rate**2 > self.nothing:
-                break
-            spacing *= 2  # The positions are too close to be distinguished from the singular one.
-        return here**0.5, rate, spacing
-
-    def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """Return q and v nearby that satisfy the constraints: q displaced only across the motion, then v by (10).
-
-        The motion through positions found in this way is smooth up to the singular position itself.
-        """
-
-        def closer(q: NDArray) -> NDArray:
-            M, C, Phi, _, solve = self.augmented(q, v)
-            return self._closer(M, C, Phi, solve, q)
-
-        near = closer(closer(q))
-        M, C, _, _, solve = self.augmented(near, v)
-        still = (lambda x, q=near: self.constraints(q, x)[3], np.append(v[:-1], 0.0)) if self.equations.timed else ()
-        near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v, *still)
-        near = closer(near)
-        for _ in range(2):
-            M, C, _, Cv, solve = self.augmented(near, v)
-            v = self._slower(M, C, Cv, solve, v)
-        return near, v
-
-    def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
-        """Return the result of `on_branch`; raise OpenError if the branch does not lead there."""
-        near, v = self.on_branch(q, v)
-        gap, row = self._worst(self.constraints(near, v)[2])
-        if not gap <= GROSS:
-            raise self._error(
-                OpenError, t, f"{row} does not close ahead on the branch of the motion, and stays open by {gap:.1e}"
-            )
-        return near, v
-
-    def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, shortest: float) -> Found:
-        """Return `accelerations` at the position of the branch nearest to q; near a singular position their limit.
-
-        `shortest` is the spacing [s] of the positions from which a limit is extrapolated; slow motion increases it,
-        fast motion reduces it. If the motion does not reach these positions, the accelerations at the position itself
-        are returned, provided that the iteration converges.
-        """
-        here, rate, spacing = self.approach(q, v, shortest)
-        units = [c.unit for c in self.equations.coordinates[: self.equations.dependent]]
-        moved = max(abs(x) * (self.inverse_length if u == "m" else 1.0) for x, u in zip(spacing, units, strict=False))
-        first = float(branch.first_position(self.least_distance, rate, moved, self.nothing, np.where))
-        moved *= first
-        if not (here < branch.LIMIT_ZONE * first and 0 < moved <= rate * branch.farthest(self.least_distance, max)):
-            return self.accelerations(*self.reached(q, v, t), u, t)
-        unconverged = self.counters.unconverged
-        try:
-            _, found = self._beside(q, v, u, t, spacing * first / rate, branch.MEAN)
-            a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
-            with suppress(OpenError):
-                unconverged = self.counters.unconverged
-                alone = self.accelerations(*self.reached(q, v, t), u, t)
-                clear, off = here**2 > max(self.nothing, branch.JUDGED), np.abs(a - alone[0]).max()
-                if clear and off > branch.direct_error(here**2, EPS) * np.abs(a).max():
-                    return alone  # a different motion passes through the singular position
-                self.counters.unconverged = unconverged
-            return a, lam, max(x[2] for x in found.values()), left
-        except OpenError:
-            alone = self.accelerations(*self.reached(q, v, t), u, t, PATIENT)
-            if self.counters.unconverged > unconverged:
-                raise self._error(OpenError, t, "the multiplier iteration does not converge") from None
-            return alone
-
-    def _beside(
-        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: NDArray, at: Iterable[int]
-    ) -> tuple[dict[int, tuple[NDArray, NDArray]], dict[int, Found]]:
-        """Return q and v, and the results of `accelerations`, at positions on the branch before and after q."""
-        places = {k: self.reached(q + k * spacing, v, t) for k in at}
-        return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
+    def initialize(self) -> None:
+        """Initialise as the runtime does, with RK4 for `auto`; raise InputError for any other method."""
+        if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
+            raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
+        e = self.equations
+        for what, names in (
+            ("dry friction", [joint.name for joint in e.frictions]),
+            ("derivatives over a step", ["/".join(pair) for pair in e.jacobian]),
+            ("peaks within a step", list(e.peaks)),
+        ):
+            if names:
+                raise InputError(f"{self.name}: the oracle has no {what}, as {names[0]} has; use kernel vm")
+        super().initialize()
+        self.counters, self._step_error, self._unfinished, self._told = Counters(), 0.0, 0.0, False
+        self._know()
 
     # Steps --------------------------------------------------------------------------------------------------------
 
-    @np.errstate(all="ignore")
+    def step(self, communication_step: float, time: float | None = None) -> None:
+        """Cover one communication step [s] as the runtime does, with the same errors."""
+        h, start = communication_step, self.time if time is None else time
+        before, counters, penalty, v = self.save(), copy(self.counters), self.penalty, self.v.copy()
+        self._judged(self._scene.library.alfmu_ready(self._unit.address, start, h))
+        try:
+            self._change(penalty, v)
+            self.memory["begin"][:] = self.memory["z"]
+            if self._past:
+                self._past.reach(start, self.inputs)
+            for begin, end in self._stretches(start, start + h):
+                if begin > start:  # skip the round-off of the time of a jump
+                    self.q[:] += (begin - self.time) * self.v
+                    self.time, self._seen = begin, (None, None, None)
+                length = end - begin if (begin, end) != (start, start + h) else h
+                n = internal_steps(length, self.settings.step_size)
+                for k in range(n):
+                    self._step(begin + k * (length / n), length / n)
+        except AlfmuError:
+            self.restore(before)
+            self.counters = counters
+            raise
+        self.time = start + h
+        self._step_error = self._scene.library.alfmu_balance(self._unit.address)
+        self.counters.run_error = self._counted()["run_error"]
+        self._warn()
+
+    def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
+        """Yield intervals [s] between the times of jumps that `alfmu_ready` found."""
+        count = self._scene.library.alfmu_breaks(self._unit.address, None)
+        times = (ctypes.c_double * (2 * count))()
+        self._scene.library.alfmu_breaks(self._unit.address, times)
+        for left, right in zip((*times[::2], end), (*times[1::2], end), strict=True):
+            if left > begin:
+                yield begin, min(left, end)
+            begin = max(begin, right)
+
+    def _step(self, start: float, dt: float) -> None:
+        """Make an internal step; divide it if constraints stay open near a singular position."""
+        t, h, near = 0.0, dt, False
+        while t < dt:
+            try:
+                self._follow(start + t, h)
+                t, h = t + h, min(2 * h, dt - t - h)
+            except OpenError as error:
+                h, near = h / 2, near or self._near
+                if not near:
+                    raise
+                if h <= dt * SHORTEST:
+                    names = (c.name for c in self.equations.coordinates[:SAID])
+                    where = ", ".join(f"{name} = {x:.6g}" for name, x in zip(names, self.q, strict=False))
+                    distance = f"distance {self.margin(self.q)[1] ** 0.5:.1e}"
+                    remedy = f"no motion continues from this singular position ({distance}); reverse before it, or "
+                    remedy += "change lengths or start"
+                    raise self._error(StepError, start + t, f"locked up at {where}", remedy) from error
+
     def _follow(self, start: float, dt: float) -> None:
-        """Make one step of RK4 and its projections, all stages on the branch if one is near a singular position."""
-        n, c, t = self.equations.n, self.counters, start + dt
+        """Make a step of RK4 and commit it."""
+        e, c, t = self.equations, self.counters, start + dt
         read = self._seen[2] if start == self.time and self._seen[0] == self._key() else None
+        q, v, x, work, position, velocity = self.stepped(start, dt, read)
+        self._check_converged(t)
+        c.steps += 1
+        c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
+        self._unwrap(self.readings(q, v, np.zeros(e.n), np.zeros(e.l), self.driven, t))
+        if e.counted:  # store the angles from which the next step counts turns
+            p, begin = self.memory["p"], len(e.parameters) + e.held.index(next(iter(e.counted)))
+            angles = np.array(e.functions["counted"](q, p)).ravel()
+            p[begin : begin + len(angles)] = self.angles[len(e.wrapped) :] = angles
+        if e.timed:
+            q[-1], v[-1] = t, 1.0
+        self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work, t
 
-        def rate(t: float, y: NDArray, on_branch: bool = False) -> NDArray:
-            (q, v, _, x), u = np.split(y, parts), self._past.at(t, self.order) if self._past else self.inputs
-            u = np.concatenate([u, x])
-            if on_branch:
-                a, lam, *_ = self.accelerations_on_branch(q, v, u, t, branch.SPACING * dt)
-            else:
-                self._near = self._near or (self.continues and self.margin(q)[0])
-                a, lam = self.accelerations(q, v, u, t)[:2] if read is None or t > start else read
-            return np.concatenate(
-                [v, a, [self.power(q, v, u, t) + self.supply(q, v, a, lam, u, t)], self.state_rates(q, v, u, t)]
+    def _check_converged(self, t: float) -> None:
+        """Check the remaining changes of multiplier iterations since the last call: warn once, or raise StepError.
+
+        As in the runtime, only the formulation that continues through singular positions raises.
+        """
+        left, most, self._unfinished = self._unfinished, self.settings.max_iterations, 0.0
+        if not left:
+            return
+        penalty = float(self.get("solver.penalty"))
+        given = penalty > 0 or self._by_row
+        remedy = "use solver.penalty 0, which scales it with the masses" if given else "reduce solver.step_size"
+        remedy += ", or raise solver.max_iterations"
+        if left > UNFINISHED and given and self.continues:
+            measured = (
+                f"with solver.penalty {penalty or float(self.penalty.max()):g} the multiplier iteration still changes "
+                f"accelerations by a relative {left:.1e} after {most} passes, above the limit of {UNFINISHED:.0e}"
             )
+            raise self._error(StepError, t, measured, remedy)
+        if not self._told:
+            measured = f"an evaluation ended without convergence after {most} passes of the multiplier iteration"
+            _LOGGER.warning("%s", self._error(StepError, t, measured, remedy))
+            self._told = True
 
-        parts = [n, 2 * n, 2 * n + 1]
-        self.hold(self.q)
-        self._unfinished = 0.0
-        begin, unconverged = np.concatenate([self.q, self.v, [self.work], self.states]), c.unconverged
-        self._near = False
-        y = rk4(rate, start, begin, dt)
-        if self._near:
-            c.unconverged, self._unfinished = unconverged, 0.0
-            y = rk4(lambda t, y: rate(t, y, on_branch=True), start, begin, dt)
-        if not np.isfinite(y).all():
-            raise self._error(StepError, t, "the state is not finite")
-        q, v, work, x = np.split(y, parts)
-        if self.settings.projects:
-            self._check_length(np.abs(q - self.q)[: self.equations.dependent], q, t)
-            q, v, position, velocity = self.project(q, v, t, self._near)
-        else:
-            position, velocity = self.residues(q, v)
-        self._arrive(t, q, v, x, work[0], position, velocity)
+    def _unwrap(self, y: NDArray) -> NDArray:
+        """Move computed angles among the outputs by whole turns to the values nearest to the last ones."""
+        names = [v.name for v in self.equations.outputs]
+        places = [names.index(name) for name in self.equations.wrapped]
+        angles = self.angles[: len(places)]
+        y[places] += 2 * np.pi * np.round((angles - y[places]) / (2 * np.pi))
+        angles[:] = y[places]
+        return y
+
+    # Events -------------------------------------------------------------------------------------------------------
+
+    def _change(self, penalty: NDArray, v: NDArray) -> None:
+        """Make v (n,) consistent by an impact if the runtime added constraints to those in force by `penalty` (l,)."""
+        if (penalty != self.penalty).any():
+            self._know()
+            if (self.active & (penalty == 0)).any():
+                self.v[:] = self.impact(self.q, v)
+
+    def _penalize(self, alpha: NDArray) -> None:
+        if not self.initialized:
+            self._by_row = True
+            return super()._penalize(alpha)
+        before, v = self.penalty, self.v.copy()
+        super()._penalize(alpha)
+        return self._change(before, v)
+
+    def restore(self, state: bytes) -> None:
+        super().restore(state)
+        if self.initialized:
+            self._know()
 
     # Readings -----------------------------------------------------------------------------------------------------
 
-    @np.errstate(all="ignore")
-    def _now(self) -> Reading:
-        """Return the results of `accelerations` at this state with lam shared by joints, its kind, and its error.
+    def get(self, name: str) -> Any:
+        """Return the value of an output, input, parameter, start value or solver number."""
+        place = self._references.get(name, -1) - self._scene.first_output
+        return float(self.read()[place]) if place >= 0 else super().get(name)
 
-        The kind is 0 if lam is evaluated directly, 1 if it is a limit, and 2 at a pole, where lam is the finite part at
-        the position itself.
-        """
-        q, v, u, t = self.q, self.v, self.driven, self.time
-        margin = self.margin(q)[1]
-        near = self.continues and margin**0.5 < branch.READ_ZONE * branch.READ_DISTANCE
-        a, lam, used, left = self.accelerations(q, v, u, t)
-        lam = self.carried(q, v, a, lam) if self.settings.projects else lam
-        lost, noise = self._lost(q, v, a, lam, margin) if len(lam) else (0.0, EPS)
-        if near:
-            _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
-            with suppress(OpenError, ZeroDivisionError):  # Direct values if the motion ends before them.
-                places, found = self._beside(q, v, u, t, spacing * branch.READ_DISTANCE / rate, branch.READ_MEAN)
-                # More multipliers are equivalent at the singular position than on the branch.
-                loads = {k: self.carried(*places[k], *x[:2]) for k, x in found.items()}
-                limit, pole, magnified = branch.with_pole(loads)
-                told, fewer = magnified > 0 or not pole, branch.fewer(loads)
-                rough, coarse = (branch.with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
-                change, before = (np.abs(x).max() for x in (limit - rough, rough - coarse))
-                if margin <= self.nothing or not branch.direct_error(margin, EPS) * np.abs(limit).max() < change:
-                    a, lam = branch.mean({k: x[0] for k, x in found.items()}), limit
-                    _, C, _, xi = self.dynamics(q, v, u, t)
-                    left, largest = C @ a - xi, max(np.abs(x).max() for x in loads.values())
-                    lost = branch.limit_error(change, before, largest, magnified, noise)
-                return a, lam, max(x[2] for x in found.values()), left, 1 + pole, lost
-        return a, lam, used, left, 0, lost
+    def read(self) -> NDArray:
+        """Return all outputs, in the order of `outputs`, at this time and for the present inputs."""
+        if not self.initialized:
+            raise InputError(f"{self.name}: outputs are known after initialising")
+        if self._seen[0] != self._key():
+            self.hold(self.q)
+            self._unfinished = 0.0
+            a, lam, used, left, singular, lost = self.seen()
+            self._check_converged(self.time)
+            q, v, e = self.q, self.v, self.equations
+            y = self._unwrap(self.readings(q, v, a, lam, self.driven, self.time))
+            values = [*self.residues(q, v), self.energy(q, v), self.work, self._step_error]
+            values += [used, self.margin(q)[1] ** 0.5, singular, lost]
+            seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
+            seen = {name: x for name, x in seen.items() if name not in e.monitors}
+            came = [self._unit.get(self._references[x.name]) for x in events(e)]
+            self._seen = self._key(), np.concatenate([y, [*seen.values()], came]), (a, lam)
+            self._watch(seen, left)
+        return self._seen[1].copy()
 
-    def _lost(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, margin: float) -> tuple[float, float]:
-        """Return the error of reactions evaluated directly at this position, and the relative error of the position."""
-        e, own = self.equations, self.inverse_length
-        arms = np.array([own if c.unit == "rad" else 1.0 for c in e.coordinates])
-        (M, C, F, xi), (_, _, Phi, Cv) = self.dynamics(q, v, self.driven, self.time), self.constraints(q, v)
-        off = [float(np.linalg.norm((x / self.units)[self.active])) for x in (Phi, Cv, C @ a - xi)]
-        off[0] += EPS * self._far(q)
-        off[1:] = [x / (float(np.linalg.norm(self._sizes * y)) + TINY) for x, y in zip(off[1:], (v, a), strict=True)]
-        forces = [float(np.abs(arms * x).max()) for x in (F, C.T @ lam, F - M @ a - C.T @ lam, M @ a)]
-        masses = self.nothing / branch.NOISE_FLOOR
-        margin = max(margin - masses, masses / branch.NOISE_FLOOR)
-        return branch.reading_error(margin, EPS, off, [*forces, own * v @ M @ v]), EPS + off[0]
+    def _key(self) -> bytes:
+        """Return a key of everything that readings depend on."""
+        p = self.memory["p"]  # includes the coefficients of signals
+        return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, p, self.penalty, self.state[-1:]))
+
+    def _watch(self, seen: dict[str, float], left: NDArray) -> None:
+        """Record the largest errors; NaN for quantities without a monitor."""
+        balance = abs(seen.get("monitor.energy", math.nan) - self.energy_start - self.work)
+        found = {name: seen.get(f"monitor.{name}", math.nan) for name in ("position_error", "velocity_error")}
+        found |= {"acceleration_error": self._largest(left), "energy_error": balance}
+        for name, x in found.items():
+            setattr(self.counters, name, float(np.maximum(getattr(self.counters, name), x)))

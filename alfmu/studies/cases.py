@@ -27,8 +27,8 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FIXED
 from ..runtime import Instance
 from ..simulation import Unit, prepared, with_defaults
+from ..view.plot import require
 from . import tables
-from .charts import require
 from .reference import Reference
 from .tables import Cell, Row, write_csv
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import needs
+from ..view.plot import blank, tidy
 from .tables import Row, measured, number
 
 if TYPE_CHECKING:
@@ -41,13 +41,6 @@ class Line:
     dash: str
 
 
-def require() -> type[Figure]:
-    """Return the class of figures; raise InputError if matplotlib is missing."""
-    with needs("a picture needs matplotlib", "plot"):
-        from matplotlib.figure import Figure
-    return Figure
-
-
 def slope(x: Sequence[float], y: Sequence[float]) -> float | None:
     """Return the slope of a straight line through points on log-log scales; None for less than two points."""
     if len(set(x)) < 2:
@@ -68,8 +61,7 @@ def scatter(
 
     `floors` are errors of the reference, drawn as dashed lines.
     """
-    drawn = require()(figsize=(13.5, 8.2), layout="constrained")
-    drawn.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+    drawn = blank((13.5, 8.2), title, 14)
     labels = list(dict.fromkeys(map(label, rows)))
     for axes, quantity in zip(drawn.subplots(2, 2, sharex=True).flat, quantities, strict=True):
         for name in labels:
@@ -91,18 +83,13 @@ def scatter(
             }
             axes.annotate("error of the reference", fontsize=8, color="0.4", **text)
         axes.set_title(quantity, loc="left", fontsize=11)
-        _tidy(axes)
+        tidy(axes)
     for axes in drawn.axes[2:]:
         axes.set_xlabel(f"run time, {time}")
     lines = {name: line for axes in drawn.axes for line, name in zip(*axes.get_legend_handles_labels(), strict=True)}
     kept = [name for name in labels if name in lines]
     drawn.legend([lines[name] for name in kept], kept, loc="outside right upper", fontsize=8, frameon=False)
     return drawn
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(color="#e3e8ee", linewidth=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 @dataclass(frozen=True)
@@ -123,8 +110,7 @@ def maps(title: str, each: Sequence[Map], colours: Mapping[str, str]) -> Figure:
     width = 2 if len(each) > 1 else 1
     lines = [each[i : i + width] for i in range(0, len(each), width)]
     heights = [max(1.2 + 0.3 * len(m.rows) for m in line) for line in lines]
-    figure = require()(figsize=(7.4 * width, sum(heights) + 1.1), layout="constrained")
-    figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+    figure = blank((7.4 * width, sum(heights) + 1.1), title, 14)
     grid = figure.add_gridspec(len(lines), width, height_ratios=heights)
     for i, line in enumerate(lines):
         for k, each_map in enumerate(line):

@@ -26,9 +26,8 @@ from ..model.errors import StepError, needs
 from ..model.settings import Settings
 from ..simulation import prepared
 from ..simulation.oracle import Instance
-from ..view.plot import save
-from .charts import require
-from .tables import Cell, Row, paragraph, shown, write_csv
+from ..view.plot import require, save
+from .tables import Row, number, paragraph, shown, write_csv
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,14 +59,8 @@ DEFAULT = Settings(step_size=DT, method="rk4")
 
 ROWS = range(1, 9)
 ACCELERATIONS = (
-    "link1.angular_acceleration",
-    "link2.ax",
-    "link2.ay",
-    "link2.angular_acceleration",
-    "link3.angular_acceleration",
-    "link4.ax",
-    "link4.ay",
-    "link4.angular_acceleration",
+    *("link1.angular_acceleration", "link2.ax", "link2.ay", "link2.angular_acceleration"),
+    *("link3.angular_acceleration", "link4.ax", "link4.ay", "link4.angular_acceleration"),
 )
 """Accelerations of q = [th1 x2 y2 th2 th3 x4 y4 th4]."""
 
@@ -107,24 +100,15 @@ class Table:
 
     name: str
     title: str | None
-    columns: Sequence[str]
-    lines: Sequence[Sequence[Cell]]
+    rows: Sequence[Row]
+    """At least one; all have the same columns."""
     digits: int = 3
-
-    def __post_init__(self) -> None:
-        if len(set(self.columns)) < len(self.columns):
-            raise ValueError(f"{self.name}: columns have the same name: {', '.join(self.columns)}")
-
-    @property
-    def rows(self) -> list[Row]:
-        """Return the rows with their columns."""
-        return [dict(zip(self.columns, line, strict=True)) for line in self.lines]
 
     def markdown(self) -> str:
         """Return the rounded rows with their source; the source alone if there is no title."""
         if self.title is None:
             return f"All values: `{self.name}.csv`."
-        return shown(self.title, self.name, self.columns, self.rows, self.digits)
+        return shown(self.title, self.name, list(self.rows[0]), self.rows, self.digits)
 
 
 @dataclass
@@ -139,7 +123,7 @@ class Chapter:
     def write(self, folder: Path) -> None:
         """Write the CSV files and the pictures."""
         for table in self.tables:
-            write_csv(folder / f"{table.name}.csv", table.rows, table.columns)
+            write_csv(folder / f"{table.name}.csv", table.rows)
         for name, figure in self.pictures.items():
             save(figure, folder / name, 110)
 
@@ -331,29 +315,20 @@ def table_1(effort: Effort) -> Chapter:
             # Without projection, multipliers are read exactly as (8) left them.
             settings = replace(CLASSIC, penalty=ratio * m, max_iterations=i, tolerance=1e-16, projection=False)
             computed = run(equations, settings, 0.0, names, values).values[0]
-            rows.append((ratio, i, *_beside(closed, computed)))
-    columns = ["alpha / m", "iterations"]
-    for name in ("ax [m/s2]", "multiplier [N]", "ay [m/s2]"):
-        columns += [f"{name}, {x}" for x in ("closed form", "computed", "relative difference")]
-    given = Table(
-        "table_1_given",
-        "Particle",
-        ("m [kg]", "rho [m]", "vy [m/s]", "Fx [N]", "Fy [N]", "limit of ax [m/s2]", "limit of multiplier [N]"),
-        [(m, rho, vy, fx, fy, -(vy**2) / rho, limit)],
-        6,
-    )
+            row: Row = {"alpha / m": ratio, "iterations": i}
+            for name, x, y in zip(("ax [m/s2]", "multiplier [N]", "ay [m/s2]"), closed, computed, strict=True):
+                row |= {f"{name}, closed form": float(x), f"{name}, computed": float(y)}
+                row[f"{name}, relative difference"] = float(abs(y - x) / abs(x))
+            rows.append(row)
+    about: Row = {"m [kg]": m, "rho [m]": rho, "vy [m/s]": vy, "Fx [N]": fx, "Fy [N]": fy}
+    about |= {"limit of ax [m/s2]": -(vy**2) / rho, "limit of multiplier [N]": limit}
+    given = Table("table_1_given", "Particle", [about], 6)
     text = (
         "A particle at `(rho, 0)` of its circle. With `e = m / (m + alpha)`, iterate i of (8) is\n"
         "`ax = -vy^2/rho + e^i (Fx + m vy^2/rho) / m`, `ay = Fy / m`, `lambda = (1 - e^i) (Fx + m vy^2/rho)`."
     )
-    iterates = Table("table_1", "Iterates of (8): closed forms and computed", columns, rows, 8)
+    iterates = Table("table_1", "Iterates of (8): closed forms and computed", rows, 8)
     return Chapter("Table I: the particle on a circle", text, [given, iterates])
-
-
-def _beside(closed: NDArray, computed: NDArray) -> list[float]:
-    """Return closed form, computed value and relative difference of each quantity."""
-    differences = np.abs(computed - closed) / np.abs(closed)
-    return np.column_stack([closed, computed, differences]).ravel().tolist()
 
 
 # Figure 7 ---------------------------------------------------------------------------------------------------------
@@ -388,60 +363,43 @@ def figure_7(effort: Effort) -> Chapter:
         "second differs from the third by how far round-off carried the run off the parallelogram: close to a singular "
         "position rows of odd number magnify that, whatever the formulation."
     )
-    motion_columns = (
-        "m2 [kg]",
-        "formulation",
-        "reached [s]",
-        "singular positions passed",
-        "angle error [rad]",
-        "Phi [m]",
-        "Phi-dot [m/s]",
-        "Phi-ddot [m/s2]",
-        "energy error [J]",
-        "iterations per evaluation",
-        "corrections per step",
-        "run time [s]",
-    )
-    ways = ("in time", "at its angle", "at its q and v")
-    multiplier_columns = [f"{rows}, {way} [N]" for way in ways for rows in ("rows 2 4 6 8", "rows 1 3 5 7")]
     tables = [
-        Table("figure_7", "Largest errors of the motion, and work", motion_columns, motion),
-        Table(
-            "figure_7_multipliers",
-            "Largest errors of the multipliers",
-            ("m2 [kg]", "formulation", *multiplier_columns),
-            multipliers,
-        ),
+        Table("figure_7", "Largest errors of the motion, and work", motion),
+        Table("figure_7_multipliers", "Largest errors of the multipliers", multipliers),
         _references("figure_7", references),
         *series,
     ]
     return Chapter("Figure 7: the five-bar", text, tables, {"figure_7.png": figure})
 
 
-def _motion_row(m2: float, name: str, r: Run, th: NDArray) -> Sequence[Cell]:
+def _motion_row(m2: float, name: str, r: Run, th: NDArray) -> Row:
     c, angle = r.counters, r.values[:, 0]
-    return (
-        m2,
-        name,
-        float(r.times[-1]),
-        int(np.count_nonzero(np.diff(np.sign(np.sin(angle[1:]))))),
-        float(np.abs(angle - th[: len(angle)]).max()),
-        c.position_error,
-        c.velocity_error,
-        c.acceleration_error,
-        c.energy_error,
-        c.multiplier_iterations / c.evaluations,
-        float(np.mean(r.corrections)),
-        r.seconds,
-    )
+    return {
+        "m2 [kg]": m2,
+        "formulation": name,
+        "reached [s]": float(r.times[-1]),
+        "singular positions passed": int(np.count_nonzero(np.diff(np.sign(np.sin(angle[1:]))))),
+        "angle error [rad]": float(np.abs(angle - th[: len(angle)]).max()),
+        "Phi [m]": c.position_error,
+        "Phi-dot [m/s]": c.velocity_error,
+        "Phi-ddot [m/s2]": c.acceleration_error,
+        "energy error [J]": c.energy_error,
+        "iterations per evaluation": c.multiplier_iterations / c.evaluations,
+        "corrections per step": float(np.mean(r.corrections)),
+        "run time [s]": r.seconds,
+    }
 
 
-def _multipliers_row(equations: Equations, m2: float, name: str, r: Run, in_time: NDArray) -> Sequence[Cell]:
+def _multipliers_row(equations: Equations, m2: float, name: str, r: Run, in_time: NDArray) -> Row:
     lam = r.values[:, 2:].T
     at_its_angle = Parallelogram(m2).multipliers(r.values[:, 0], r.values[:, 1])
     own = least_norm(equations, {"g": GRAVITY, "m2": m2}, r)
-    errors = [np.abs(lam - x).max(axis=1) for x in (in_time[:, : lam.shape[1]], at_its_angle, own)]
-    return m2, name, *(float(x[rows].max()) for x in errors for rows in (slice(1, None, 2), slice(0, None, 2)))
+    ways = {"in time": in_time[:, : lam.shape[1]], "at its angle": at_its_angle, "at its q and v": own}
+    row: Row = {"m2 [kg]": m2, "formulation": name}
+    for way, x in ways.items():
+        errors = np.abs(lam - x).max(axis=1)
+        row[f"rows 2 4 6 8, {way} [N]"], row[f"rows 1 3 5 7, {way} [N]"] = errors[1::2].max(), errors[::2].max()
+    return row
 
 
 def least_norm(equations: Equations, parameters: dict[str, float], r: Run) -> NDArray:
@@ -467,15 +425,13 @@ def least_norm(equations: Equations, parameters: dict[str, float], r: Run) -> ND
 
 
 def _figure_7_series(m2: float, times: NDArray, th: NDArray, lam: NDArray, runs: dict[str, Run]) -> Table:
-    columns = ["time [s]"]
-    blocks = [times[:, None]]
-    for name, values in {
-        "reference": np.vstack([th, lam]).T,
-        **{k: _only(r, len(times)) for k, r in runs.items()},
-    }.items():
+    columns, blocks = ["time [s]"], [times[:, None]]
+    known = {"reference": np.vstack([th, lam]).T} | {k: _only(r, len(times)) for k, r in runs.items()}
+    for name, values in known.items():
         columns += [f"{name} angle [rad]", *(f"{name} multiplier[{i}] [N]" for i in ROWS)]
         blocks.append(values)
-    return Table(f"figure_7_m2_{m2:g}", None, columns, np.hstack(blocks).tolist())
+    lines = np.hstack(blocks).tolist()
+    return Table(f"figure_7_m2_{m2:g}", None, [dict(zip(columns, line, strict=True)) for line in lines])
 
 
 def _only(r: Run, length: int) -> NDArray:
@@ -523,59 +479,32 @@ def _figure_7_plot(axes: Sequence[Axes], m2: float, times: NDArray, th: NDArray,
 
 # Iterations -------------------------------------------------------------------------------------------------------
 
-Count = tuple[float, str, float, str, int, int]
-"""m2 [kg], formulation, tolerance, name of the counter, a value of it, and how often that value occurred."""
-
 
 def iterations(effort: Effort) -> Chapter:
     """Compare iterations of (8) and (10) in double precision with those reported in the paper."""
     equations = derive(load("five_bar"))
     cases = [(replace(CLASSIC, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
     cases += [(replace(DEFAULT, tolerance=tol, max_iterations=LIMIT), tol) for tol in TOLERANCES]
-    summary, claims = [], []
-    counts: list[Count] = []
+    summary, claims, counts = [], [], []
     for m2 in (1.0, 0.0):
         for settings, tol in cases:
             r = run(equations, settings, effort.counted, ["monitor.iterations"], {"m2": m2})
             used = r.values[:, 0].astype(int)
             summary.append(_iterations_row(m2, settings, r, used))
             for quantity, values in (("iterations", used), ("corrections", r.corrections)):
-                counts += [
-                    (m2, settings.formulation, tol, quantity, n, k)
-                    for n, k in sorted(Counter(map(int, values)).items())
-                ]
+                about: Row = {
+                    "m2 [kg]": m2,
+                    "formulation": settings.formulation,
+                    "tolerance": tol,
+                    "quantity": quantity,
+                }
+                counts += [about | {"count": n, "times": k} for n, k in sorted(Counter(map(int, values)).items())]
             if settings.formulation == "classic":
                 claims.append(_claim("iterations (8)", m2, tol, "1 to 3", used, 3))
             if settings.formulation == "classic" and tol == min(TOLERANCES):
                 claims.append(
                     _claim("corrections (10), positions and velocities", m2, tol, "at most 2 of each", r.corrections, 4)
                 )
-    columns = (
-        "m2 [kg]",
-        "formulation",
-        "penalty [kg]",
-        "tolerance",
-        "median iterations",
-        "90 % of states within",
-        "most iterations",
-        "states within 3 [%]",
-        "states at the limit [%]",
-        "limit",
-        "mean corrections per step",
-        "most corrections in a step",
-    )
-    claim_columns = (
-        "count",
-        "m2 [kg]",
-        "tolerance",
-        "paper",
-        "measured median",
-        "measured most",
-        "within the claim [%]",
-    )
-    histogram = Table(
-        "iterations_histogram", None, ("m2 [kg]", "formulation", "tolerance", "quantity", "count", "times"), counts
-    )
     text = (
         "Iterations of (8) at each communication point of the five-bar run, and corrections (10) after each step,\n"
         "those of positions and of velocities added up. The test on iterations is relative, |da| <= tolerance * |a|,\n"
@@ -585,28 +514,28 @@ def iterations(effort: Effort) -> Chapter:
         "the next chapter."
     )
     tables = [
-        Table("claims", "The paper's counts and the measured ones, classic", claim_columns, claims),
-        Table("iterations", "Iterations and corrections that were needed", columns, summary, 3),
-        histogram,
+        Table("claims", "The paper's counts and the measured ones, classic", claims),
+        Table("iterations", "Iterations and corrections that were needed", summary),
+        Table("iterations_histogram", None, counts),
     ]
     return Chapter("Iterations and corrections", text, tables, {"iterations.png": _iterations_plot(counts)})
 
 
-def _iterations_row(m2: float, settings: Settings, r: Run, used: NDArray) -> Sequence[Cell]:
-    return (
-        m2,
-        settings.formulation,
-        _penalty(settings),
-        settings.tolerance,
-        float(np.median(used)),
-        float(np.quantile(used, 0.9)),
-        int(used.max()),
-        100 * float(np.mean(used <= 3)),
-        100 * float(np.mean(used >= LIMIT)),
-        LIMIT,
-        float(np.mean(r.corrections)),
-        max(r.corrections),
-    )
+def _iterations_row(m2: float, settings: Settings, r: Run, used: NDArray) -> Row:
+    return {
+        "m2 [kg]": m2,
+        "formulation": settings.formulation,
+        "penalty [kg]": _penalty(settings),
+        "tolerance": settings.tolerance,
+        "median iterations": float(np.median(used)),
+        "90 % of states within": float(np.quantile(used, 0.9)),
+        "most iterations": int(used.max()),
+        "states within 3 [%]": 100 * float(np.mean(used <= 3)),
+        "states at the limit [%]": 100 * float(np.mean(used >= LIMIT)),
+        "limit": LIMIT,
+        "mean corrections per step": float(np.mean(r.corrections)),
+        "most corrections in a step": max(r.corrections),
+    }
 
 
 def _penalty(settings: Settings) -> float | str:
@@ -615,21 +544,23 @@ def _penalty(settings: Settings) -> float | str:
     return settings.penalty or "scaled"
 
 
-def _claim(count: str, m2: float, tol: float, paper: str, values: ArrayLike, most: int) -> Sequence[Cell]:
+def _claim(count: str, m2: float, tol: float, paper: str, values: ArrayLike, most: int) -> Row:
     used = np.asarray(values)
-    return count, m2, tol, paper, float(np.median(used)), int(used.max()), 100 * float(np.mean(used <= most))
+    row: Row = {"count": count, "m2 [kg]": m2, "tolerance": tol, "paper": paper}
+    row |= {"measured median": float(np.median(used)), "measured most": int(used.max())}
+    return row | {"within the claim [%]": 100 * float(np.mean(used <= most))}
 
 
-def _iterations_plot(counts: Sequence[Count]) -> Figure:
+def _iterations_plot(counts: Sequence[Row]) -> Figure:
     figure, axes = _figure((13, 6), 2, len(TOLERANCES), sharex="row", sharey="row")
     for column, tol in enumerate(TOLERANCES):
         for row, quantity in enumerate(("iterations", "corrections")):
             axis, last = axes[row, column], (16, 8)[row]
             for shift, name in ((-0.2, "classic"), (0.2, "residual")):
                 bars: Counter[int] = Counter()
-                for m2, formulation, t, what, n, k in counts:
-                    if (m2, formulation, t, what) == (1.0, name, tol, quantity):
-                        bars[min(n, last)] += k
+                for x in counts:
+                    if [*x.values()][:4] == [1.0, name, tol, quantity]:
+                        bars[min(int(number(x, "count")), last)] += int(number(x, "times"))
                 axis.bar([n + shift for n in bars], bars.values(), 0.4, color=COLOURS[name], label=name)
             axis.set_xticks(range(last + 1), [*map(str, range(last)), f"≥{last}"], fontsize=8)
             axis.set_xlim(-0.6, last + 0.6)
@@ -664,31 +595,19 @@ def accuracy(effort: Effort) -> Chapter:
                     for th, w, reference in zip(angles, rates, references, strict=True)
                 ]
                 a, lam, raw, used = np.array(errors).T
-                largest = (float(a.max()), float(lam.max()), float(raw.max()))
-                rows.append((m2, name, ratio, *largest, float(np.median(used)), int(used.max())))
-    columns = (
-        "m2 [kg]",
-        "formulation",
-        "alpha / mass",
-        "error of a",
-        "error of multipliers",
-        "the same, as iterated",
-        "median iterations",
-        "most iterations",
-    )
+                row: Row = {"m2 [kg]": m2, "formulation": name, "alpha / mass": ratio, "error of a": float(a.max())}
+                row |= {"error of multipliers": float(lam.max()), "the same, as iterated": float(raw.max())}
+                rows.append(row | {"median iterations": float(np.median(used)), "most iterations": int(used.max())})
     text = (
         "Accelerations and multipliers of the five-bar at states spread over its motion, each solved anew in many\n"
         "digits with the redundant direction held explicitly. Errors are the largest over the states, each relative\n"
         "to the largest entry of its vector. Multipliers are those of least norm, as a user reads them; `as iterated`\n"
         "is the result of the iteration of (8) before its redundant part is removed."
     )
-    given = Table(
-        "accuracy_given",
-        "Reference and states",
-        ("digits", "states", "largest entry of M [kg]", "tolerance", "limit of iterations"),
-        [(DIGITS, effort.states, 1.0, min(TOLERANCES), LIMIT)],
-    )
-    table = Table("accuracy", "Largest relative errors", columns, rows)
+    about: Row = {"digits": DIGITS, "states": effort.states, "largest entry of M [kg]": 1.0}
+    about |= {"tolerance": min(TOLERANCES), "limit of iterations": LIMIT}
+    given = Table("accuracy_given", "Reference and states", [about])
+    table = Table("accuracy", "Largest relative errors", rows)
     return Chapter("Accuracy against the penalty", text, [given, table], {"accuracy.png": _accuracy_plot(rows)})
 
 
@@ -720,16 +639,15 @@ def _errors(
     )
 
 
-def _accuracy_plot(rows: Sequence[Sequence[Cell]]) -> Figure:
+def _accuracy_plot(rows: Sequence[Row]) -> Figure:
     figure, axes = _figure((12, 4.8), 1, 2, sharey=True)
-    for axis, index, title in ((axes[0], 3, "accelerations"), (axes[1], 4, "multipliers of least norm")):
+    titles = {"error of a": "accelerations", "error of multipliers": "multipliers of least norm"}
+    for axis, (error, title) in zip(axes, titles.items(), strict=True):
         for m2, style in ((1.0, "o-"), (0.0, "s--")):
             for name in ("classic", "residual"):
-                chosen = [r for r in rows if r[0] == m2 and r[1] == name]
-                label = f"{name}, m2 = {m2:g} kg"
-                axis.loglog(
-                    [r[2] for r in chosen], [r[index] for r in chosen], style, color=COLOURS[name], ms=5, label=label
-                )
+                chosen = [r for r in rows if r["m2 [kg]"] == m2 and r["formulation"] == name]
+                x, y = ([r[column] for r in chosen] for column in ("alpha / mass", error))
+                axis.loglog(x, y, style, color=COLOURS[name], ms=5, label=f"{name}, m2 = {m2:g} kg")
         axis.axhline(np.finfo(float).eps, color="0.6", lw=0.8, ls=":")
         axis.annotate("round-off", (1e14, np.finfo(float).eps * 0.4), ha="right", va="top", fontsize=8, color="0.4")
         axis.set_title(title)
@@ -744,14 +662,8 @@ def _accuracy_plot(rows: Sequence[Sequence[Cell]]) -> Figure:
 # The four-bar through its singular positions ----------------------------------------------------------------------
 
 
-PROCEDURES = {
-    "classic": replace(CLASSIC, max_iterations=PAPER_MOST),
-    "residual": DEFAULT,
-}
+PROCEDURES = {"classic": replace(CLASSIC, max_iterations=PAPER_MOST), "residual": DEFAULT}
 """The paper's procedure, (8) stopped early, and the defaults."""
-
-Sample = tuple[str, float, float, float]
-"""Procedure, start angle [rad], time that a run reached [s], and its angle error [rad]."""
 
 
 def four_bar(effort: Effort) -> Chapter:
@@ -765,32 +677,6 @@ def four_bar(effort: Effort) -> Chapter:
             curves[name, dt] = r
             rows.append(_four_bar_row(name, settings, dt, r, exact))
     phases, samples = _phases(equations, exact, effort)
-    columns = (
-        "procedure",
-        "penalty [kg]",
-        "tolerance",
-        "limit of iterations",
-        "dt [s]",
-        "reached [s]",
-        "angle error [rad]",
-        "Phi [m]",
-        "Phi-dot [m/s]",
-        "energy error [J]",
-        "iterations per evaluation",
-        "evaluations at the limit [%]",
-        "steps left open",
-        "stopped by",
-    )
-    phase_columns = (
-        "procedure",
-        "dt [s]",
-        "starts",
-        "runs that stopped",
-        "median angle error [rad]",
-        "90 % within [rad]",
-        "largest angle error [rad]",
-        "starts above 1e-3 rad [%]",
-    )
     text = (
         "A constant torque on the first link cannot pass through the aligned links, so the reactions have a pole at "
         "`th = 0` and `th = -pi`, and (8) does not converge to the branch that is followed. The first table starts "
@@ -802,10 +688,10 @@ def four_bar(effort: Effort) -> Chapter:
     )
     times = np.arange(round(effort.driven / DT) + 1) * DT
     tables = [
-        Table("four_bar", "Start at a singular position", columns, rows),
-        Table("four_bar_phases", "The same over many start angles", phase_columns, phases),
+        Table("four_bar", "Start at a singular position", rows),
+        Table("four_bar_phases", "The same over many start angles", phases),
         _references("four_bar", [_reference_row("four_bar", 1.0, exact, times)]),
-        Table("four_bar_starts", None, ("procedure", "start angle [rad]", "reached [s]", "angle error [rad]"), samples),
+        Table("four_bar_starts", None, samples),
     ]
     pictures = {"four_bar.png": _four_bar_plot(curves, samples, exact, effort)}
     return Chapter("The driven four-bar through its singular positions", text, tables, pictures)
@@ -815,24 +701,24 @@ def _drive(equations: Equations, settings: Settings, effort: Effort, start: floa
     return run(equations, settings, effort.driven, ["link1.angle"], {"start.angle": start}, {"A.torque": TORQUE})
 
 
-def _four_bar_row(name: str, settings: Settings, dt: float, r: Run, exact: Parallelogram) -> Sequence[Cell]:
+def _four_bar_row(name: str, settings: Settings, dt: float, r: Run, exact: Parallelogram) -> Row:
     c = r.counters
-    return (
-        name,
-        _penalty(settings),
-        settings.tolerance,
-        settings.max_iterations,
-        dt,
-        float(r.times[-1]),
-        _angle_error(r, exact),
-        c.position_error,
-        c.velocity_error,
-        c.energy_error,
-        c.multiplier_iterations / c.evaluations,
-        100 * c.unconverged / c.evaluations,
-        c.unprojected,
-        r.failure or None,
-    )
+    return {
+        "procedure": name,
+        "penalty [kg]": _penalty(settings),
+        "tolerance": settings.tolerance,
+        "limit of iterations": settings.max_iterations,
+        "dt [s]": dt,
+        "reached [s]": float(r.times[-1]),
+        "angle error [rad]": _angle_error(r, exact),
+        "Phi [m]": c.position_error,
+        "Phi-dot [m/s]": c.velocity_error,
+        "energy error [J]": c.energy_error,
+        "iterations per evaluation": c.multiplier_iterations / c.evaluations,
+        "evaluations at the limit [%]": 100 * c.unconverged / c.evaluations,
+        "steps left open": c.unprojected,
+        "stopped by": r.failure or None,
+    }
 
 
 def _angle_error(r: Run, exact: Parallelogram, start: float = 0.0) -> float:
@@ -841,28 +727,32 @@ def _angle_error(r: Run, exact: Parallelogram, start: float = 0.0) -> float:
     return float(np.abs(r.values[:, 0] - exact.motion(r.times, start)[0]).max())
 
 
-def _phases(equations: Equations, exact: Parallelogram, effort: Effort) -> tuple[list[Sequence[Cell]], list[Sample]]:
+def _phases(equations: Equations, exact: Parallelogram, effort: Effort) -> tuple[list[Row], list[Row]]:
     """Return errors over many starts: a summary by procedure, and every run."""
-    summary: list[Sequence[Cell]] = []
-    samples: list[Sample] = []
+    summary: list[Row] = []
+    samples: list[Row] = []
     for name, settings in PROCEDURES.items():
-        errors, stopped = [], 0
-        for start in np.linspace(-LUCK, LUCK, effort.phases):
-            r = _drive(equations, settings, effort, float(start))
-            error = _angle_error(r, exact, float(start))
-            samples.append((name, float(start), float(r.times[-1]) if len(r.times) else 0.0, error))
-            if r.failure:
-                stopped += 1
-            else:
-                errors.append(error)
-        above = 100 * float(np.mean(np.array(errors) > 1e-3))
-        spread = [float(x) for x in np.quantile(errors, (0.5, 0.9, 1.0))]
-        summary.append((name, DT, effort.phases, stopped, *spread, above))
+        errors = []
+        for start in np.linspace(-LUCK, LUCK, effort.phases).tolist():
+            r = _drive(equations, settings, effort, start)
+            error, reached = _angle_error(r, exact, start), float(r.times[-1]) if len(r.times) else 0.0
+            row: Row = {"procedure": name, "start angle [rad]": start, "reached [s]": reached}
+            samples.append(row | {"angle error [rad]": error})
+            errors += [] if r.failure else [error]
+        middle, most, largest = (float(x) for x in np.quantile(errors, (0.5, 0.9, 1.0)))
+        row = {
+            "procedure": name,
+            "dt [s]": DT,
+            "starts": effort.phases,
+            "runs that stopped": effort.phases - len(errors),
+        }
+        row |= {"median angle error [rad]": middle, "90 % within [rad]": most, "largest angle error [rad]": largest}
+        summary.append(row | {"starts above 1e-3 rad [%]": 100 * float(np.mean(np.array(errors) > 1e-3))})
     return summary, samples
 
 
 def _four_bar_plot(
-    curves: dict[tuple[str, float], Run], samples: Sequence[Sample], exact: Parallelogram, effort: Effort
+    curves: dict[tuple[str, float], Run], samples: Sequence[Row], exact: Parallelogram, effort: Effort
 ) -> Figure:
     figure, axes = _figure((15, 4.8), 1, 3)
     times = np.arange(round(effort.driven / DT) + 1) * DT
@@ -882,12 +772,11 @@ def _four_bar_plot(
     axes[1].legend(fontsize=8, loc="upper left", ncols=2)  # above the curves
     marks = {"classic": "s", "residual": "o"}
     for name in PROCEDURES:
-        done = [s for s in samples if s[0] == name and s[2] > effort.driven - DT / 2]
-        stopped = sum(s[0] == name for s in samples) - len(done)
-        label = f"{name} ({stopped} stopped)"
-        axes[2].semilogy(
-            [s[1] for s in done], [s[3] for s in done], marks[name], color=COLOURS[name], ms=5, label=label, mfc="none"
-        )
+        own = [s for s in samples if s["procedure"] == name]
+        done = [s for s in own if number(s, "reached [s]") > effort.driven - DT / 2]
+        x, y = ([s[column] for s in done] for column in ("start angle [rad]", "angle error [rad]"))
+        label = f"{name} ({len(own) - len(done)} stopped)"
+        axes[2].semilogy(x, y, marks[name], color=COLOURS[name], ms=5, label=label, mfc="none")
     axes[2].set(title=f"many starts, dt = {DT:g} s", xlabel="start angle [rad]", ylabel="largest angle error [rad]")
     axes[2].set_ylim(1e-6, 30)
     axes[2].set_xticks(np.linspace(-LUCK, LUCK, 5))
@@ -900,16 +789,17 @@ def _four_bar_plot(
 # The references' own errors ---------------------------------------------------------------------------------------
 
 
-def _reference_row(name: str, m2: float, exact: Parallelogram, times: NDArray) -> Sequence[Cell]:
+def _reference_row(name: str, m2: float, exact: Parallelogram, times: NDArray) -> Row:
     th, w = exact.motion(times)
     finer, _ = exact.motion(times, largest=0.004)
     energy = exact.energy(th, w)
-    return name, m2, float(np.abs(th - finer).max()), float(np.abs(energy - energy[0]).max())
+    row: Row = {"mechanism": name, "m2 [kg]": m2}
+    row["change of angle with finer steps [rad]"] = float(np.abs(th - finer).max())
+    return row | {"energy drift [J]": float(np.abs(energy - energy[0]).max())}
 
 
-def _references(name: str, rows: list[Sequence[Cell]]) -> Table:
-    columns = ("mechanism", "m2 [kg]", "change of angle with finer steps [rad]", "energy drift [J]")
-    return Table(f"{name}_reference", "Error of the reference itself (DOP853)", columns, rows)
+def _references(name: str, rows: list[Row]) -> Table:
+    return Table(f"{name}_reference", "Error of the reference itself (DOP853)", rows)
 
 
 # The study --------------------------------------------------------------------------------------------------------
@@ -943,17 +833,18 @@ LIMITS = """\
 
 def settings(effort: Effort) -> Table:
     """Return the settings of the study."""
-    rows = [
-        ("gravity [m/s2]", GRAVITY),
-        ("start rate [rad/s]", RATE),
-        ("five-bar: stop time [s]", effort.stop),
-        ("five-bar: stop time where iterations are counted [s]", effort.counted),
-        ("five-bar: step [s]", DT),
-        ("penalty of classic [kg]", ALPHA),
-        ("default tolerance", DEFAULT.tolerance),
-        ("default limit of iterations", DEFAULT.max_iterations),
-        ("four-bar: torque on link 1 [N m]", TORQUE),
-        ("four-bar: stop time [s]", effort.driven),
-        ("four-bar: limit of iterations of classic", PAPER_MOST),
-    ]
-    return Table("paper_settings", "Numbers of the study", ("quantity", "value"), rows, 6)
+    values = {
+        "gravity [m/s2]": GRAVITY,
+        "start rate [rad/s]": RATE,
+        "five-bar: stop time [s]": effort.stop,
+        "five-bar: stop time where iterations are counted [s]": effort.counted,
+        "five-bar: step [s]": DT,
+        "penalty of classic [kg]": ALPHA,
+        "default tolerance": DEFAULT.tolerance,
+        "default limit of iterations": DEFAULT.max_iterations,
+        "four-bar: torque on link 1 [N m]": TORQUE,
+        "four-bar: stop time [s]": effort.driven,
+        "four-bar: limit of iterations of classic": PAPER_MOST,
+    }
+    rows: list[Row] = [{"quantity": name, "value": value} for name, value in values.items()]
+    return Table("paper_settings", "Numbers of the study", rows, 6)

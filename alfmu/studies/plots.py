@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..view.plot import GRID
 from .charts import LEAST, Line
 from .looks import LOOKS, integrator, line_of
 from .tables import Row, number
@@ -31,7 +32,7 @@ BAR = 30
 """Height of the plotly toolbar, below which the buttons are [px]."""
 
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1c2733"}
-GRID, FAINT = "#e3e8ee", "#6b7680"
+FAINT = "#6b7680"
 
 
 def against_time(
@@ -48,7 +49,7 @@ def against_time(
     """
     own = [r for r in rows if r["code"] == "alfmu"]
     kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (style_by, group))
-    figure = _panels(quantities, 2, f"run time, {time}")
+    figure = _log_panels(quantities, 2, f"run time, {time}")
     data = figure["data"]
     of: list[str | None] = []
     """Group of each trace."""
@@ -95,9 +96,9 @@ def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float]
 
     In the panel of the axis `equal`, a dashed line marks equality with the tolerance.
     """
-    figure = _panels([f"{quantity} over {axis.split(' ')[0]}" for axis in panels], len(panels), None)
+    figure = _log_panels([f"{quantity} over {axis.split(' ')[0]}" for axis in panels], len(panels), None)
     for i, (axis, rows) in enumerate(panels.items()):
-        figure["layout"][f"xaxis{_number(i)}"]["title"] = {"text": axis}
+        figure["layout"][f"xaxis{number_of(i)}"]["title"] = {"text": axis}
         for name in dict.fromkeys(map(integrator, rows)):
             known = [r for r in rows if integrator(r) == name and _drawn(r.get(quantity))]
             if known:
@@ -113,20 +114,22 @@ def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float]
 
 def _equal(figure: Figure, i: int) -> None:
     """Add a faint line on which the error of panel i equals the tolerance."""
-    x = sorted({value for trace in figure["data"] if trace["xaxis"] == f"x{_number(i)}" for value in trace["x"]})
+    x = sorted({value for trace in figure["data"] if trace["xaxis"] == f"x{number_of(i)}" for value in trace["x"]})
     if x:
         line = {"color": FAINT, "dash": "dash", "width": 1}
-        place = {"xref": f"x{_number(i)}", "yref": f"y{_number(i)}", "x0": x[0], "x1": x[-1], "y0": x[0], "y1": x[-1]}
+        at = {"xref": f"x{number_of(i)}", "yref": f"y{number_of(i)}"}
+        place = {**at, "x0": x[0], "x1": x[-1], "y0": x[0], "y1": x[-1]}
         figure["layout"]["shapes"].append({"type": "line", **place, "line": line})
 
 
 def _scaled(figure: Figure) -> None:
     """Set the error axes of each panel to whole decades, ignoring values above MOST."""
     for i in range(sum(key.startswith("yaxis") for key in figure["layout"])):
-        values = [y for trace in figure["data"] if trace["yaxis"] == f"y{_number(i)}" for y in trace["y"] if y <= MOST]
+        own = [trace for trace in figure["data"] if trace["yaxis"] == f"y{number_of(i)}"]
+        values = [y for trace in own for y in trace["y"] if y <= MOST]
         if values:
             low, high = math.floor(math.log10(min(values)) - 0.1), math.ceil(math.log10(max(values)) + 0.1)
-            figure["layout"][f"yaxis{_number(i)}"]["range"] = [min(low, high - DECADES), high]
+            figure["layout"][f"yaxis{number_of(i)}"]["range"] = [min(low, high - DECADES), high]
 
 
 LINE_OF_OTHERS = Line("-", "solid")
@@ -142,7 +145,8 @@ def _about(row: Row) -> str:
     return f"{row['code']}, {row['formulation']}, {row['way']} ({row['language']})<br>{value}{steps}"
 
 
-def _number(i: int) -> str:
+def number_of(i: int) -> str:
+    """Return the number of panel i in the names of its axes; the first has none."""
     return str(i + 1) if i else ""
 
 
@@ -156,8 +160,8 @@ def _trace(
         "mode": "lines+markers",
         "x": x,
         "y": y,
-        "xaxis": f"x{_number(i)}",
-        "yaxis": f"y{_number(i)}",
+        "xaxis": f"x{number_of(i)}",
+        "yaxis": f"y{number_of(i)}",
         "name": name,
         "showlegend": legend,
         "text": about,
@@ -172,46 +176,46 @@ def _trace(
     }
 
 
-def _panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
-    """Return a figure with empty log-log panels, `across` in a row."""
+def panels(
+    titles: Sequence[str], across: int, sides: tuple[float, float], between: tuple[float, float], axis: dict[str, Any]
+) -> Figure:
+    """Return a figure with empty panels, `across` in a row.
+
+    `sides` are heights of the margins above all panels and of a row [px], `between` the shares of width and height of
+    the figure between panels, `axis` the attributes of all axes.
+    """
     down = math.ceil(len(titles) / across)
-    width, height = (1 - GAP * (across - 1)) / across, (1 - GAP * (down - 1)) / down
-    layout: dict[str, Any] = {
-        "font": FONT,
-        "height": 90 + 330 * down,
-        "margin": {"l": 60, "r": 20, "t": 90, "b": 55},
-        "plot_bgcolor": "white",
-        "hovermode": "closest",
-        "legend": {"font": {"size": 12}, "groupclick": "togglegroup", "itemwidth": 50, "x": 1.02, "y": 1},
-        "annotations": [],
-        "shapes": [],
-    }
-    axis = {
-        "type": "log",
-        "gridcolor": GRID,
-        "exponentformat": "power",
-        "dtick": 1,
-        "zeroline": False,
-        "ticks": "outside",
-    }
+    width, height = (1 - between[0] * (across - 1)) / across, (1 - between[1] * (down - 1)) / down
+    layout: dict[str, Any] = {"font": FONT, "height": sides[0] + sides[1] * down, "plot_bgcolor": "white"}
+    layout |= {"hovermode": "closest", "annotations": [], "shapes": []}
     for i, title in enumerate(titles):
-        column, row = i % across, i // across
-        left, top = column * (width + GAP), 1 - row * (height + GAP)
-        n = _number(i)
+        left, top, n = i % across * (width + between[0]), 1 - i // across * (height + between[1]), number_of(i)
         layout[f"xaxis{n}"] = {**axis, "domain": [left, min(1.0, left + width)], "anchor": f"y{n}"}
-        layout[f"yaxis{n}"] = {**axis, "domain": [max(0.0, top - height), top], "anchor": f"x{n}", "dtick": None}
-        if x_title and row == down - 1:
-            layout[f"xaxis{n}"]["title"] = {"text": x_title}
-        if x_title and i:
-            layout[f"xaxis{n}"]["matches"] = "x"
+        layout[f"yaxis{n}"] = {**axis, "domain": [max(0.0, top - height), top], "anchor": f"x{n}"}
         place = {"xref": "paper", "yref": "paper", "x": left, "y": top, "xanchor": "left", "yanchor": "bottom"}
         layout["annotations"].append({**place, "text": f"<b>{title}</b>", "showarrow": False})
     return {"data": [], "layout": layout}
 
 
+def _log_panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
+    """Return a figure with empty log-log panels, `across` in a row."""
+    axis = {"type": "log", "gridcolor": GRID, "exponentformat": "power", "dtick": 1, "zeroline": False}
+    figure = panels(titles, across, (90, 330), (GAP, GAP), {**axis, "ticks": "outside"})
+    layout = figure["layout"]
+    layout["margin"] = {"l": 60, "r": 20, "t": 90, "b": 55}
+    layout["legend"] = {"font": {"size": 12}, "groupclick": "togglegroup", "itemwidth": 50, "x": 1.02, "y": 1}
+    for i in range(len(titles)):
+        layout[f"yaxis{number_of(i)}"]["dtick"] = None
+        if x_title and i // across == (len(titles) - 1) // across:
+            layout[f"xaxis{number_of(i)}"]["title"] = {"text": x_title}
+        if x_title and i:
+            layout[f"xaxis{number_of(i)}"]["matches"] = "x"
+    return figure
+
+
 def _floor(layout: dict[str, Any], i: int, value: float) -> None:
     """Add a dashed line at the error of the reference."""
-    n = _number(i)
+    n = number_of(i)
     at = {"xref": f"x{n} domain", "yref": f"y{n}"}
     line = {"color": FAINT, "dash": "dash", "width": 1}
     layout["shapes"].append({"type": "line", **at, "x0": 0, "x1": 1, "y0": value, "y1": value, "line": line})

@@ -236,11 +236,7 @@ TUNED = (
     ),
     *(
         _tuned("SciPy stabilised", x, values, partial(peers.by_scipy, method=x), _INDEX_1, TOLERANCE)
-        for x, values in (
-            ("DOP853", _every([10.0**-k for k in range(5, 12)])),
-            ("RK45", _TIGHT),
-            ("LSODA", _TIGHT),
-        )
+        for x, values in (("DOP853", _every([10.0**-k for k in range(5, 12)])), ("RK45", _TIGHT), ("LSODA", _TIGHT))
     ),
 )
 """Codes that are tuned to a mechanism, each with the best settings of those tried (`peers.USAGE`)."""

@@ -25,20 +25,7 @@ from ..simulation import prepared
 from ..view.plot import save
 from . import cases
 from . import reference as exact
-from .cases import (
-    ENERGY,
-    PHI,
-    POSITION,
-    Case,
-    Judge,
-    Progress,
-    Run,
-    begin,
-    methods,
-    restarting,
-    run,
-    scene,
-)
+from .cases import ENERGY, PHI, POSITION, Case, Judge, Progress, Run, begin, methods, restarting, run, scene
 from .charts import Map, maps
 from .tables import Row, markdown, measured, number, paragraph, shown, write_csv
 

@@ -10,7 +10,6 @@ import platform
 import subprocess
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -33,25 +32,6 @@ def number(row: Row, name: str) -> float:
     if value is None:
         raise TypeError(f"{name} is {row.get(name)!r}, not a number")
     return value
-
-
-@dataclass(frozen=True)
-class Chapter:
-    """A part of a report: a heading, an introduction, and tables of selected columns of one CSV file."""
-
-    heading: str
-    introduction: str
-    tables: Mapping[str, Sequence[str]]
-    """Columns by title."""
-
-    def write(self, path: Path, rows: Sequence[Row]) -> None:
-        """Write the CSV file with all columns of the rows and of the tables."""
-        write_csv(path, rows, [name for columns in self.tables.values() for name in columns])
-
-    def markdown(self, name: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
-        """Return the chapter in Markdown; `name` is that of its CSV file, without the suffix."""
-        tables = [shown(title, name, columns, rows) for title, columns in self.tables.items()]
-        return "\n\n".join([self.heading, paragraph(self.introduction), *notes, *tables])
 
 
 def paragraph(text: str) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..studies.plots import FAINT, FONT, GRID, Figure
+from ..studies.plots import FAINT, FONT, Figure, number_of, panels
+from ..view.plot import GRID
 from .summary import QUANTILES, Spread
 
 Column = NDArray[np.float64]
@@ -27,37 +27,17 @@ BINS = 40
 
 def _panels(titles: Sequence[str], across: int, row: int = ROW) -> Figure:
     """Return a figure with empty panels, `across` in a row."""
-    down = math.ceil(len(titles) / across)
-    layout: dict[str, Any] = {
-        "font": FONT,
-        "height": 95 + row * down,
-        "margin": {"l": 70, "r": 20, "t": 65, "b": 55},
-        "plot_bgcolor": "white",
-        "hovermode": "closest",
-        "showlegend": False,
-        "annotations": [],
-    }
-    gap, between = 0.09 if across < 4 else 0.05, 0.3 / down
-    width, height = (1 - gap * (across - 1)) / across, (1 - between * (down - 1)) / down
-    for i, title in enumerate(titles):
-        left, top = i % across * (width + gap), 1 - i // across * (height + between)
-        n = _number(i)
-        axis = {"gridcolor": GRID, "zeroline": False, "ticks": "outside", "tickcolor": GRID, "linecolor": FAINT}
-        layout[f"xaxis{n}"] = {**axis, "domain": [left, min(1.0, left + width)], "anchor": f"y{n}"}
-        layout[f"yaxis{n}"] = {**axis, "domain": [max(0.0, top - height), top], "anchor": f"x{n}"}
-        place = {"xref": "paper", "yref": "paper", "x": left, "y": top, "xanchor": "left", "yanchor": "bottom"}
-        layout["annotations"].append(
-            {**place, "text": f"<b>{title}</b>", "showarrow": False, "yshift": 4, "font": {"size": 12}}
-        )
-    return {"data": [], "layout": layout}
-
-
-def _number(i: int) -> str:
-    return str(i + 1) if i else ""
+    between = 0.09 if across < 4 else 0.05, 0.3 / math.ceil(len(titles) / across)
+    axis = {"gridcolor": GRID, "zeroline": False, "ticks": "outside", "tickcolor": GRID, "linecolor": FAINT}
+    figure = panels(titles, across, (95, row), between, axis)
+    figure["layout"] |= {"margin": {"l": 70, "r": 20, "t": 65, "b": 55}, "showlegend": False}
+    for title in figure["layout"]["annotations"]:
+        title |= {"yshift": 4, "font": {"size": 12}}
+    return figure
 
 
 def _axes(i: int) -> dict[str, str]:
-    return {"xaxis": f"x{_number(i)}", "yaxis": f"y{_number(i)}"}
+    return {"xaxis": f"x{number_of(i)}", "yaxis": f"y{number_of(i)}"}
 
 
 def _named(name: str, unit: str) -> str:
@@ -90,7 +70,7 @@ def bands(time: Column, columns: dict[str, Column], units: Sequence[str], worst:
         ]
         line = {"color": WORST, "width": 1.2, "dash": "dot"}
         figure["data"].append({**common, "y": _plain(values[worst[name]]), "line": line, "name": "largest magnitude"})
-        figure["layout"][f"xaxis{_number(i)}"]["title"] = {"text": "time [s]", "standoff": 4}
+        figure["layout"][f"xaxis{number_of(i)}"]["title"] = {"text": "time [s]", "standoff": 4}
     figure["layout"] |= {"showlegend": True, "hovermode": "x unified"}
     place = {"x": 0, "xanchor": "left", "y": 0.995, "yanchor": "top", "yref": "container"}
     figure["layout"]["legend"] = {"orientation": "h", "traceorder": "normal", **place}
@@ -101,7 +81,6 @@ def bands(time: Column, columns: dict[str, Column], units: Sequence[str], worst:
 def histograms(columns: dict[str, Column], spreads: Sequence[Spread]) -> Figure:
     """Plot distributions of measures, with quantiles."""
     figure = _panels([_named(s.name, s.unit) for s in spreads], min(3, len(spreads)), 240)
-    figure["layout"]["shapes"] = []
     for i, (s, values) in enumerate(zip(spreads, columns.values(), strict=True)):
         known = values[np.isfinite(values)]
         counts, edges = np.histogram(known, min(BINS, max(5, int(math.sqrt(len(known))))))
@@ -111,9 +90,9 @@ def histograms(columns: dict[str, Column], spreads: Sequence[Spread]) -> Figure:
         figure["data"].append({**bar, **look, **_axes(i), "hovertemplate": "%{x:.4g}: %{y} cases<extra></extra>"})
         for q, x in zip(QUANTILES, s.quantiles, strict=True):
             line = {"color": INK, "width": 2 if q == 0.5 else 1, "dash": "solid" if q == 0.5 else "dot"}
-            at = {"xref": f"x{_number(i)}", "yref": f"y{_number(i)} domain", "x0": x, "x1": x, "y0": 0, "y1": 1}
+            at = {"xref": f"x{number_of(i)}", "yref": f"y{number_of(i)} domain", "x0": x, "x1": x, "y0": 0, "y1": 1}
             figure["layout"]["shapes"].append({"type": "line", **at, "line": line})
-        figure["layout"][f"yaxis{_number(i)}"]["title"] = {"text": "cases" if i % 3 == 0 else "", "standoff": 4}
+        figure["layout"][f"yaxis{number_of(i)}"]["title"] = {"text": "cases" if i % 3 == 0 else "", "standoff": 4}
     return figure
 
 
@@ -131,16 +110,16 @@ def scatter(
             about = {"customdata": cases.tolist(), "marker": {"color": POINT, "size": size}}
             said = f"case %{{customdata}}<br>{other} %{{x:.4g}}<br>{name} %{{y:.4g}}<extra></extra>"
             figure["data"].append({**trace, **about, "hovertemplate": said})
-            n = _number(i)
+            n = number_of(i)
             if c == 0:
                 text = _named(name, units.get(name, "")).replace(" [", "<br>[")
                 figure["layout"][f"yaxis{n}"]["title"] = {"text": text, "font": {"size": 12}, "standoff": 4}
             else:
-                figure["layout"][f"yaxis{n}"] |= {"matches": f"y{_number(k * across)}", "showticklabels": False}
+                figure["layout"][f"yaxis{n}"] |= {"matches": f"y{number_of(k * across)}", "showticklabels": False}
             if k == len(kept) - 1:
                 figure["layout"][f"xaxis{n}"]["title"] = {"text": _named(other, units.get(other, ""))}
             if k:
-                figure["layout"][f"xaxis{n}"]["matches"] = f"x{_number(c)}"
+                figure["layout"][f"xaxis{n}"]["matches"] = f"x{number_of(c)}"
             i += 1
     figure["layout"]["margin"]["l"] = 95
     figure["layout"]["annotations"] = []

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import needs
-from ..view.plot import COLORS
+from ..view.plot import COLORS, blank, tidy
 from .case import Case
 
 if TYPE_CHECKING:
@@ -25,11 +24,7 @@ def figure(
 
     Raises InputError if matplotlib is missing.
     """
-    with needs("a plot needs matplotlib", "plot"):
-        from matplotlib.figure import Figure
-    drawn = Figure(figsize=(9.6, 4.2), layout="constrained")
-    title = f"{name.replace('_', ' ')}: cost of coupling"
-    drawn.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
+    drawn = blank((9.6, 4.2), f"{name}: cost of coupling")
     error, energy = drawn.subplots(1, 2)
     masters = list(orders)
     for master in masters:
@@ -68,10 +63,7 @@ def figure(
     energy.set_xlabel("time [s]", fontsize=9)
     energy.set_ylabel("energy created by coupling [J]", fontsize=9)
     for axes in (error, energy):
-        axes.grid(color="#e3e8ee", linewidth=0.8)
-        axes.set_axisbelow(True)
-        axes.tick_params(labelsize=8)
-        axes.spines[["top", "right"]].set_visible(False)
+        tidy(axes)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(frameon=False, fontsize=8, loc="best")
     return drawn

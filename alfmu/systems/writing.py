@@ -179,9 +179,7 @@ def _described(
             )
             if changed:
                 _element(
-                    one,
-                    "ssc:LinearTransformation",
-                    {"factor": _written(each.factor), "offset": _written(each.offset)},
+                    one, "ssc:LinearTransformation", {"factor": _written(each.factor), "offset": _written(each.offset)}
                 )
     _units(root, "ssd", [p for _, p in ends])
     span = {"startTime": _written(system.start_time), "stopTime": _written(system.stop_time)}

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.errors import needs
-from .plot import COLORS
+from .plot import COLORS, blank, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,10 +23,7 @@ def figure(values: Sequence[NDArray[np.complex128]], times: Sequence[float], nam
 
     The unstable half plane is shaded; dotted lines show damping ratios. Raises InputError if matplotlib is missing.
     """
-    with needs("a plot needs matplotlib", "plot"):
-        from matplotlib.figure import Figure
-    drawn = Figure(figsize=(5.6, 4.6), layout="constrained")
-    drawn.suptitle(name.replace("_", " "), x=0.01, ha="left", fontsize=11, fontweight="bold")
+    drawn = blank((5.6, 4.6), name)
     axes = drawn.subplots()
     every = np.concatenate(list(values)) if values else np.zeros(0)
     reach = 1.15 * max(np.abs(every).max(initial=0.0), 1e-9)
@@ -51,8 +47,5 @@ def figure(values: Sequence[NDArray[np.complex128]], times: Sequence[float], nam
     axes.set_ylim(-reach, reach)
     axes.set_xlabel("real part [1/s]: decays to the left, grows to the right", fontsize=9)
     axes.set_ylabel("imaginary part [rad/s]", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.grid(color="#e3e8ee", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     return drawn

@@ -185,8 +185,8 @@ def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64
 
 
 def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vertices of a piece between two points: z scales from 0 to 1, x and y by radii of a coil, metres of
-    a rod."""
+    """Return the places of vertices of a piece between two points: z is 0 at the first and 1 at the second; x and y are
+    in radii of a coil, in metres for a rod."""
     start, end = (place_of(poses, at) for at in piece.at)
     way = end - start
     length = float(np.linalg.norm(way)) or 1e-12

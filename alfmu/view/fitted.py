@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.errors import needs
 from ..simulation.result import Result
-from .plot import COLORS
+from .plot import COLORS, blank, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,11 +22,8 @@ def figure(data: Result, result: Result, names: Sequence[str]) -> Figure:
 
     Raises InputError if matplotlib is missing.
     """
-    with needs("a plot needs matplotlib", "plot"):
-        from matplotlib.figure import Figure
     shown = list(names)[:MOST]
-    drawn = Figure(figsize=(7.2, 0.7 + 2.6 * len(shown)), layout="constrained")
-    drawn.suptitle(f"{result.mechanism.replace('_', ' ')}: fit", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    drawn = blank((7.2, 0.7 + 2.6 * len(shown)), f"{result.mechanism}: fit")
     grid = drawn.subplots(2 * len(shown), 1, sharex=True, squeeze=False, height_ratios=[3, 1] * len(shown))[:, 0]
     for name, over, under, color in zip(shown, grid[::2], grid[1::2], COLORS, strict=False):
         unit = result.units[name]
@@ -42,9 +38,7 @@ def figure(data: Result, result: Result, names: Sequence[str]) -> Figure:
         under.set_ylim(-reach, reach)
         under.set_ylabel(f"left\n[{unit}]", fontsize=9)
         for axes in (over, under):
-            axes.tick_params(labelsize=8)
-            axes.grid(alpha=0.25, linewidth=0.6)
-            axes.spines[["top", "right"]].set_visible(False)
+            tidy(axes)
     grid[-1].set_xlabel("time [s]", fontsize=9)
     drawn.align_ylabels()
     if len(names) > len(shown):

@@ -71,10 +71,7 @@ def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
         if pivot.kind in SLIDING:
             low, high = view.travel[pivot.name]
             rail = [
-                Spot(
-                    pivot.first.frame,
-                    *(o + end * a / length for o, a in zip(xyz(pivot.first), axis, strict=True)),
-                )
+                Spot(pivot.first.frame, *(o + end * a / length for o, a in zip(xyz(pivot.first), axis, strict=True)))
                 for end in (low - 6 * unit, high + 6 * unit)
             ]
             if not any(_inside(rail, piece, unit) for piece in pieces):

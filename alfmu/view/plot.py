@@ -47,6 +47,8 @@ METADATA = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"Creati
 COLORS = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680")
 """Colours of bodies and joints, in the order of the result."""
 
+GRID = "#e3e8ee"
+
 DASHES, MARKERS = ("-", "--", "-.", ":"), "os^Dv<>P"
 
 KINDS = {
@@ -126,6 +128,28 @@ def save(drawn: Figure, path: Path, dpi: float) -> None:
         drawn.savefig(file, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
 
 
+def require() -> type[Figure]:
+    """Return the class of figures; raise InputError if matplotlib is missing."""
+    with needs("a plot needs matplotlib", "plot"):
+        from matplotlib.figure import Figure
+    return Figure
+
+
+def blank(size: tuple[float, float], title: str, fontsize: float = 11) -> Figure:
+    """Return a figure of a size [inch] with a title alone."""
+    drawn = require()(figsize=size, layout="constrained")
+    drawn.suptitle(title.replace("_", " "), x=0.01, ha="left", fontsize=fontsize, fontweight="bold")
+    return drawn
+
+
+def tidy(axes: Axes) -> None:
+    """Add a faint grid below the lines, and remove the frame above and on the right."""
+    axes.grid(color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
 def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
     """Return the matplotlib figure of a result over time [s]: a column of panels, and a caption on omitted columns.
 
@@ -134,14 +158,11 @@ def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
     with the same values share a line. Raises InputError if no column matches one of `names`, or if matplotlib is
     missing.
     """
-    with needs("a plot needs matplotlib", "plot"):
-        from matplotlib.figure import Figure
     if names is None:
         panels, caption = _chosen(result)
     else:
         panels, caption = _panels(result, [_column(result, name) for name in _matching(result, names)]), ""
-    drawn = Figure(figsize=(7.2, 0.7 + 1.75 * len(panels)), layout="constrained")
-    drawn.suptitle(result.mechanism.replace("_", " "), x=0.01, ha="left", fontsize=11, fontweight="bold")
+    drawn = blank((7.2, 0.7 + 1.75 * len(panels)), result.mechanism)
     grid = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(grid, panels, strict=True):
         _draw(axes, result, panel)
@@ -328,10 +349,8 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
         if high - low < 1e-6 * max(abs(high), abs(low)):  # this is round-off
             axes.set_ylim(low - 1e-6 * abs(low), high + 1e-6 * abs(high))
     axes.set_ylabel(panel.label, fontsize=9)
-    axes.tick_params(labelsize=8)
     axes.margins(x=0)
-    axes.grid(color="#e3e8ee", linewidth=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
     scale = 3 if logarithmic else 1
     axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35, markerscale=scale)

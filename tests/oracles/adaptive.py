@@ -362,9 +362,17 @@ class Adaptive:
 
         def correct(tangents: list, residues: list[NDArray]) -> list[NDArray]:
             self.counts["newton"] += 1
-            parts = [(np.concatenate([r[:n], np.zeros(count)]), r[n:]) for r in residues]
-            found = implicit.corrected(rule, dt, tangents, parts, np.eye(n + count), _joined, np.split, np.linalg.solve)
-            return [np.concatenate([dq[:n], dv]) for dq, dv in found]
+            rq, rv = (
+                np.array(x) for x in zip(*((np.append(r[:n], np.zeros(count)), r[n:]) for r in residues), strict=True)
+            )
+            h, eye = dt * np.array(rule.matrix), np.eye(n + count)
+            blocks = [
+                [(i == j) * eye - h[i, j] * av - (h @ h)[i, j] * aq for j in range(len(h))]
+                for i, (aq, av) in enumerate(tangents)
+            ]
+            right = [rv[i] + aq @ (h @ rq)[i] for i, (aq, _) in enumerate(tangents)]
+            dv = np.linalg.solve(np.block(blocks), np.concatenate(right)).reshape(rv.shape)
+            return list(np.hstack([(rq + h @ dv)[:, :n], dv]))
 
         changed: list[float] = []
 
@@ -458,9 +466,9 @@ class Adaptive:
         n, count = len(self.q), len(self.x)
 
         def solve(s: float, r: NDArray) -> NDArray:
-            places = np.concatenate([r[:n], np.zeros(count)])
-            dq, dv = implicit.solved(s, *tangents, places, r[n:], np.eye(n + count), np.linalg.solve)
-            return np.concatenate([dq[:n], dv])
+            (aq, av), rq = tangents, np.append(r[:n], np.zeros(count))
+            dv = np.linalg.solve(np.eye(n + count) - s * av - s * s * aq, r[n:] + s * (aq @ rq))
+            return np.append((rq + s * dv)[:n], dv)
 
         return solve
 
@@ -491,8 +499,3 @@ class Adaptive:
 
 class _Near(Exception):
     """A stage is near a singular position."""
-
-
-def _joined(blocks: list[list[NDArray]]) -> NDArray:
-    """A matrix of blocks, or a vector of parts."""
-    return np.block(blocks) if np.ndim(blocks[0][0]) > 1 else np.concatenate([x for row in blocks for x in row])

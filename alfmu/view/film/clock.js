@@ -1,5 +1,5 @@
 "use strict";
-// What every film begins with: its data, its controls, the instants on both sides of a time.
+// Common to all films: data, controls, and the instants on both sides of a time.
 const film = JSON.parse(document.getElementById("data").textContent);
 const { time, speed } = film, [width, height] = film.size;
 const first = time[0], last = time[time.length - 1];
@@ -16,7 +16,7 @@ for (const s of [...new Set([0.1, 0.25, 0.5, 1, 2, 5, 10, speed])].sort((a, b) =
   select.add(new Option(s + " \u00d7", s, s === speed, s === speed));
 }
 
-// The last instant not after t.
+// Return the last instant not after t.
 function latest(t) {
   let low = 0, high = time.length - 1;
   while (low < high) {
@@ -26,7 +26,7 @@ function latest(t) {
   return low;
 }
 
-// The instants i and j on both sides of t, and how far t is from the one to the other.
+// Return the instants i and j on both sides of t, and the relative position of t between them.
 function around(t) {
   const i = latest(t), j = Math.min(i + 1, time.length - 1);
   return [i, j, j > i ? (t - time[i]) / (time[j] - time[i]) : 0];

@@ -1,5 +1,5 @@
 // The clock of a film and its controls. The script of the picture stands before this one: `draw()` shows the time
-// `now`, `resized()` follows the size of the canvas, `film` is what the page carries.
+// `now`, `resized()` adapts to the size of the canvas, `film` has the data of the page.
 
 function showTime() {
   slider.value = now;

@@ -1,7 +1,7 @@
 // The picture of a mechanism in the plane: the scene of scene.py, by the painter of shared/strokes.js.
 const { scene, fit, dots, poses, palette } = film, painter = new Painter(canvas.getContext("2d"), palette);
 
-// Place and angle of every frame at t, interpolated.
+// Return the interpolated position and angle of every frame at t.
 function posesAt(t) {
   const [i, j, share] = around(t), frames = {};
   for (const name in poses) {

@@ -11,7 +11,7 @@ function poseAt(name, i, j, share) {
 
 const posesAt = (...when) => Object.fromEntries(Object.keys(frames).map((name) => [name, poseAt(name, ...when)]));
 
-// Trails of points, as far as the film is.
+// Draw the trails of points up to the present time.
 function trail({ at, color }) {
   const points = time.map((_, i) => {
     stage.frames = { [at.frame]: poseAt(at.frame, i, i, 0) };
@@ -24,7 +24,7 @@ function trail({ at, color }) {
   return line;
 }
 
-// Forces and moments: arrows as long as the largest of their kind allows.
+// Draw forces and moments as arrows, scaled by the largest of their kind.
 function arm(arrow) {
   const group = new THREE.Group(), material = new THREE.MeshBasicMaterial({ color: film.colors[arrow.kind][arrow.role] });
   const rod = along(new THREE.CylinderGeometry(0.45 * unit, 0.45 * unit, 1, 12)).translate(0, 0, 0.5);
@@ -41,7 +41,7 @@ function aim({ arrow, group, shaft, heads }, i, j, share) {
   const effort = arrow.along
     ? vector(arrow.along).normalize().applyQuaternion(stage.frames[arrow.at.frame].turn).multiplyScalar(values[0])
     : vector(values);
-  // At a pole it is beyond any scale: a head at some distance, and a gap in place of the shaft.
+  // At a pole the force is infinite: draw its head alone, with a gap in place of the shaft.
   const pole = arrow.role === "reaction" && film.poles.includes(share < 0.5 ? i : j);
   const length = pole ? 0.36 * extent : 0.3 * extent * effort.length() / film.most[arrow.kind];
   shaft.visible = !pole;
@@ -53,7 +53,7 @@ function aim({ arrow, group, shaft, heads }, i, j, share) {
   heads.forEach((head, n) => head.position.setZ(length - (1.5 + 2.2 * n) * unit));
 }
 
-// What the clock calls.
+// Called by the clock.
 
 function resized() { stage.resize(canvas.clientWidth, canvas.clientWidth * height / width, film.size); }
 

@@ -1,6 +1,6 @@
-// Inputs, parameters and start values as controls; what is saved of a run, and the command that makes it again.
+// Controls for inputs, parameters and start values; the file of a run, and the command that repeats it.
 
-const POSITIONS = 200; // of a slider, at most
+const POSITIONS = 200; // largest number of positions of a slider
 
 function change(reference, value, from) {
   values.set(reference, value);
@@ -99,7 +99,7 @@ function makeControls() {
   form.append(button);
 }
 
-// What makes this run on a command line.
+// Return the command line that makes this run.
 function tellCommand() {
   const text = variables.flatMap((v, reference) => {
     const value = values.get(reference);
@@ -112,9 +112,9 @@ function tellCommand() {
   find("command").textContent = about.command + text.join("") + (driven.size ? ` --input ${about.name}_inputs.csv` : "");
 }
 
-const driven = new Set(); // inputs that have been changed
+const driven = new Set(); // inputs changed by the user
 
-// Rows so far: time, outputs, inputs, in digits that give the same numbers again. `some` chooses columns.
+// Return the rows so far (time, outputs, inputs) with all digits. `some` selects columns.
 function csv(some = () => true) {
   const write = (x) => (Number.isNaN(x) ? "nan" : Number.isFinite(x) ? String(x) : x > 0 ? "inf" : "-inf");
   const quoted = (name) => (/[",\n]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name);

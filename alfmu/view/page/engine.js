@@ -1,12 +1,12 @@
-// The runtime in a worker: it holds one instance of the scene, and makes the communication steps that the page asks for.
-// A step that takes long keeps nothing but this worker busy, which the page may end and begin anew.
+// The runtime in a worker: it has one instance of the scene, and makes the communication steps that the page requests.
+// A slow step blocks only this worker, which the page can end and start again.
 "use strict";
 
 const DONE = 0;
-const WHY = 500; // bytes of a message
+const WHY = 500; // largest length of a message [bytes]
 
 class Engine {
-  // `wasm` and `scene` are the bytes of alfmu-wasm32.wasm and of scene.bin.
+  // `wasm` and `scene` are the contents of alfmu-wasm32.wasm and of scene.bin.
   constructor(wasm, scene) {
     const instance = new WebAssembly.Instance(new WebAssembly.Module(wasm), {});
     this.c = instance.exports;
@@ -32,10 +32,10 @@ class Engine {
     return new TextDecoder().decode(bytes.slice(0, end));
   }
 
-  // Why the last call was refused or failed.
+  // Return the reason why the last call was refused or failed.
   why() { return this.text(this.c.alfmu_text(this.instance)); }
 
-  // What the run should be warned of, once.
+  // Return the unread warning, if there is one.
   warning() {
     const place = this.c.alfmu_warns(this.instance), flag = new Int32Array(this.c.memory.buffer, place, 1);
     if (!flag[0]) return "";
@@ -43,7 +43,7 @@ class Engine {
     return this.text(this.c.alfmu_warning(this.instance));
   }
 
-  // Begin at time 0 with these values: pairs [reference, value]. Returns why it cannot, or "".
+  // Begin at time 0 with these values, pairs [reference, value]. Return the reason if this is impossible, else "".
   start(values) {
     const c = this.c;
     if (this.instance) c.alfmu_free(this.instance);
@@ -55,7 +55,7 @@ class Engine {
     return "";
   }
 
-  // One communication step [s], then the inputs from there on. Returns why it failed, or "".
+  // Make one communication step [s], then set the inputs. Return the reason if it failed, else "".
   step(time, length, inputs) {
     const c = this.c;
     if (c.alfmu_step(this.instance, time, length) !== DONE) return this.why();
@@ -63,7 +63,7 @@ class Engine {
     return "";
   }
 
-  // The variables with these references, as they are now; `failed` says why some could not be computed.
+  // Return the present values of these references; `failed` is the reason if some could not be computed.
   read(references) {
     const c = this.c, places = this.room(4 * references.length);
     new Int32Array(c.memory.buffer, places, references.length).set(references);
@@ -73,14 +73,14 @@ class Engine {
     return { row, failed: outcome === DONE ? "" : this.why() };
   }
 
-  // The first `count` numbers of the state: the coordinates q.
+  // Return the first `count` numbers of the state: the coordinates q.
   coordinates(count) {
     return new Float64Array(this.c.memory.buffer, this.c.alfmu_state(this.instance), count).slice();
   }
 }
 
-// Start values at which `distances` (numbers that should be small) has the least squares, by damped Gauss-Newton steps
-// from `starts`. `assembled(starts)` gives the distances there, or null where the loops cannot be closed.
+// Return start values that minimise the sum of squares of the distances, by damped Gauss-Newton steps
+// from `starts`. `assembled(starts)` returns the distances, or null if the loops cannot be closed.
 function nearest(starts, assembled) {
   const MOST = 12, TURN = 0.25, NUDGE = 1e-6, ENOUGH = 1e-7;
   let now = assembled(starts), damping = 1e-6;
@@ -105,7 +105,7 @@ function nearest(starts, assembled) {
 
 function dot(a, b) { return a.reduce((sum, x, i) => sum + x * b[i], 0); }
 
-// The solution of a small system A x = b by elimination with pivots.
+// Solve a small system A x = b by elimination with pivoting.
 function solved(A, b) {
   const n = b.length, rows = A.map((row, i) => [...row, b[i]]);
   for (let k = 0; k < n; k++) {

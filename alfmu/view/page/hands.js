@@ -1,4 +1,4 @@
-// Pointer and keys: bodies that are dragged, buttons, and what begins when all of the page is there.
+// Pointer and keys: dragging of bodies, buttons, and the start of the page once it is complete.
 
 const canvas = find("picture"), pointers = new Set();
 let pulling = null;
@@ -13,14 +13,14 @@ function grab(event) {
   if (!point) return;
   const playing = run.playing;
   play(false);
-  // Rates go to zero: the mechanism is held.
+  // Rates are zero, because the mechanism is held.
   const starts = ties([...run.drawn.exact.q], about.tie_parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value)));
   pulling = { point, playing, starts, to: [x, y], busy: false, moved: false };
   picture.grabbed = true;
   canvas.style.cursor = "grabbing";
 }
 
-// Assemble the mechanism anew, where the point that is held is nearest to the pointer.
+// Assemble the mechanism again, with the dragged point nearest to the pointer.
 async function pull(mine) {
   if (mine.busy || !mine.fresh || run.starting) return;
   const { point } = mine;
@@ -45,7 +45,7 @@ async function pull(mine) {
   about.tied.forEach(({ value }, i) => change(value, mine.starts[i]));
   anew(answer);
   picture.pulled = pulling ? { ...point, to: mine.to } : null;
-  pull(mine); // to where the pointer has gone meanwhile
+  pull(mine); // the pointer has moved meanwhile
   if (!mine.busy && mine.released) mine.released();
 }
 
@@ -146,10 +146,10 @@ paint(darkness.matches ? "dark" : "light");
 new ResizeObserver(update).observe(canvas);
 requestAnimationFrame(tick);
 begin();
-// It moves at once, unless the reader asked for less motion.
+// The run starts at once, unless the reader prefers reduced motion.
 if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 
-// For the console, and whoever drives the page.
+// For the console, and for scripts that drive the page.
 window.alfmu = {
   about,
   csv,
@@ -162,7 +162,7 @@ window.alfmu = {
     change(reference, Number(value));
     if (!["input", "switch"].includes(variables[reference].kind)) begin();
   },
-  // Run to a time [s] as fast as it goes, and pause there.
+  // Run to a time [s] as fast as possible, and pause there.
   async run(until) {
     play(false);
     while (!run.failed && latest() < until - interval / 2) {

@@ -1,25 +1,24 @@
-// The page: the clock of the run, and what is shown of it. The worker has the runtime, and this asks it for rows ahead of the
-// clock.
+// The page: the clock of the run, and its display. The worker has the runtime; the page requests rows ahead of the clock.
 
 const about = JSON.parse(document.getElementById("about").textContent);
 const find = (id) => document.getElementById(id);
 const { variables, interval } = about;
 const place = new Map(about.shown.map((reference, column) => [variables[reference].name, column]));
 
-const EMBEDDED = location.hash === "#embedded"; // in a frame of another page, as a picture that runs
+const EMBEDDED = location.hash === "#embedded"; // in a frame of another page
 document.documentElement.toggleAttribute("data-embedded", EMBEDDED);
 
-const AHEAD = 0.05; // s of the clock that rows are asked for before they are shown
-const BUDGET = 20; // ms of work between two answers of the worker, and one communication step at least
-const SLOW = 2500; // ms after which a step is said to take long
-const KEPT = 6e6; // numbers of the run that are kept, for plots and the table
-const WINDOW = Math.min(10, about.stop_time); // s that plots show
+const AHEAD = 0.05; // time [s] by which rows are requested before they are shown
+const BUDGET = 20; // work of the worker between two answers [ms]; at least one communication step
+const SLOW = 2500; // time [ms] after which a step is reported as slow
+const KEPT = 6e6; // largest number of values kept for plots and the table
+const WINDOW = Math.min(10, about.stop_time); // time shown by plots [s]
 
-const values = new Map(variables.map((v, reference) => [reference, v.start])); // what the controls say
-const controls = new Map(); // by reference: what shows a value
+const values = new Map(variables.map((v, reference) => [reference, v.start])); // values of the controls
+const controls = new Map(); // elements that show a value, by reference
 const run = { rows: [], now: 0, playing: false, speed: 1, epoch: 0, busy: 0, failed: "", warned: "", ready: false, drawn: null };
 
-// Talking to the worker ------------------------------------------------------------------------------------------------
+// Messages to the worker ------------------------------------------------------------------------------------------------
 
 let worker = null, asked = 0;
 const waiting = new Map();
@@ -31,7 +30,7 @@ function ask(kind, message = {}, transfer = []) {
   });
 }
 
-// A worker with library and scene, in place of the one there is.
+// Start a worker with library and scene, in place of the present one.
 async function employ() {
   if (worker) worker.terminate();
   waiting.clear();
@@ -60,13 +59,13 @@ async function employ() {
 const pairs = (kinds) => variables.flatMap((v, reference) => (kinds.includes(v.kind) ? [[reference, values.get(reference)]] : []));
 const inputs = () => pairs(["input", "switch"]);
 
-// All that a start takes, but for what has its default.
+// Return the values of a start that differ from their defaults.
 const given = () => variables.flatMap((v, reference) => (
   v.kind === "output" || values.get(reference) === v.start ? [] : [[reference, values.get(reference)]]));
 
-let wanted = null; // what to begin with once the worker is free
+let wanted = null; // the next start, made once the worker is free
 
-// Begin at time 0 with what the controls say.
+// Begin at time 0 with the values of the controls.
 function begin() {
   const late = run.busy && performance.now() - run.busy > SLOW;
   run.epoch += 1;
@@ -98,7 +97,7 @@ async function start() {
   release();
 }
 
-// What the worker began with is the run from here on.
+// Use the run that the worker has begun.
 function anew({ rows, failed, warnings = [], broken }) {
   run.rows = rows;
   run.now = 0;
@@ -113,7 +112,7 @@ function take({ failed, warnings = [], broken }) {
   run.failed = failed || "";
   if (broken) run.ready = false;
   say(run.failed || run.warned, Boolean(run.failed));
-  if (run.failed && run.rows.length) play(false); // what cannot begin may begin with the next value of a slider
+  if (run.failed && run.rows.length) play(false); // the next value of a slider may permit a start
   update();
 }
 
@@ -135,7 +134,7 @@ async function advance(until) {
   pursue();
 }
 
-// Ask for rows until they are ahead of the clock.
+// Request rows until they are ahead of the clock.
 function pursue() {
   if (!run.playing || run.asking || run.starting || run.failed || !run.rows.length) return;
   const until = run.now + AHEAD * run.speed;
@@ -183,12 +182,12 @@ function tick(stamp) {
   requestAnimationFrame(tick);
 }
 
-// In a frame that is not shown, nothing moves.
+// A hidden frame does not run.
 const hidden = () => EMBEDDED && !find("picture").clientWidth;
 
 const update = () => { run.changed = true; };
 
-// The row of the clock, between two that were computed.
+// Return the row at the time of the clock, interpolated between two computed ones.
 function present() {
   const { rows, now } = run;
   let low = 0, high = rows.length - 1;
@@ -202,12 +201,12 @@ function present() {
   return { index: low, row: share ? a.row.map((x, i) => x + share * (b.row[i] - x)) : a.row, exact: a };
 }
 
-// What is shown -----------------------------------------------------------------------------------------------------------
+// Display -----------------------------------------------------------------------------------------------------------
 
 let picture = { forget() {}, remember() {}, shape() {}, draw() {}, refit() {}, hit: () => null };
 if (!about.picture) find("picture").hidden = true;
 
-// The picture, in space once the library is there.
+// Make the picture; in space once its library is loaded.
 async function see() {
   if (!about.picture) return;
   if (about.picture.kind === "space") {
@@ -224,7 +223,7 @@ async function see() {
 
 const seen = see();
 
-// Shapes for the parameters as the controls say.
+// Compute the shapes for the parameters of the controls.
 function shape() {
   if (picture.about) picture.shape(geometry(about.picture.parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value))));
 }

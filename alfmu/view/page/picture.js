@@ -1,7 +1,7 @@
-// What the moving pictures of live pages share, in the plane and in space. Data of `about.picture` with {"#": i} in place of a number
-// follow the parameters: `shape` puts in the numbers that the page's function `geometry` gives. `draw` takes a row of outputs.
+// Base of the moving pictures of live pages, in the plane and in space. Entries {"#": i} of `about.picture` depend on
+// parameters: `shape` replaces them by numbers of the page's function `geometry`. `draw` takes a row of outputs.
 
-const TRAIL = 600; // places that a trail keeps
+const TRAIL = 600; // largest number of points of a trail
 
 function resolved(of, numbers) {
   if (Array.isArray(of)) return of.map((each) => resolved(each, numbers));
@@ -16,14 +16,14 @@ class Picture {
     this.forget();
   }
 
-  // Colours as the page has them now.
+  // Read the present colours of the page.
   palette() {
     const style = getComputedStyle(this.canvas), names = ["ink", "faint", "steel", "white", "grid", "zero", "paper", "accent"];
     const colors = names.map((name) => [name, style.getPropertyValue("--" + name).trim()]);
     return { ...Object.fromEntries(colors), rim: Number(style.getPropertyValue("--rim")) };
   }
 
-  // Whether the size of the canvas on the page is another one by now; the new one.
+  // Adapt the canvas to its size on the page; return whether it changed.
   resized() {
     const size = [this.canvas.clientWidth, this.canvas.clientHeight, devicePixelRatio];
     const other = String(size) !== String(this.measured);
@@ -32,7 +32,7 @@ class Picture {
     return other;
   }
 
-  // The mechanism begins anew.
+  // Remove the trails when a run begins.
   forget() { this.trails = this.about.dots.map(() => []); }
 
   remember(row) {
@@ -44,7 +44,7 @@ class Picture {
   }
 }
 
-// 1, 2 or 5 times a power of ten, not below what is wanted.
+// Return 1, 2 or 5 times a power of ten, at least the given value.
 function nice(wanted) {
   const power = 10 ** Math.floor(Math.log10(wanted));
   return [1, 2, 5, 10].map((m) => m * power).find((x) => x >= wanted * (1 - 1e-9));

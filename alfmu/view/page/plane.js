@@ -1,6 +1,6 @@
 // The picture of a live page in the plane, by the painter of shared/strokes.js.
 
-const LEAST_TEXT = 11; // pixels: what a phone shows stays readable
+const LEAST_TEXT = 11; // smallest text [pixels] that is readable on a phone
 
 class Plane extends Picture {
   constructor(canvas, about) {
@@ -16,19 +16,19 @@ class Plane extends Picture {
     this.held = this.scene.front.filter((part) => part.held);
   }
 
-  // Poses of all bodies and dots in this row.
+  // Return the poses of all bodies and dots in this row.
   poses(row) {
     const pose = ([x, y, angle]) => ({ x: row[x], y: row[y], angle: angle === undefined ? 0 : row[angle] });
     const moving = Object.entries(this.about.frames).map(([name, { columns }]) => [name, pose(columns)]);
     return { ground: { x: 0, y: 0, angle: 0 }, ...Object.fromEntries(moving) };
   }
 
-  // Metres where the pointer is, and back; its y points downwards.
+  // Convert pixels of the pointer, y downwards, to metres and back.
   metres(x, y) { return [(x - this.fit.origin[0]) / this.fit.scale, (this.height - y - this.fit.origin[1]) / this.fit.scale]; }
 
   pixels([x, y]) { return [this.fit.origin[0] + this.fit.scale * x, this.height - this.fit.origin[1] - this.fit.scale * y]; }
 
-  // Keep all that moves in the picture.
+  // Keep all moving parts in the picture.
   fitted(frames) {
     const at = (anchor) => spot(frames, anchor), { scene } = this;
     for (const { at: places, strokes, guide } of [...scene.back, ...scene.front]) {
@@ -54,10 +54,10 @@ class Plane extends Picture {
     if (Math.max(...spans) < 1e-9) spans = [1, 1];
     const room = [this.width - margin, this.height - margin];
     let scale = Math.min(...[0, 1].filter((k) => spans[k] > 1e-12).map((k) => room[k] / spans[k]));
-    if (this.grabbed && old) return old; // what is dragged stays under the pointer
-    // Ease towards what fits, at once where it would be cut off by much.
+    if (this.grabbed && old) return old; // the dragged body stays under the pointer
+    // Approach the fitting scale gradually, or at once if much would be cut off.
     const far = old ? Math.abs(Math.log(scale / old.scale)) : Infinity, ease = far < 0.7 && old.size[0] === this.width ? 0.2 : 1;
-    this.settling = ease < 1 && far > 1e-3; // another picture shows more of it
+    this.settling = ease < 1 && far > 1e-3; // the next picture continues this
     if (ease < 1) scale = old.scale * (scale / old.scale) ** ease;
     const center = [0, 1].map((k) => (this.low[k] + this.high[k]) / 2);
     let origin = [this.width / 2 - scale * center[0], this.height / 2 - 6 * base - scale * center[1]];
@@ -69,7 +69,7 @@ class Plane extends Picture {
       cell: nice(70 * base / scale), travel: this.travel };
   }
 
-  // The whole room again, as when the page was opened.
+  // Return to the view in which the page was opened.
   refit() {
     this.low = [...this.about.low];
     this.high = [...this.about.high];
@@ -109,7 +109,7 @@ class Plane extends Picture {
     pen.globalAlpha = 1;
   }
 
-  // The body under the pointer, and its point there; null where there is none.
+  // Return the body under the pointer with its point there; null if there is none.
   hit(row, x, y) {
     const near = [], frames = this.poses(row);
     for (const { at: [{ body }], strokes: [outline, ...more] } of this.held) {
@@ -130,7 +130,7 @@ class Plane extends Picture {
 
 function extent(points) { return Math.max(...points.flatMap((a) => points.map((b) => Math.hypot(a[0] - b[0], a[1] - b[1])))); }
 
-// How far a point is from a line between two others.
+// Return the distance of a point from the line between two others.
 function away([x, y], [ax, ay], [bx, by]) {
   const square = (bx - ax) ** 2 + (by - ay) ** 2;
   const share = square ? Math.max(0, Math.min(1, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / square)) : 0;

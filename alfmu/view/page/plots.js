@@ -2,9 +2,9 @@
 
 const panels = [];
 
-const LEAST = -18; // power of ten that errors below it are shown at
+const LEAST = -18; // decimal exponent of the smallest error shown
 
-const DASHES = [undefined, [9, 5], [2, 4], [12, 4, 2, 4]]; // of curves that follow each other, which may coincide
+const DASHES = [undefined, [9, 5], [2, 4], [12, 4, 2, 4]]; // of successive curves, which may coincide
 
 class Panel {
   constructor(groups, chosen) {
@@ -57,7 +57,7 @@ class Panel {
       axes: [{ ...axis, label: "s", labelSize: 14, labelFont: "12px system-ui, sans-serif", size: 28 },
         { ...axis, size: 62, ...(group.log ? { incrs: [1, 2, 3, 4, 6] } : {}),
           values: (u, marks) => marks.map((x) => (group.log ? `1e${x}` : tidy(x))) }],
-      // In the legend, values at the cursor, or else the last ones.
+      // The legend shows values at the cursor, or the last ones.
       series: [{ label: "t", value: (u, x, i, at) => `${(at === null ? u.data[0].at(-1) ?? 0 : x).toFixed(2)} s` },
         ...group.names.map((name, i) => ({
           label: group.labels[i],
@@ -86,13 +86,13 @@ class Panel {
     if (this.plot && width > 50 && width !== this.width) this.plot.setSize({ width, height: 190 });
   }
 
-  // The rows up to the one with this index.
+  // Plot the rows up to the one with this index.
   show(index) {
     const from = run.rows[index].time - WINDOW;
     let first = index;
     while (first > 0 && run.rows[first].time > from) first -= 1;
     const count = index - first + 1, every = Math.max(1, Math.ceil(count / 2000)), some = [];
-    // Every so many rows, always the same ones, so that curves do not flicker.
+    // Show every n-th row, always the same ones, so that curves do not flicker.
     for (let i = first; i <= index; i++) if (i % every === 0 || i === index) some.push(run.rows[i]);
     const shown = this.group.log ? (x) => Math.max(LEAST, Math.log10(x)) : (x) => x;
     const data = this.columns.map((c) => some.map(({ row }) => (Number.isFinite(row[c]) ? shown(row[c]) : null)));

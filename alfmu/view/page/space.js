@@ -27,7 +27,7 @@ class Space extends Picture {
     return { ground: this.ground, ...Object.fromEntries(moving) };
   }
 
-  // The view as when the page was opened.
+  // Return to the view in which the page was opened.
   refit() {
     this.room = this.middle = null;
     this.zoom = 1;
@@ -35,7 +35,7 @@ class Space extends Picture {
     if (this.stage) this.stage.home();
   }
 
-  // What moves is in a cylinder about a vertical axis: widen it to the points of all pieces, and the floor with it.
+  // Extend the vertical cylinder that contains all motion, and the floor, to the points of all pieces.
   widen() {
     const { stage, shown: { floor, pieces, unit } } = this, flat = [floor.east, floor.north].map(vector);
     const old = this.room, room = { ...(old || this.about.room) };
@@ -63,7 +63,7 @@ class Space extends Picture {
     stage.lay();
   }
 
-  // The camera as far off as it must be to see all of the cylinder from where it is, but for what the mouse has zoomed.
+  // Move the camera to the least distance at which it sees the whole cylinder, times the zoom of the mouse.
   follow() {
     const { camera, controls } = this.stage, way = camera.position.clone().sub(controls.target), length = way.length();
     if (this.distance) this.zoom *= this.distance / length;
@@ -120,7 +120,7 @@ class Space extends Picture {
     painter.text(`grid ${Number(this.shown.floor.cell.toPrecision(3))} m`, this.width - 12, 14, 12, painter.color("faint"), "right");
   }
 
-  // By the keyboard: turn by angles, go nearer by a factor.
+  // Turn by angles and zoom by a factor, for the keyboard.
   turn(right, up) {
     const { camera, controls } = this.stage, way = camera.position.clone().sub(controls.target);
     const side = camera.up.clone().cross(way).normalize(), steep = camera.up.angleTo(way) - up;

@@ -1,10 +1,10 @@
-// What the worker answers: each message has a `kind` and an `id`, and so has its answer.
+// Answers of the worker: each message has a `kind` and an `id`, which its answer repeats.
 "use strict";
 
 let engine = null, about = null, failed = "", made = 0;
 
 const answers = {
-  // The bytes of library and scene; `about` is what the page knows of the scene.
+  // Load library and scene; `about` describes the scene.
   load(message) {
     about = message.about;
     engine = new Engine(message.wasm, message.scene);
@@ -12,19 +12,19 @@ const answers = {
     return {};
   },
 
-  // A new run at time 0.
+  // Begin a run at time 0.
   start({ values }) {
     made = 0;
     failed = engine.start(values);
     return failed ? { failed, rows: [] } : read([], []);
   },
 
-  // Communication steps until `until` [s], for `budget` [ms] at most, but one at least; inputs are those from the first
+  // Make communication steps up to `until` [s], at least one, for at most `budget` [ms], with inputs from the first
   // communication point on.
   advance({ until, budget, inputs }) {
     const begun = performance.now(), rows = [], warnings = [];
     while (!failed && (made + 1) * about.interval <= until * (1 + 1e-12)) {
-      // The points 0, h, 2 h, ... as every host of alfmu has them.
+      // The points are 0, h, 2 h, ..., as in every host of alfmu.
       const time = made * about.interval, next = (made + 1) * about.interval;
       failed = engine.step(time, next - time, inputs);
       if (!failed) {
@@ -36,7 +36,7 @@ const answers = {
     return { rows, warnings, failed, took: performance.now() - begun };
   },
 
-  // Start values of a mechanism at rest whose point is as near to `target` as it goes; `values` are all others.
+  // Find start values at rest that bring a point nearest to `target`; `values` are all others.
   pull({ values, starts, target, point }) {
     made = 0;
     const at = (s) => {

@@ -1,5 +1,5 @@
-// What films and live pages share of space: a stage with pieces (`Piece` of pieces.py) on a floor, in a view that the mouse
-// turns, and names on a canvas above it. THREE is what scripts/vendor_three.py bundles. Frames are {place, turn} by name.
+// Pictures in space for films and live pages: a stage with pieces (`Piece` of pieces.py) on a floor, a view turned by the
+// mouse, and names on a canvas above it. scripts/vendor_three.py bundles THREE. Frames are {place, turn} by name.
 const vector = (x) => new THREE.Vector3(...x), Z = vector([0, 0, 1]);
 
 const point = ({ x = 0, y = 0, z = 0 }) => vector([x, y, z]);
@@ -9,7 +9,7 @@ const along = (shape) => shape.rotateX(Math.PI / 2);
 const discard = (of) => of.traverse(({ geometry, material }) => [geometry, material].forEach((x) => x && x.dispose()));
 
 class Stage {
-  // `about` is what `stage_of` of pages.py gives, `palette` the colours of a Painter; `changed` follows the mouse.
+  // `about` is the result of `stage_of` in pages.py, `palette` has the colours of a Painter; `changed` is called after a turn.
   constructor(canvas, overlay, about, palette, changed) {
     Object.assign(this, { canvas, overlay, about, extent: about.extent, up: vector(about.up) });
     this.painter = new Painter(overlay.getContext("2d"), palette);
@@ -30,7 +30,7 @@ class Stage {
     this.reaches();
   }
 
-  // As near and as far as the camera goes.
+  // Set the smallest and the largest distance of the camera.
   reaches() {
     Object.assign(this.controls, { minDistance: 0.2 * this.extent, maxDistance: 12 * this.extent });
     Object.assign(this.camera, { near: 0.01 * this.extent, far: 40 * this.extent });
@@ -38,7 +38,7 @@ class Stage {
     this.controls.update();
   }
 
-  // The size of the picture on the page, and that in which names are measured [pixels].
+  // Set the size of the picture on the page, and that in which names are measured [pixels].
   resize(across, tall, size = [across, tall]) {
     this.size = size;
     this.camera.aspect = across / tall;
@@ -56,7 +56,7 @@ class Stage {
     return point(at).applyQuaternion(frame.turn).add(frame.place);
   }
 
-  // All that stands on the stage while the frames are somewhere: pieces, floor and light, in the colours of the palette.
+  // Build the stage for given frames: pieces, floor and light, in the colours of the palette.
   build(frames) {
     this.frames = frames;
     this.renderer.setClearColor(this.painter.palette.paper);
@@ -77,7 +77,7 @@ class Stage {
     this.light();
   }
 
-  // The material of a colour, and that of its rim.
+  // Return the material of a colour, and that of its rim.
   paint(color) {
     if (!this.painted.has(color)) {
       const rim = new THREE.MeshBasicMaterial({ color: this.painter.rim(color), side: THREE.BackSide });
@@ -91,7 +91,7 @@ class Stage {
     return this.painted.get(color);
   }
 
-  // The floor: a grid, and the shadows on it.
+  // Build the floor: a grid, and a plane for shadows.
   lay() {
     const { east, north, low, high, cell, height } = this.about.floor, lines = [[], []], { up, extent } = this;
     const corner = (x, y) => vector(east).multiplyScalar(x * cell).addScaledVector(vector(north), y * cell)
@@ -145,7 +145,7 @@ class Stage {
     }
   }
 
-  // What the camera sees, directions of the axes, and names, if they are wanted.
+  // Paint the view of the camera, the directions of the axes, and names if requested.
   show(named) {
     const { pen } = this.painter, [width, height] = this.size, k = this.overlay.width / width;
     this.renderer.render(this.world, this.camera);
@@ -184,14 +184,14 @@ class Stage {
     const turn = this.camera.quaternion.clone().invert(), color = this.painter.color("faint");
     for (const [name, axis] of [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]]) {
       const { x, y } = vector(axis).applyQuaternion(turn);
-      if (Math.hypot(x, y) < 0.45) continue; // it points at the eye
+      if (Math.hypot(x, y) < 0.45) continue; // this axis points at the eye
       this.painter.line([[44, 44], [44 + 28 * x, 44 + 28 * y]], 1.5, color);
       this.painter.text(name, 44 + 39 * x, 44 + 39 * y, 12, color);
     }
   }
 }
 
-// The shape of a piece about its first point, its z along its axis or from 0 to 1 on its way.
+// Return the shape of a piece about its first point; z is along its axis, or from 0 to 1 between its points.
 function shaped({ kind, size, at }, length) {
   if (kind === "ball") return new THREE.SphereGeometry(size[0], 32, 20);
   if (kind === "box") return new THREE.BoxGeometry(2 * size[0], 2 * size[1], 2 * size[2]);

@@ -1,22 +1,22 @@
-// What films and live pages share: a painter on a canvas, and labels that keep apart. It paints scenes of the plane
-// (`Scene` of scene.py) where a `fit` puts them (`Fit` of plane.py), by the rules of plane.py (`_Painter`): parts move with
-// frames {x, y [m], angle [rad]} by name. What is nothing is not in the data.
+// Pictures in the plane for films and live pages: a painter on a canvas, and placement of labels. It paints scenes
+// (`Scene` of scene.py) at the scale of a `fit` (`Fit` of plane.py), by the rules of plane.py (`_Painter`): parts move with
+// frames {x, y [m], angle [rad]} by name. Empty fields are missing in the data.
 
-const PUSHED = 2.5; // half sizes of a label that others may push it away: the rule of surface.py
+const PUSHED = 2.5; // largest displacement of a label by others in its half sizes, as in surface.py
 
-const OVERHANG = 50, CORNERS = ["left corner", "right corner"], RULER = -1; // those of scene.py
+const OVERHANG = 50, CORNERS = ["left corner", "right corner"], RULER = -1; // as in scene.py
 
 class Painter {
-  // `palette` has colours by name, `paper` among them, and the `rim`: the share of its light that the rim of a colour has.
+  // `palette` has colours by name, including `paper`, and `rim`, the brightness of a rim over that of its colour.
   constructor(pen, palette) {
     this.pen = pen;
     this.palette = palette;
-    this.least = 0; // size of a text [pixels], at least
+    this.least = 0; // smallest size of a text [pixels]
   }
 
   color(name) { return this.palette[name] || name; }
 
-  // The rim of a colour: darker on a light page, lighter on a dark one, where that of white is dark as well.
+  // Return the rim of a colour: darker on a light page, lighter on a dark one; the rim of white is always dark.
   rim(name) {
     if (name === "white") return "#2b3440";
     if (name === "steel" || name === "faint") return this.palette.ink;
@@ -25,7 +25,7 @@ class Painter {
     return `#${[1, 3, 5].map((i) => part(i).toString(16).padStart(2, "0")).join("")}`;
   }
 
-  // A line with round ends; a disc where it has one point, an area where it is filled.
+  // Paint a line with round ends: a disc if it has one point, an area if it is filled.
   line(points, width, color, filled = false) {
     const pen = this.pen;
     pen.lineCap = pen.lineJoin = "round";
@@ -42,7 +42,7 @@ class Painter {
     pen.stroke();
   }
 
-  // A text about its middle, or beside a place, with a rim; y points upwards or downwards as the pen has it.
+  // Paint a text with a rim, about its middle or beside a point, in the axes of the pen.
   text(text, x, y, size, color, align = "center") {
     const pen = this.pen;
     this.font(size);
@@ -62,13 +62,13 @@ class Painter {
 
   font(size) { this.pen.font = `${size}px {{fonts}}`; }
 
-  // Half the size of the box of a text.
+  // Return half the width and height of the box of a text.
   box(text, size) {
     this.font(size);
     return [this.pen.measureText(text).width / 2 + 2, 0.55 * size + 1];
   }
 
-  // A scene while the frames are somewhere; `trails` paints what is between its back and its front. y points upwards.
+  // Paint a scene at given frames; `trails` paints between its back and its front. y points upwards.
   paint(scene, fit, frames, trails) {
     Object.assign(this, { fit, frames });
     this.grid();
@@ -93,14 +93,14 @@ class Painter {
     lines.sort((a, b) => a[0] - b[0]).forEach(([zero, line]) => this.line(line, base, this.color(zero ? "zero" : "grid")));
   }
 
-  // A point of a body, or of a corner of the picture, in pixels.
+  // Return a point of a body, or of a corner of the picture, in pixels.
   place({ body, x = 0, y = 0 }) {
     const { origin, scale, base, size } = this.fit, corner = CORNERS.indexOf(body);
     if (corner >= 0) return [corner * size[0] + base * x, base * y];
     return spot(this.frames, { body, x, y }).map((q, k) => origin[k] + scale * q);
   }
 
-  // Of a part or a label: its place, the direction of its x, where x begins and ends in pixels from there, and the unit.
+  // Return the position of a part or label, the direction of its x axis, the start and end of x in pixels, and the unit.
   way({ at, angle = 0, guide }, two = at.length > 1) {
     const { scale, base, unit: usual, cell, travel } = this.fit, { body } = at[0];
     const unit = CORNERS.includes(body) ? base : usual, start = this.place(at[0]);
@@ -136,7 +136,7 @@ class Painter {
     }
   }
 
-  // What a label says, how large, and the box in which it would stand.
+  // Return the text of a label, its size, and its preferred box.
   label(label) {
     const [start, axis, [low, high], unit] = this.way(label, false), { at, guide, gap = 0, links = [], share = 0, free } = label;
     const text = label.text || `${Number(this.fit.cell.toPrecision(6))} m`, size = Math.max(this.least, label.size * unit);
@@ -151,7 +151,7 @@ class Painter {
     return { text, size, free, color: label.rim ? this.rim(label.color) : this.color(label.color), box: [x, y, half, tall] };
   }
 
-  // Texts in boxes that are pushed apart; one that would stand too far off fades.
+  // Paint texts whose boxes push each other apart; a text fades as it is displaced too far.
   texts(texts, boxes, pins, size) {
     const wanted = boxes.map((box) => [...box]);
     apart(boxes, pins, size);
@@ -169,13 +169,13 @@ function turned({ angle }, x, y) {
   return [c * x - s * y, s * x + c * y];
 }
 
-// A point of a body in metres.
+// Return a point of a body in metres.
 function spot(frames, { body, x = 0, y = 0 }) {
   const frame = frames[body], [dx, dy] = turned(frame, x, y);
   return [frame.x + dx, frame.y + dy];
 }
 
-// The direction in the middle of the widest gap between some directions: the rule of plane.py (`_free`).
+// Return the middle direction of the widest gap between some directions, as plane.py (`_free`).
 function widest(taken) {
   const turn = 2 * Math.PI;
   const angles = taken.filter(([x, y]) => x || y).map(([x, y]) => (Math.atan2(y, x) + 1e-6 + turn) % turn).sort((a, b) => a - b);
@@ -188,8 +188,8 @@ function widest(taken) {
   return [Math.cos(middle), Math.sin(middle)];
 }
 
-// Where labels stand that keep off each other, off the pins [x, y, radius] and inside the picture: the rules of
-// surface.py (`placed`). A box is [x, y, half its width, half its height]; pins move nothing but labels.
+// Move boxes [x, y, half width, half height] so that they are inside the picture and cover neither each other nor pins
+// [x, y, radius], as surface.py (`placed`).
 function apart(boxes, pins, size) {
   for (let pass = 0; pass < 60; pass++) {
     let moved = false;
@@ -218,7 +218,7 @@ function apart(boxes, pins, size) {
   return boxes;
 }
 
-// Corners of the convex hull; the two ends where all points lie on one line.
+// Return the corners of the convex hull; both ends if all points are on one line.
 function hull(points) {
   const spans = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k])));
   const ordered = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]).filter((p, i, all) =>

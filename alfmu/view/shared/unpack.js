@@ -1,4 +1,4 @@
-// What a page carries packed with gzip, in an element with an id.
+// Return the content of an element, compressed by gzip, by its id.
 
 async function bytes(id) {
   const packed = Uint8Array.from(atob(document.getElementById(id).textContent.trim()), (c) => c.charCodeAt(0));

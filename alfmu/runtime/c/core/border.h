@@ -106,7 +106,7 @@ static inline void border_out(const Border *b)
 
 #endif
 
-/* Make a call in the usual environment and return its result. */
+/* Make a call with the default floating-point environment and return its result. */
 #define INSIDE(TYPE, CALL) \
     do { \
         const Border border = border_in(); \

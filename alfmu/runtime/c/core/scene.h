@@ -98,7 +98,7 @@ typedef struct {
     const Word *lengths;    /* [inputs + outputs] of arguments, then of results */
     const uint16_t *narrow; /* [words + results] */
     const int32_t *wide;    /* [words + results] */
-    const uint8_t *brief;   /* [words + results] the same as narrow, in sources: places count from `base` */
+    const uint8_t *brief;   /* [words + results] the same for sources, relative to `base` */
     unsigned words;
     int registers; /* numbers in its registers, constants included */
     Compiled *compiled; /* compiled code that replaces it, or NULL */

@@ -212,7 +212,7 @@ API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, 
 {
     const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
     if (status == fmi2OK)
-        *value = fmi2False; /* A run never ends by itself. */
+        *value = fmi2False; /* No instance ends a run on its own. */
     return status;
 }
 

@@ -40,7 +40,7 @@ void loops_evaluate(Instance *i, Loops *loops, const double *q)
             loops->J.constraints.values[e] = 0.0;
 }
 
-/* Return whether row k, a gap or a start value after all gaps, is in metres. */
+/* Return whether row k is in metres. Rows are the gaps of the loops, then the start values. */
 static int row_is_length(const Scene *s, int k)
 {
     return !strcmp(k < s->l ? s->rows[k].unit : s->variables[s->own + s->tied[k - s->l]].unit, "m");

@@ -106,7 +106,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* Find a direction of motion at fixed time: that of the start rates, or of equal rates of the start values; or zero. */
+/* Find the direction of motion at fixed time for the start rates or, with `equal`, for equal rates of all start
+   values; zero if there is none. */
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;

@@ -49,8 +49,8 @@ void friction_rates(Instance *i, double *rates)
     function_call(i, s->sliding, x, y);
 }
 
-/* Run the program `gripping`. Return its results: multipliers, limits, second rates, the remainder of the friction
-   laws, and the least pivot. */
+/* Run the program `gripping`. Return its results: multipliers, limits, accelerations of joints, the remainder of the
+   friction laws, and the least pivot. */
 const double *friction_gripped(Instance *i)
 {
     program_run(i, i->scene->gripping);
