@@ -118,6 +118,8 @@ class Probe:
     """alpha (l,) [kg or kg.m2 by row], zero for constraints not in force."""
     shares: NDArray[np.float64]
     """Weights (l,) whose inverses are compliances of redundant constraints, see `row_shares`."""
+    own: NDArray[np.float64]
+    """The mechanism's length [m] for coordinates in metres, 1 for others (n,): norms do not depend on the unit."""
 
     @classmethod
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
@@ -142,7 +144,9 @@ class Probe:
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
-        return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty))
+        length = 1 / k[SETTINGS.index("inverse_length")]
+        own = np.array([length if c.unit == "m" else 1.0 for c in e.coordinates])
+        return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty), own)
 
     def place(self, q: NDArray[np.float64]) -> None:
         """Move the scene to q (n,) for `mobility`; `numbers` do not change."""
@@ -172,12 +176,13 @@ class Probe:
         def done(da: NDArray[np.float64], a: NDArray[np.float64]) -> bool:
             nonlocal made
             made += 1
-            return made > 1 and np.linalg.norm(da) <= left ** ((made - 1) / made) * np.linalg.norm(a)
+            change, size = np.linalg.norm(da / self.own), np.linalg.norm(a / self.own)
+            return made > 1 and change <= left ** ((made - 1) / made) * size
 
         M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps)
         zeros = np.zeros_like(F), np.zeros_like(xi)
         _, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, *zeros, settings.max_iterations, done)
-        if np.linalg.norm(C.T @ lam) <= settings.tolerance * np.linalg.norm(F):
+        if np.linalg.norm(self.own * (C.T @ lam)) <= settings.tolerance * np.linalg.norm(self.own * F):
             made, left, loads = 0, settings.tolerance, M.diagonal() * np.cos(np.arange(len(F)))
             method.residual(M, loads, C, zeros[1], alpha, solve, *zeros, settings.max_iterations, done)
         return made
