@@ -238,8 +238,8 @@ static void try_any_step(Instance *i)
     try_branch_step(i);
 }
 
-/* Lengthen the step that is assumed for the unused kind after a step of the other. As long as the integrator's own steps
-   have not been tried, they are assumed to be as long as the short ones: the first step is a guess. */
+/* Lengthen the step that is assumed for the unused kind after a step of the other. As long as the integrator's own
+   steps have not been tried, they are assumed to be as long as the short ones: the first step is a guess. */
 static void lengthen_other_kind(Instance *i, double left)
 {
     double *pace = i->m + i->scene->pace;
