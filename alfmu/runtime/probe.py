@@ -29,6 +29,9 @@ _RETURNS = 4
 _SHARED = 1e-7
 """Change of an output per unit of a shared load, below which it is zero."""
 
+_NUDGES = 3
+"""Number of ways in which the last digits of H are changed to see round-off."""
+
 _STRAIN = 1e6
 """Load [N, N.m] shared by redundant constraints in tests, large compared with others: friction follows from the
 magnitude of a load, to which a small perpendicular share contributes nothing."""
@@ -166,10 +169,14 @@ class Probe:
         """Return the iterations of the residual form after which the error is at most a tenth of the tolerance.
 
         Each gains about the same factor, so a last change of limit^((m - 1) / m) after m iterations leaves the limit.
-        The last digits of H are changed, because round-off is smaller at some starts than at the positions beside them.
-        If the constraints carry nothing at the start, as in free fall, others that load them replace its forces; of
-        these the error is at most the tolerance.
+        The last digits of H are changed, because round-off is smaller at some starts than at the positions beside them;
+        in several ways, as each is smaller in some directions of the mechanism. If the constraints carry nothing at the
+        start, as in free fall, others that load them replace its forces; of these the error is at most the tolerance.
         """
+        return max(self._iterations(way) for way in range(1, 1 + _NUDGES))
+
+    def _iterations(self, way: int) -> int:
+        """Return `iterations_needed` for one way of changing the last digits of H."""
         settings, made = default_settings(self.equations), 0
         left = settings.tolerance / 10
 
@@ -179,7 +186,7 @@ class Probe:
             change, size = np.linalg.norm(da / self.own), np.linalg.norm(a / self.own)
             return made > 1 and change <= left ** ((made - 1) / made) * size
 
-        M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps)
+        M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps, way)
         zeros = np.zeros_like(F), np.zeros_like(xi)
         _, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, *zeros, settings.max_iterations, done)
         if np.linalg.norm(self.own * (C.T @ lam)) <= settings.tolerance * np.linalg.norm(self.own * F):
@@ -222,18 +229,18 @@ class Probe:
         return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
     def _dynamics(
-        self, nudge: float = 0.0
+        self, nudge: float = 0.0, way: int = 1
     ) -> tuple[method.Array, method.Array, NDArray[np.float64], NDArray[np.float64], method.Array, method.Solve]:
         """Return M, C, F, xi, the penalties as a matrix, and a solver with H; large matrices are sparse.
 
-        The entries of H are changed by a fraction `nudge` of alternating sign.
+        The entries of H are changed by a fraction `nudge`, whose sign alternates every `way` rows and columns.
         """
         e = self.equations
         mass, slopes, *vectors = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
         F, xi = (np.array(x).ravel() for x in vectors)
         if e.n <= DENSE:
             M, C, alpha = np.array(mass), np.array(slopes), np.diag(self.penalty)
-            signs = (-1.0) ** np.arange(e.n)
+            signs = (-1.0) ** (np.arange(e.n) // way)
             H = method.augmented_mass(M, C, alpha) * (1 + nudge * np.outer(signs, signs))
             return M, C, F, xi, alpha, lambda b: np.linalg.solve(H, b)
         from scipy.sparse import diags_array
@@ -241,7 +248,7 @@ class Probe:
 
         M, C, alpha = mass.sparse(), slopes.sparse(), diags_array(self.penalty, format="csc")
         H = method.augmented_mass(M, C, alpha).tocoo()
-        H.data *= 1 + nudge * (-1.0) ** (H.row + H.col)
+        H.data *= 1 + nudge * (-1.0) ** (H.row // way + H.col // way)
         return M, C, F, xi, alpha, splu(H.tocsc()).solve
 
 
