@@ -109,7 +109,7 @@ def simulate(
         return _simulate_fmu(mechanism, stop_time, communication_step, given, how, check)
 
     def made(given: dict[str, float | str]) -> tuple[Instance, Result]:
-        found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel, stop_time=stop_time)
+        found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
         return found.unit, simulated(found, stop_time, communication_step, **how)
 
     unit, result = made(given)

@@ -47,12 +47,10 @@ def prepare(
     kernel: str | None = None,
     kept: Sequence[str] = (),
     jacobian: bool = True,
-    stop_time: float | None = None,
 ) -> Prepared:
     """Return an instance that is not yet initialised, for arguments of `simulate`.
 
-    `auto` selects the integrator for a run to `stop_time` [s], None for the mechanism's own. Parameters in `kept` are
-    never folded; without `jacobian` the outputs include no derivatives over a step.
+    Parameters in `kept` are never folded; without `jacobian` the outputs include no derivatives over a step.
     """
     given, declared = by_name(mechanism, "parameters", parameters), None
     if not (outputs is None or isinstance(outputs, str)):
@@ -79,7 +77,7 @@ def prepare(
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
     scene: Equations
-    scene, left = ready(equations, given, outputs, freeze, kernel, stop_time)
+    scene, left = ready(equations, given, outputs, freeze, kernel)
     if start not in (None, "declared"):
         found = rest(with_defaults(equations, given), start, inputs)
         scene, left = starting_at(with_defaults(scene, left), found.q, found.states, found.kept), {}

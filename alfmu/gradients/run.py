@@ -99,13 +99,7 @@ class Runs:
             raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
         by = names_in(mechanism, "numbers to derive by", by)
         found = prepare(
-            mechanism,
-            by_name(mechanism, "parameters", parameters),
-            inputs,
-            outputs=outputs,
-            kept=by,
-            jacobian=False,
-            stop_time=stop_time,
+            mechanism, by_name(mechanism, "parameters", parameters), inputs, outputs=outputs, kept=by, jacobian=False
         )
         if isinstance(found.unit, oracle.Instance):
             raise InputError(f"{found.unit.name}: the kernel oracle has no derivatives; use another one")

@@ -222,18 +222,14 @@ def _automatic(equations: Equations) -> Decision:
     return Decision("explicit", f"explicit: {seen}")
 
 
-def _decision(equations: Equations, values: Mapping[str, float | str], stop_time: float | None = None) -> Decision:
-    """Return the integrator that `auto` selects for these values and a run to this time, and the reason."""
-    stop = equations.stop_time
-    if isinstance(stop_time, float | int | np.number) and 0 < stop_time < math.inf:  # the run refuses others
-        stop = float(stop_time)
+def _decision(equations: Equations, values: Mapping[str, float | str]) -> Decision:
+    """Return the integrator that `auto` selects for these values, and the reason."""
 
     def choose() -> Decision:
         e = with_defaults(equations, {**values, "solver.method": "auto"})
-        e = e if stop == e.stop_time else replace(e, stop_time=stop)
         return stored_decision(e, lambda: decision_of(e))
 
-    return equations.kept.latest(_decision, choose, (stop, *_key(values)), _DECISIONS)
+    return equations.kept.latest(_decision, choose, _key(values), _DECISIONS)
 
 
 # Survey ---------------------------------------------------------------------------------------------------------------
@@ -333,10 +329,8 @@ def ready(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str,
-    stop_time: float | None = None,
 ) -> tuple[Traced, dict[str, float | str]]:
-    """Return the equations traced for a run with these values to `stop_time` [s] (None: to the mechanism's own), and
-    the values that remain to be set on an instance.
+    """Return the equations traced for a run with these values, and the values that remain to be set on an instance.
 
     Outputs, frozen parameters and the integrator are fixed by tracing. All other values are numbers of the instance, so
     that the same scene serves other numbers.
@@ -349,7 +343,7 @@ def ready(
     e = chosen(equations, {**folded, "solver.method": method}, outputs, freeze)
     if method != "auto":
         return prepared(e, kernel), own
-    decision, known = _decision(e, own, stop_time), _known(e)
+    decision, known = _decision(e, own), _known(e)
     if known is not None and known.method == decision.method:
         return prepared(e, kernel), own
 

@@ -285,7 +285,7 @@ def _scene(
     _, _, wanted = how.read(e.name, [v.name for v in whole])
     balance = [v.name for v in whole if v.name in BALANCE]
     own = kernel or DEFAULT
-    scene, left = ready(e, given, [*wanted, *balance], freeze, own, how.stop_time)
+    scene, left = ready(e, given, [*wanted, *balance], freeze, own)
     unit = instance(scene, own)
     for name, value in left.items():
         unit.set(name, value)
