@@ -174,7 +174,9 @@ def far_of(m: Mechanism, guess: ca.Function) -> float:
     size = ca.Function("size", [stack([x.symbol for x in m.parameters])], [ca.sqrt(square_of_size(m))])
     far = FAR * float(size(p))
     begun = guess([*p, *[0.0] * (guess.numel_in(0) - len(p))], [x.value for x in m.starts])
-    lengths = [abs(x) for x, c in zip(ca.DM(begun).nz[:].full()[:, 0].tolist(), m.coordinates, strict=False) if c.unit == "m"]
+    lengths = [
+        abs(x) for x, c in zip(ca.DM(begun).nz[:].full()[:, 0].tolist(), m.coordinates, strict=False) if c.unit == "m"
+    ]
     return far if max([reach_of(m), *lengths]) >= far else 0.0
 
 
