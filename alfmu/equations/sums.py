@@ -7,6 +7,7 @@ subtracted from each other, before anything else is added.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -28,6 +29,7 @@ class _Sum:
     """Factor of each coordinate, by its index."""
 
     def plus(self, other: _Sum, sign: int) -> _Sum:
+        """Return the sum with another, or the difference."""
         rest = self.rest
         if other.rest is not None:
             signed = other.rest if sign > 0 else -other.rest
@@ -36,6 +38,7 @@ class _Sum:
         return _Sum(rest, self.constant + sign * other.constant, {i: k for i, k in places.items() if k})
 
     def times(self, factor: Fraction) -> _Sum:
+        """Return the sum, which has no places, times a number."""
         return _Sum(None if self.rest is None else float(factor) * self.rest, factor * self.constant)
 
     def value(self, q: Sequence[ca.SX]) -> ca.SX:
@@ -71,7 +74,7 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Sequenc
             mine = _Sum(None, places={entry: 1}) if which == 0 and entry in atoms else _Sum(entries[which][entry])
         elif code == ca.OP_CONST:
             number = f.instruction_constant(k)
-            mine = _Sum(None, Fraction(number)) if far <= abs(number) < float("inf") else _Sum(ca.SX(number))
+            mine = _Sum(None, Fraction(number)) if far <= abs(number) < math.inf else _Sum(ca.SX(number))
         else:
             mine = _combined(code, [kept[i] for i in inputs], q)
         kept[outputs[0]] = mine
@@ -79,17 +82,15 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Sequenc
 
 
 def _combined(code: int, operands: list[_Sum], q: Sequence[ca.SX]) -> _Sum:
+    """Return the result of an operation: a sum of sums, or of a sum times a number, else one value."""
     if code in (ca.OP_ADD, ca.OP_SUB):
         return operands[0].plus(operands[1], 1 if code == ca.OP_ADD else -1)
     if code == ca.OP_NEG:
         return _Sum().plus(operands[0], -1)
     if code == ca.OP_MUL and not any(x.places for x in operands):
         for one, other in (operands, operands[::-1]):
-            if (
-                other.constant
-                and (number := one.rest if not one.constant else None) is not None
-                and number.is_constant()
-            ):
-                return other.times(Fraction(float(number)))
+            if other.constant and not one.constant and one.rest is not None and one.rest.is_constant():
+                if math.isfinite(number := float(one.rest)):
+                    return other.times(Fraction(number))
     values = [x.value(q) for x in operands]
     return _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
