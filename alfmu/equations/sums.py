@@ -89,8 +89,8 @@ def _combined(code: int, operands: list[_Sum], q: Sequence[ca.SX]) -> _Sum:
         return _Sum().plus(operands[0], -1)
     if code == ca.OP_MUL and not any(x.places for x in operands):
         for one, other in (operands, operands[::-1]):
-            if other.constant and not one.constant and one.rest is not None and one.rest.is_constant():
-                if math.isfinite(number := float(one.rest)):
-                    return other.times(Fraction(number))
+            number = one.rest if other.constant and not one.constant else None
+            if number is not None and number.is_constant() and math.isfinite(float(number)):
+                return other.times(Fraction(float(number)))
     values = [x.value(q) for x in operands]
     return _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
