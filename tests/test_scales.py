@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import alfmu
 from alfmu import Mechanism
+from alfmu.kernel.complete import complete
 from alfmu.runtime.pipeline import ready
 from alfmu.simulation import Result
 
@@ -307,6 +308,126 @@ def test_a_motion_near_a_singular_position_takes_as_many_evaluations_in_all_size
     one, *others = (alfmu.simulate(crank_rocker(size), 1.0, 0.02) for size in (1.0, 0.1, 1e-3, 1e3))
     for run in others:
         assert np.abs(run["crank.angle"] - one["crank.angle"]).max() <= 1e-6
+        assert run.counters.evaluations <= 1.1 * one.counters.evaluations
+
+
+def sprung_arms(away: float) -> Mechanism:
+    """Two arms on hinges, and a spring between their ends that the user writes by their places."""
+    m, arms = Mechanism("sprung_arms"), []
+    for k in range(2):
+        arms.append(m.bar(f"arm{k}", mass=0.05, length=0.05))
+        free = {"start": 1.2 + 0.4 * k, "rate": 3.0 - 6 * k, "independent": True}
+        m.revolute(
+            f"A{k}", m.ground.at(away + 0.03 * k, -away), arms[k].start, coordinate=m.coordinate(f"a{k}", **free)
+        )
+    (x1, y1), (x2, y2) = (arm.end.position for arm in arms)
+    length = ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
+    force = 2e4 * (length - 0.03) / length
+    m.force(arms[0].end, force * (x2 - x1), force * (y2 - y1))
+    m.force(arms[1].end, force * (x1 - x2), force * (y1 - y2))
+    return m
+
+
+def test_places_that_a_user_subtracts_are_as_exact_far_from_the_origin():
+    """A step of 1e-14 m, the last digit of places at 70 m, would be 2e-10 N of this spring."""
+    there = alfmu.derive(sprung_arms(70.0))
+    for angles in np.random.default_rng(0).uniform(-3, 3, (20, 2)):
+        ends = 0.05 * np.array([np.cos(angles), np.sin(angles)])
+        way = ends[:, 1] - ends[:, 0] + [70.03 - 70.0, 0.0]
+        pull = 2e4 * (np.hypot(*way) - 0.03) * way / np.hypot(*way)
+        torques = [sign * (e[0] * pull[1] - e[1] * pull[0]) for sign, e in zip((1, -1), ends.T, strict=True)]
+        found = np.array(there.functions["f"](angles, np.zeros(2), [], [], 0.0)).ravel()
+        assert np.abs(found - torques).max() <= 1e-13
+    tight = {"solver.relative_tolerance": 1e-9}
+    here, away = (alfmu.simulate(sprung_arms(x), 0.03, 0.005, parameters=tight) for x in (0.0, 70.0))
+    assert away.counters.evaluations <= 1.1 * here.counters.evaluations
+    assert np.abs(away["arm0.angle"] - here["arm0.angle"]).max() <= 1e-9
+
+
+def turned_rocker(turn: float) -> Mechanism:
+    """A crank-rocker in joint coordinates, turned."""
+    m = Mechanism("turned_rocker")
+    crank, rod, rocker = (
+        m.bar(name, mass=1.0, length=x) for name, x in (("crank", 0.06), ("rod", 0.5), ("rocker", 0.4))
+    )
+    hinge = m.ground.at(0.6 * np.cos(turn), 0.6 * np.sin(turn))
+    m.revolute("O", m.ground.at(0, 0), crank.start, coordinate=m.coordinate("a", start=2.0 + turn, independent=True))
+    m.revolute("A", crank.end, rod.start, coordinate=m.coordinate("b", start=-1.5))
+    m.revolute("C", hinge, rocker.start, coordinate=m.coordinate("c", start=2.0 + turn))
+    m.revolute("B", rod.end, rocker.end)
+    return m
+
+
+def test_whether_constraints_depend_on_each_other_is_judged_alike_in_all_directions():
+    random = np.random.default_rng(0)
+    places = random.uniform(0, 2 * np.pi, (300, 3))
+    near = np.pi * random.integers(0, 2, (300, 2)) + 10 ** random.uniform(-3, 0, (300, 2))
+    places[:, 1], places[:, 2] = near[:, 0], places[:, 0] + near[:, 0] + near[:, 1]  # bars almost in line
+
+    def judged(turn: float) -> list[float]:
+        i = unit(turned_rocker(turn))
+        i.initialize()
+        irregular = complete(i.equations).functions["irregular"]
+        return [float(irregular(q + turn * np.array([1, 0, 1]), [], i.memory["k"])) for q in places]
+
+    here = judged(0.0)
+    assert 0 < sum(here) < len(here)
+    for turn in (0.4, 1.1, 2.0, -0.7):
+        assert judged(turn) == here
+
+
+def test_the_first_step_hardly_matters():
+    """Steps of order 8 replace short ones soon, however short the first step was."""
+    counts = [
+        alfmu.simulate("slider_crank", 2.0, 0.1, parameters={"solver.step_size": h}).counters.evaluations
+        for h in (0.1, 0.02, 1e-3, 1e-4)
+    ]
+    assert max(counts) <= 1.1 * min(counts)
+
+
+def landing_gear(size: float) -> Mechanism:
+    """A strut with a sprung wheel and a folding brace, in joint coordinates, in a field in proportion to the size."""
+    m = Mechanism("landing_gear", experiment=alfmu.Experiment(0.8))
+    strut = m.body("strut", mass=40.0, inertia=12.0 * size**2)
+    wheel = m.body("wheel", mass=25.0, inertia=2.5 * size**2)
+    at, slope = np.array([0.1, -1.25]), float(np.arctan2(-1.25, 0.1))
+
+    def hinge(name: str, first: alfmu.Marker, second: alfmu.Marker, start: float | None = None) -> alfmu.Joint:
+        placed = {} if start is None else {"coordinate": m.coordinate(name.lower(), start=start)}
+        return m.revolute(name, first, second, **placed)
+
+    def on(body: alfmu.Body, *place: float) -> alfmu.Marker:
+        return body.at(*(float(size * x) for x in np.array(place) - ((0.05, -0.6) if body is strut else 0.0)))
+
+    def bar(name: str, mass: float, a: NDArray, b: NDArray) -> tuple[alfmu.Body, float]:
+        return m.bar(name, mass=mass, length=float(size * np.hypot(*(b - a)))), float(np.arctan2(*(b - a)[::-1]))
+
+    hinge("O", on(m.ground, 0, 0), on(strut, 0, 0), 0.0)
+    m.prismatic("W", on(strut, *at), wheel.at(0, 0), axis=slope, coordinate=m.coordinate("w", "m", start=0.0))
+    knee, foot, top, mid = (np.array(x) for x in ((-0.5, -0.35), (0.03, -0.5), (-0.35, 0.1), (-0.4, -0.1)))
+    up, first = bar("up", 6.0, np.array([-0.8, 0.05]), knee)
+    low, second = bar("low", 7.0, knee, foot)
+    motor = hinge("P", on(m.ground, -0.8, 0.05), up.start, first)
+    hinge("K", up.end, low.start, second - first)
+    hinge("Q", low.end, on(strut, *foot))
+    one, third = bar("one", 2.0, top, mid)
+    two, fourth = bar("two", 2.0, mid, knee)
+    hinge("L", on(m.ground, *top), one.start, third)
+    hinge("M", one.end, two.start, fourth - third)
+    hinge("N", two.end, up.end)
+    m.spring_damper((on(strut, 0, 0), wheel.at(0, 0)), stiffness=4e4, damping=900, rest=1.28 * size)
+    m.spring_damper((on(m.ground, -0.6, -0.6), low.at(low.length / 2)), stiffness=3e3, damping=200, rest=0.3 * size)
+    m.drive(motor, size**2 * (120 * ca.sin(2 * m.time) + 200))
+    m.gravity(0, -9.81 * size)
+    return m
+
+
+@pytest.mark.filterwarnings("ignore:landing_gear.*if millimetres were meant")
+def test_a_slide_beside_hinges_takes_as_many_evaluations_in_all_sizes():
+    """The convergence of accelerations in rad/s2 and m/s2 counts in one unit."""
+    one, *others = (alfmu.simulate(landing_gear(size)) for size in (1.0, 1e-3, 1e3))
+    for run in others:
+        assert np.abs(run["strut.angle"] - one["strut.angle"]).max() <= 1e-6
         assert run.counters.evaluations <= 1.1 * one.counters.evaluations
 
 

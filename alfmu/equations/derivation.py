@@ -43,7 +43,8 @@ from .friction import Rubs, rubbing
 from .interface import variables_of
 from .loads import efforts_of, inertia_of, is_guided, limited_by, potential_of
 from .measures import measures
-from .reactions import carried_by, driving, lengths_of, locking, reach_of, reactions_of, spatial_efforts
+from .reactions import carried_by, driving, far_of, lengths_of, locking, reach_of, reactions_of, spatial_efforts
+from .sums import rearranged
 from .types import Equations, Followed, Leap, Row, Variable
 
 _UNGUESSED = 10.0
@@ -403,6 +404,8 @@ def _equations(
     locks, frictions, closures, plain, counted = at.locks, at.frictions, closed.closures, closed.plain, said.counted
     guessed = any(c.guessed and not m._is_start(symbolic(c.guess)) for c in at.coordinates)
     instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
+    guess = [said.symbols[letter] for letter in ARGUMENTS["guess"]]
+    far = far_of(m, ca.Function("guess", guess, [said.of["guess"]]))
     return Equations(
         name=m.name,
         description=m.description,
@@ -448,7 +451,7 @@ def _equations(
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
         options=m.options,
-        functions={name: _function(m, name, said.symbols, x) for name, x in said.of.items()},
+        functions={name: _function(m, name, said.symbols, x, far) for name, x in said.of.items()},
     )
 
 
@@ -589,7 +592,7 @@ def _check_names(m: Mechanism, equations: Equations) -> None:
         found[v.name] = v
 
 
-def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) -> ca.Function:
+def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX, far: float) -> ca.Function:
     arguments = [symbols[letter] for letter in ARGUMENTS[name]]
     value = ca.densify(value) if value.is_column() else value
     function = ca.Function(name, arguments, [value], {"allow_free": True})
@@ -599,6 +602,9 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) 
             f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism; "
             "declare it here"
         )
+    if far:
+        places = [i for i, c in enumerate(m.coordinates) if c.unit == "m" and ARGUMENTS[name][0] == "q"]
+        value = rearranged(arguments, value, far, places)
     return shared(name, arguments, [value])
 
 

@@ -15,6 +15,7 @@ from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
 from .closures import closures_of, slid
 from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
 from .space import Effort
+from .sums import FAR
 from .types import Row, Variable
 
 _REACTIONS = {
@@ -162,6 +163,21 @@ def reach_of(m: Mechanism) -> float:
     own = [x for x in ca.vertsplit(places) if not ca.depends_on(x, m.time)] if places.numel() else []
     value = ca.Function("reach", [p], [ca.norm_inf(stack(own))])
     return float(value([x.default for x in m.parameters]))
+
+
+def far_of(m: Mechanism, guess: ca.Function) -> float:
+    """Return the length [m] from which constants are far from the origin, 0 if no place of the mechanism is.
+
+    `guess` returns the guesses of its coordinates.
+    """
+    p = [x.default for x in m.parameters]
+    size = ca.Function("size", [stack([x.symbol for x in m.parameters])], [ca.sqrt(square_of_size(m))])
+    far = FAR * float(size(p))
+    begun = guess([*p, *[0.0] * (guess.numel_in(0) - len(p))], [x.value for x in m.starts])
+    lengths = [
+        abs(x) for x, c in zip(ca.DM(begun).nz[:].full()[:, 0].tolist(), m.coordinates, strict=False) if c.unit == "m"
+    ]
+    return far if max([reach_of(m), *lengths]) >= far else 0.0
 
 
 def _place(at: AnyMarker) -> tuple[Scalar, ...]:

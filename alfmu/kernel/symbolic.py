@@ -564,17 +564,26 @@ class Scene:
         """
         held = self.held if self.kind == "weighted" else SX.ones(self.e.l)
         # A displacement by the size of the smallest loop counts as much as 1 rad: mechanisms of any size are alike.
-        own = ca.vertcat(*(1 / self.settings.inverse_loop if c.unit == "m" else 1 for c in self.e.coordinates))
-        C = (ca.densify(self.e.C(q, self.p)) * held) @ ca.diag(SX(own))
+        sizes = ca.vertcat(*(1 / self.settings.inverse_loop if c.unit == "m" else 1 for c in self.e.coordinates))
+        C = (ca.densify(self.e.C(q, self.p)) * held) @ ca.diag(SX(sizes))
         K = C @ C.T
         # A vanishing row of a joint is compared with the size of all its rows.
         joints = [(row.name, row.unit) for row in self.e.rows]
         together = ca.DM([[float(one == other) for other in joints] for one in joints])
         sizes = ca.sqrt(together @ ca.diag(K))
         scale = ca.diag(ca.if_else(sizes > 0, 1 / sizes, 0))
-        pivots = ca.ldl(scale @ K @ scale + _ALONE * SX.eye(self.e.l), False)[0]
+        pivots, upper, _ = ca.ldl(scale @ K @ scale + _ALONE * SX.eye(self.e.l), False)
+        found = SX(0)
+        for joint in dict.fromkeys(joints):
+            own = [i for i, each in enumerate(joints) if each == joint]
+            # Eigenvalues of the block of a joint, 1 / len(own) on average where nothing precedes it, do not depend on
+            # its axes. As many are below a limit as pivots of the block less the limit are negative.
+            unit = SX.eye(len(own))
+            U = upper[own, own] + unit
+            block = U.T @ ca.diag(pivots[own]) @ U - branch.BRANCH_MARGIN / len(own) * unit
+            found += ca.sum1(ca.ldl(block, False)[0] < 0)
         usual = self.e.l - (self.e.dependent - self.settings.freedom)
-        return ca.sum1(pivots < branch.BRANCH_MARGIN) > usual
+        return found > usual
 
     def margin_at(self, q: SX) -> SX:
         """S2: return the margin at a position."""

@@ -29,6 +29,9 @@ _RETURNS = 4
 _SHARED = 1e-7
 """Change of an output per unit of a shared load, below which it is zero."""
 
+_NUDGES = 3
+"""Number of ways in which the last digits of H are changed to see round-off."""
+
 _STRAIN = 1e6
 """Load [N, N.m] shared by redundant constraints in tests, large compared with others: friction follows from the
 magnitude of a load, to which a small perpendicular share contributes nothing."""
@@ -118,6 +121,8 @@ class Probe:
     """alpha (l,) [kg or kg.m2 by row], zero for constraints not in force."""
     shares: NDArray[np.float64]
     """Weights (l,) whose inverses are compliances of redundant constraints, see `row_shares`."""
+    own: NDArray[np.float64]
+    """The mechanism's length [m] for coordinates in metres, 1 for others (n,): norms do not depend on the unit."""
 
     @classmethod
     def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
@@ -142,7 +147,9 @@ class Probe:
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
-        return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty))
+        length = 1 / k[SETTINGS.index("inverse_length")]
+        own = np.array([length if c.unit == "m" else 1.0 for c in e.coordinates])
+        return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty), own)
 
     def place(self, q: NDArray[np.float64]) -> None:
         """Move the scene to q (n,) for `mobility`; `numbers` do not change."""
@@ -162,22 +169,27 @@ class Probe:
         """Return the iterations of the residual form after which the error is at most a tenth of the tolerance.
 
         Each gains about the same factor, so a last change of limit^((m - 1) / m) after m iterations leaves the limit.
-        The last digits of H are changed, because round-off is smaller at some starts than at the positions beside them.
-        If the constraints carry nothing at the start, as in free fall, others that load them replace its forces; of
-        these the error is at most the tolerance.
+        The last digits of H are changed, because round-off is smaller at some starts than at the positions beside them;
+        in several ways, as each is smaller in some directions of the mechanism. If the constraints carry nothing at the
+        start, as in free fall, others that load them replace its forces; of these the error is at most the tolerance.
         """
+        return max(self._iterations(way) for way in range(1, 1 + _NUDGES))
+
+    def _iterations(self, way: int) -> int:
+        """Return `iterations_needed` for one way of changing the last digits of H."""
         settings, made = default_settings(self.equations), 0
         left = settings.tolerance / 10
 
         def done(da: NDArray[np.float64], a: NDArray[np.float64]) -> bool:
             nonlocal made
             made += 1
-            return made > 1 and np.linalg.norm(da) <= left ** ((made - 1) / made) * np.linalg.norm(a)
+            change, size = np.linalg.norm(da / self.own), np.linalg.norm(a / self.own)
+            return made > 1 and change <= left ** ((made - 1) / made) * size
 
-        M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps)
+        M, C, F, xi, alpha, solve = self._dynamics(np.finfo(float).eps, way)
         zeros = np.zeros_like(F), np.zeros_like(xi)
         _, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, *zeros, settings.max_iterations, done)
-        if np.linalg.norm(C.T @ lam) <= settings.tolerance * np.linalg.norm(F):
+        if np.linalg.norm(self.own * (C.T @ lam)) <= settings.tolerance * np.linalg.norm(self.own * F):
             made, left, loads = 0, settings.tolerance, M.diagonal() * np.cos(np.arange(len(F)))
             method.residual(M, loads, C, zeros[1], alpha, solve, *zeros, settings.max_iterations, done)
         return made
@@ -217,18 +229,18 @@ class Probe:
         return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
     def _dynamics(
-        self, nudge: float = 0.0
+        self, nudge: float = 0.0, way: int = 1
     ) -> tuple[method.Array, method.Array, NDArray[np.float64], NDArray[np.float64], method.Array, method.Solve]:
         """Return M, C, F, xi, the penalties as a matrix, and a solver with H; large matrices are sparse.
 
-        The entries of H are changed by a fraction `nudge` of alternating sign.
+        The entries of H are changed by a fraction `nudge`, whose sign alternates every `way` rows and columns.
         """
         e = self.equations
         mass, slopes, *vectors = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
         F, xi = (np.array(x).ravel() for x in vectors)
         if e.n <= DENSE:
             M, C, alpha = np.array(mass), np.array(slopes), np.diag(self.penalty)
-            signs = (-1.0) ** np.arange(e.n)
+            signs = (-1.0) ** (np.arange(e.n) // way)
             H = method.augmented_mass(M, C, alpha) * (1 + nudge * np.outer(signs, signs))
             return M, C, F, xi, alpha, lambda b: np.linalg.solve(H, b)
         from scipy.sparse import diags_array
@@ -236,7 +248,7 @@ class Probe:
 
         M, C, alpha = mass.sparse(), slopes.sparse(), diags_array(self.penalty, format="csc")
         H = method.augmented_mass(M, C, alpha).tocoo()
-        H.data *= 1 + nudge * (-1.0) ** (H.row + H.col)
+        H.data *= 1 + nudge * (-1.0) ** (H.row // way + H.col // way)
         return M, C, F, xi, alpha, splu(H.tocsc()).solve
 
 

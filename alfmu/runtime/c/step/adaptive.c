@@ -238,6 +238,17 @@ static void try_any_step(Instance *i)
     try_branch_step(i);
 }
 
+/* Lengthen the step that is assumed for the unused kind after a step of the other. As long as the integrator's own
+   steps have not been tried, they are assumed to be as long as the short ones: the first step is a guess. */
+static void lengthen_other_kind(Instance *i, double left)
+{
+    double *pace = i->m + i->scene->pace;
+    if (pace[PACE_OTHER_DT] < left)
+        pace[PACE_OTHER_DT] *= REGAINED;
+    if (pace[PACE_SHORT] != 0.0 && i->m[i->scene->tally + TALLY_TRIES] == 0.0)
+        pace[PACE_OTHER_DT] = fmax(pace[PACE_OTHER_DT], pace[PACE_DT]);
+}
+
 /* Return the shortest step that an integrator with error control may take here. */
 static double shortest_step(const Instance *i)
 {
@@ -347,8 +358,7 @@ int step_adaptive(Instance *i, double end, long tries)
         if (pace[PACE_ACCEPTED] != 0.0 || cross_jump(i)) {
             /* A rejected step does not lengthen the next one; otherwise short steps and steps of the integrator
                would alternate for ever. */
-            if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
-                pace[PACE_OTHER_DT] *= REGAINED;
+            lengthen_other_kind(i, end - m[s->z + s->time]);
             pace[PACE_SINCE] += 1.0;
             step_commit(i);
         }
