@@ -19,6 +19,7 @@ from alfmu import AlfmuError, Batch, InputError, Instance
 from alfmu.fmi import constants
 from alfmu.runtime.build import including, sources
 from alfmu.runtime.pipeline import packed
+from alfmu.runtime.sweeps import Sweeps
 
 HOST = str(Path(__file__).with_name("batch_host.c"))
 LINKAGES = Path(__file__).parent / "linkages"
@@ -604,3 +605,21 @@ def test_without_gymnasium_an_environment_says_what_to_install():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "an environment needs Gymnasium; install it with: pip install 'alfmu[gym]'\n"
+
+
+def test_a_batch_leaves_the_derivatives_of_its_scene_as_they_were():
+    """Lanes have code of their own, in which results share places; derivatives need all results of a function."""
+    unit = Instance("slider_crank")
+    for name, value in {"solver.method": "rk4", "solver.step_size": 0.01}.items():
+        unit.set(name, value)
+    outputs, times, h = ["crank.angle", "crank.angular_velocity"], np.linspace(0.0, 0.3, 31), 1e-5
+    batch = Batch(unit, 3, threads=1)
+    batch.set("m1", unit.get("m1") + h * np.array([-1.0, 0.0, 1.0]))
+    assert not batch.initialize().any()
+    for _ in times[1:]:
+        assert not batch.step(0.01).any()
+    low, _, high = batch.get(*outputs)
+    seeds = np.array([[float(v.name == "m1")] for v in unit.parameters])
+    found = Sweeps(unit, times, [], np.zeros((31, 0)), outputs, directions=1).tangents(seeds)
+    np.testing.assert_allclose(found[-1, :, 0], (high - low) / (2 * h), rtol=1e-6)
+    assert np.abs(found[-1]).min() > 1e-4

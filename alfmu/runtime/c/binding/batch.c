@@ -16,6 +16,7 @@
 #include "outputs.h"
 #include "run.h"
 #include "scene.h"
+#include "share.h"
 #include "side_by_side.h"
 #include "variables.h"
 #include "whole_run.h"
@@ -45,6 +46,8 @@ struct Batch {
     int shares;         /* whether members borrow work space and wait; with a tape of derivatives they must not */
     Instance *members;
     double *numbers, *lent, *registers;
+    Function *functions; /* the scene's; results of those in lanes share places in `code` */
+    uint16_t *code;
     Place places[PLACES], *end; /* end of the places in use */
     Group group;
     int *waiting; /* [programs and functions] scratch: number of members that wait for each */
@@ -94,18 +97,19 @@ static void work_at_place(void *what)
     p->wanted = NOTHING;
 }
 
-/* Return the program or function for which most members wait. */
+/* Return the program or function for which most members wait, or the first one found that fills all lanes. */
 static int wanted_most(const Batch *b)
 {
     int most = 0, wanted = NOTHING;
-    for (const Place *p = b->places; p < b->end; p++)
+    const Place *p = b->places, *q = p;
+    for (; p < b->end && most < LANES; p++)
         if (p->wanted != NOTHING && ++b->waiting[p->wanted] > most) {
             most = b->waiting[p->wanted];
             wanted = p->wanted;
         }
-    for (const Place *p = b->places; p < b->end; p++)
-        if (p->wanted != NOTHING)
-            b->waiting[p->wanted] = 0;
+    for (; q < p; q++)
+        if (q->wanted != NOTHING)
+            b->waiting[q->wanted] = 0;
     return wanted;
 }
 
@@ -160,14 +164,50 @@ API void alfmu_batch_free(Batch *b)
     free(b->numbers);
     free(b->lent);
     free(b->registers);
+    free(b->functions);
+    free(b->code);
     free(b->waiting);
     free(b);
+}
+
+/* Return whether lanes interpret a function. */
+static int is_interpreted(const Function *f)
+{
+    return f->narrow && !f->compiled && !f->in_lanes;
+}
+
+/* Make the functions for lanes; find the most registers. Return whether there is memory for this. */
+static int has_functions(Batch *b, size_t *most)
+{
+    const Scene *s = b->scene;
+    size_t words = 1;
+    int done;
+    for (int k = 0; k < s->function_count; k++)
+        words += is_interpreted(s->functions + k) ? s->functions[k].words + (size_t)s->functions[k].results : 0;
+    b->functions = malloc(((size_t)s->function_count + 1) * sizeof *b->functions);
+    b->code = malloc(words * sizeof *b->code);
+    done = b->functions && b->code;
+    words = 0;
+    *most = (size_t)s->constant_count;
+    for (int k = 0; k < s->function_count && done; k++) {
+        Function *f = b->functions + k;
+        *f = s->functions[k];
+        if (is_interpreted(f)) {
+            done = share_in_copy(f, b->code + words, s->constant_count);
+            words += f->words + (size_t)f->results;
+            *most = (size_t)f->registers > *most ? (size_t)f->registers : *most;
+        }
+    }
+    return done;
 }
 
 static int has_memory(Batch *b, size_t kept, size_t lent)
 {
     const Scene *s = b->scene;
-    const size_t numbers = LANES * ((size_t)s->registers + 1 + (size_t)s->lane_rows);
+    size_t registers, numbers;
+    if (!has_functions(b, &registers))
+        return 0;
+    numbers = LANES * (registers + 1 + (size_t)s->lane_rows);
     b->members = calloc(b->count, sizeof *b->members);
     b->numbers = calloc(b->count, kept * sizeof *b->numbers);
     b->lent = calloc((size_t)(b->end - b->places), lent * sizeof *b->lent);
@@ -203,6 +243,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
         alfmu_batch_free(b);
         return NULL;
     }
+    b->group.functions = b->functions;
     b->group.registers = (Lanes *)(void *)lanes_align(b->registers);
     for (int k = 0; k < LANES * s->constant_count; k++)
         b->group.registers[k / LANES].lane[k % LANES] = s->constants[k / LANES];

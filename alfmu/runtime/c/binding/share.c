@@ -1,5 +1,7 @@
-/* Lets results within a function share places, and leaves out constants that no function reads, for memory that is
-   scarce (`alfmu.fmi.source`). No scene that runs calls any of this. */
+/* Lets results within a function share places: for memory that is scarce (`alfmu.fmi.source`, which also leaves out
+   constants that no function reads), and for lanes, whose registers then stay in the cache nearest to the processor. */
+
+#include "share.h"
 
 #include "arrange_operations.h"
 #include "baseline.h"
@@ -96,43 +98,56 @@ static int keep_constants(Scene *scene, int *numbers)
     return kept;
 }
 
+/* Let the results within a function share places in its code. `numbers` are the new places of the constants, `kept` of
+   which remain. Return whether there is memory for this. */
+static int share(Function *f, uint16_t *code, int constants, const int *numbers, int kept)
+{
+    Sharing s = {{0}, f, code, constants, kept, NULL, NULL, NULL};
+    const size_t size = (size_t)f->registers + 1;
+    int arguments = 0;
+    for (int k = 0; k < f->inputs; k++)
+        arguments += f->lengths[k];
+    s.last = arrange_integers(&s.room, size, UNREAD);
+    s.shared = arrange_integers(&s.room, size, 0);
+    s.taken = arrange_integers(&s.room, size, 0);
+    if (!s.room.missing) {
+        find_last_reads(&s);
+        for (int k = 0; k < constants; k++)
+            s.shared[k] = numbers ? numbers[k] : k;
+        for (int k = 0; k < kept; k++)
+            s.taken[k] = 1;
+        for (int k = 0; k < arguments; k++) {
+            s.shared[constants + k] = kept + k;
+            s.taken[kept + k] = s.last[constants + k] != UNREAD;
+        }
+        f->registers = replace(&s, kept + arguments);
+        f->narrow = code;
+    }
+    arrange_leave(&s.room);
+    return !s.room.missing;
+}
+
+int share_in_copy(Function *f, uint16_t *code, int constants)
+{
+    memcpy(code, f->narrow, (f->words + (size_t)f->results) * sizeof *code);
+    return share(f, code, constants, NULL, constants);
+}
+
 /* Let the results within each function of a scene share places. Derivatives of the scene are no longer valid. Return
    -1 without memory. */
 API int alfmu_share_places(Scene *scene)
 {
     Room room = {0};
-    int *numbers = arrange_integers(&room, UINT16_MAX + 1, 0), missing = room.missing, kept = 0;
-    if (!missing)
+    int *numbers = arrange_integers(&room, UINT16_MAX + 1, 0), done = !room.missing, kept = 0;
+    if (done)
         kept = keep_constants(scene, numbers);
-    for (int which = 0; which < scene->function_count && !missing; which++) {
+    for (int which = 0; which < scene->function_count && done; which++) {
         Function *f = (Function *)scene->functions + which;
-        Sharing s = {{0}, f, (uint16_t *)f->narrow, scene->constant_count, kept, NULL, NULL, NULL};
-        const size_t size = (size_t)f->registers + 1;
-        int arguments = 0;
-        if (!s.code)
-            continue;
-        for (int k = 0; k < f->inputs; k++)
-            arguments += f->lengths[k];
-        s.last = arrange_integers(&s.room, size, UNREAD);
-        s.shared = arrange_integers(&s.room, size, 0);
-        s.taken = arrange_integers(&s.room, size, 0);
-        missing = s.room.missing;
-        if (!missing) {
-            find_last_reads(&s);
-            for (int k = 0; k < s.constants; k++)
-                s.shared[k] = numbers[k];
-            for (int k = 0; k < kept; k++)
-                s.taken[k] = 1;
-            for (int k = 0; k < arguments; k++) {
-                s.shared[s.constants + k] = kept + k;
-                s.taken[kept + k] = s.last[s.constants + k] != UNREAD;
-            }
-            f->registers = replace(&s, kept + arguments);
-        }
-        arrange_leave(&s.room);
+        if (f->narrow)
+            done = share(f, (uint16_t *)f->narrow, scene->constant_count, numbers, kept);
     }
     arrange_leave(&room);
-    if (!missing)
+    if (done)
         scene->constant_count = kept;
-    return missing ? -1 : 0;
+    return done ? 0 : -1;
 }

@@ -104,12 +104,12 @@ static void call(const Group *g, const Function *f, const Word *at)
         evaluate(g, f, at, in_memory);
     else
         for (int lane = 0; lane < g->count; lane++)
-            function_call_at(g->instances[lane], f, at);
+            function_call_at(g->instances[lane], g->instances[lane]->scene->functions + (f - g->functions), at);
 }
 
 void group_call_function(const Group *g, int function)
 {
-    const Function *f = g->instances[0]->scene->functions + function;
+    const Function *f = g->functions + function;
     if (serves(g, f))
         evaluate(g, f, NULL, in_arrays);
     else
@@ -123,6 +123,7 @@ static Group those(const Group *g, Word number, int zero)
     Group some;
     some.count = 0;
     some.registers = g->registers;
+    some.functions = g->functions;
     for (int lane = 0; lane < g->count; lane++)
         if ((g->instances[lane]->m[number] == 0.0) == zero)
             some.instances[some.count++] = g->instances[lane];
@@ -141,8 +142,8 @@ static inline double *of_call(const Group *g, const Function *f, const Word *pla
 static const Word *run_lanes(const Group *g, int lane, const Word *at)
 {
     const int count = at[1];
-    const Function *f = g->instances[0]->scene->functions + at[2];
-    Group calls = {{g->instances[lane]}, {NULL}, {NULL}, 0, g->registers};
+    const Function *f = g->functions + at[2];
+    Group calls = {{g->instances[lane]}, {NULL}, {NULL}, 0, g->registers, g->functions};
     at += 3;
     for (int left = count; left > 0; left -= LANES, at += calls.count * (f->inputs + f->outputs)) {
         calls.count = left < LANES ? left : LANES;
@@ -156,7 +157,7 @@ static const Word *run_lanes(const Group *g, int lane, const Word *at)
 static const Word *run_routine(const Group *g, int lane, const Word *at)
 {
 #if defined(__GNUC__)
-    if (*at == LANES_CODE && g->instances[0]->scene->functions[at[2]].in_lanes)
+    if (*at == LANES_CODE && g->functions[at[2]].in_lanes)
         return run_lanes(g, lane, at);
 #endif
     return routine_run(g->instances[lane], at);
@@ -186,7 +187,7 @@ static void run(const Group *g, const Word *at, const Word *end)
     while (at < end)
         switch (*at) {
         case CALL_CODE: {
-            const Function *f = g->instances[0]->scene->functions + at[1];
+            const Function *f = g->functions + at[1];
             call(g, f, at + 2);
             at += 2 + f->inputs + f->outputs;
             break;

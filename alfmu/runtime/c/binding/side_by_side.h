@@ -11,7 +11,8 @@ typedef struct {
     const double *const *x[LANES]; /* arguments and results of a function, by lane */
     double *const *y[LANES];
     int count;
-    Lanes *registers; /* [registers of the scene] with its constants loaded */
+    Lanes *registers; /* with the scene's constants loaded */
+    const Function *functions; /* the scene's, with code for lanes */
 } Group;
 
 void group_run_program(const Group *g, int program);

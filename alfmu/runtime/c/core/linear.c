@@ -35,8 +35,12 @@ static void swap_columns(double *x, double *y, int count)
    most `noise` is round-off, which never becomes orthogonal. */
 static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns, double noise)
 {
-    const double xx = dot_product(x, x, rows), yy = dot_product(y, y, rows), xy = dot_product(x, y, rows);
-    double ratio, t, c;
+    double xx = 0.0, yy = 0.0, xy = 0.0, ratio, t, c;
+    for (int i = 0; i < rows; i++) { /* at once: each sum waits for its last term */
+        xx += x[i] * x[i];
+        yy += y[i] * y[i];
+        xy += x[i] * y[i];
+    }
     if (fmin(xx, yy) <= noise || fabs(xy) <= DBL_EPSILON * sqrt(xx) * sqrt(yy))
         return 0;
     ratio = (yy - xx) / (2.0 * xy);

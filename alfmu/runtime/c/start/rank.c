@@ -298,11 +298,12 @@ void rank_freeze(Instance *i)
     /* S5: at a singular position keep the combinations of the previous regular one. */
     if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
-            for (int b = 0; b < s->l; b++) {
+            for (int b = 0; b <= a; b++) { /* the sum is the same for both entries */
                 double sum = 0.0;
                 for (int k = 0; k < rank; k++)
                     sum += weighted[k * s->l + a] * weighted[k * s->l + b];
                 matrix[a * s->l + b] = roots[a] * sum * roots[b] / *i->largest_penalty;
+                matrix[b * s->l + a] = roots[b] * sum * roots[a] / *i->largest_penalty;
             }
         tape_holding(i, instance_field(i, s->z), matrix);
     }
