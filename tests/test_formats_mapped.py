@@ -1,6 +1,7 @@
 """What files of other programs have beside bodies and joints: tendons, actuators, limits, models in models."""
 
 import importlib.util
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -584,7 +585,7 @@ def test_replicas_name_what_is_wrong(tmp_path: Path):
         ('count="3"', 'count="0"', "count is 0; give a number from 1 to"),
         ('count="3"', 'count="1000000"', r"count is 1e\+06"),
         ('count="2"', 'count="1.5"', r"count is 1\.5; give a number from 1 to"),
-        ('sep="_"', 'sep="_" pos="1 0 0"', "does not know pos of <replicate>"),
+        ('sep="_"', 'sep="_" pos="1 0 0"', r'does not know the effect of pos="1 0 0" of <replicate>'),
         ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
     ):
         path.write_text(REPLICAS.replace(old, new))
@@ -844,16 +845,61 @@ AROUND = """<mujoco><option><flag contact="disable"/></option><default><joint da
 """A part of a model in a turned frame, and the whole of it; degrees around it, radians and other defaults in it."""
 
 
+REPLICATED = AROUND.replace('<frame pos="2 0 0">', '<replicate count="2" offset="2 0 0" euler="0 0 20" sep="-">').replace(
+    'prefix="r_"/></frame></worldbody>', 'prefix="r_"/></replicate></worldbody><tendon><fixed name="t" stiffness="3">'
+    '<joint joint="r_j-0" coef="1"/><joint joint="r_o-1" coef="2"/></fixed></tendon>'
+)  # fmt: skip
+"""The same with two copies of the whole model, whose names are those of the model with a prefix and a number."""
+
+
 @MUJOCO
-def test_attached_models_move_as_in_mujoco(tmp_path: Path):
+@pytest.mark.parametrize("around", [AROUND, REPLICATED])
+def test_attached_models_move_as_in_mujoco(around: str, tmp_path: Path):
     path = tmp_path / "scene.xml"
-    path.write_text(AROUND)
+    path.write_text(around)
     (tmp_path / "arm.xml").write_text(ATTACHED)
     for seed in range(2):
         found, reference, opens = by_mujoco(path, *moving(path, seed))
         assert opens < 1e-11
         assert np.abs(reference).max() > 1
         np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+PARTS, COUNT = '<body name="b"><joint name="j"/><geom size="1"/></body>', 2000
+
+
+@pytest.mark.parametrize(
+    ("around", "within"),
+    [
+        ('<attach model="arm" prefix="{long}"/>', ""),
+        ('<replicate count="100"><attach model="arm" prefix="{long}"/></replicate>', ""),
+        ('<replicate count="12" sep="{long}">' + PARTS + "</replicate>", "<equality>{rows}</equality>"),
+        ('<replicate count="1" sep="{long}">' * 99 + PARTS + "</replicate>" * 99, ""),
+    ],
+)
+def test_copies_of_all_kinds_take_bounded_memory(around: str, within: str, tmp_path: Path):
+    path, rows = tmp_path / "scene.xml", '<connect body1="b" anchor="0 0 0"/>' * 20_000
+    asset = '<asset><model name="arm" file="arm.xml"/></asset>'
+    text = f"<mujoco>{asset}<worldbody>{around}</worldbody>{within}</mujoco>"
+    path.write_text(text.format(long="p" * 20_000, rows=rows))
+    bodies = "".join(PARTS.replace('"b"', f'"b{i}"').replace('"j"', f'"j{i}"') for i in range(COUNT))
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    tracemalloc.start()
+    with pytest.raises(alfmu.InputError, match=r"more than 200000 elements, or 20 million characters"):
+        alfmu.imported(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3e8
+
+
+def test_an_unknown_attribute_of_replicas_is_left_out_on_request(tmp_path: Path):
+    path = tmp_path / "scene.xml"
+    path.write_text(REPLICAS.replace('sep="_"', 'sep="_" wobble="3"'))
+    with pytest.raises(alfmu.InputError, match=r'line 2: mujoco/worldbody/replicate: .* wobble="3" of <replicate>'):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="unknown")
+    assert found.warnings == ("unknown elements and attributes, left out by option (line 2)",)
+    assert len(found.mechanism.spatial_bodies) == 10
 
 
 def test_attached_models_are_those_written_out_by_hand(tmp_path: Path):

@@ -78,6 +78,8 @@ class Node:
     text: str = ""
     taken: bool = False
     """Whether the element was read."""
+    end: str = ""
+    """Text after the names of the model that an <attach> in a <replicate> brings."""
 
     def __post_init__(self, given: Mapping[str, str]) -> None:
         self.attributes = Attributes(given)
@@ -330,8 +332,23 @@ class Includes:
     def __init__(self, node: Node, elements: Callable[[Includes, Node], Sequence[Node]]):
         self.elements = elements
         self._within: list[Path] = [node.file.resolve()]
-        self._count = 0
+        self._count = self._elements = self._characters = 0
+        self._spend(node)
         self.replace(node)
+
+    def spend(self, node: Node, elements: int, characters: int) -> None:
+        """Count elements and characters that files and copies make; reject `node` if there are too many in all."""
+        self._elements += elements
+        self._characters += characters
+        if self._elements > MOST or self._characters > LARGEST:
+            node.fail(
+                f"with included files, attached ones and copies there are more than {MOST} elements, or "
+                f"{LARGEST / 1e6:g} million characters; give fewer, or shorter names"
+            )
+
+    def _spend(self, node: Node) -> None:
+        for each in node.below():
+            self.spend(node, 1, len(each.text) + sum(map(len, each.attributes.values())))
 
     def replace(self, node: Node) -> None:
         """Replace the <include> elements in an element."""
@@ -361,6 +378,7 @@ class Includes:
                 f"files include each other in a circle, more than {_INCLUDED} deep, or there are more than {_FILES}"
             )
         root = parsed(path)
+        self._spend(root)
         self._within.append(path)
         try:
             self.replace(root)

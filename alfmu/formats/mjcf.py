@@ -22,7 +22,7 @@ from .linkage import Closure, Coupling, Crank, Joint, Link, Linkage, Motor, Sum,
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
-from .replicas import names_in, others, prefixed, replicated
+from .replicas import named, names_in, others, replicated
 from .solids import Inertial
 
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
@@ -61,6 +61,7 @@ _ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
 _POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
 """Default coefficients of an equality constraint between joints."""
 
+_REPLICATE = ("count", "sep", "offset", "euler")
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
     "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
@@ -149,9 +150,9 @@ class File:
         with self.linkage.trying():
             self._start(key)
 
-    def _begin(self, root: Node, prefix: str = "") -> None:
+    def _begin(self, root: Node, prefix: str = "", end: str = "") -> None:
         """Read what one model alone uses: settings of its compiler, default classes, meshes."""
-        self.root, self.settings, self.prefix = root, _Settings(), prefix
+        self.root, self.settings, self.around = root, _Settings(), (prefix, end)
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
@@ -161,7 +162,7 @@ class File:
         """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
         self.linkage.every(root.all("compiler"), self._compiler)
         self.linkage.every(root.all("default"), self._default)
-        replicated(root, self._euler)
+        replicated(root, self._euler, self._includes.spend)
         self._sections()
 
     def _attach(self, node: Node, link: Link | None, pose: Pose) -> None:
@@ -176,10 +177,10 @@ class File:
         with self._includes.inside(asset, Reading(asset).text("file"), where, self.folders) as root:
             if root.tag != "mujoco":
                 asset.fail(f"the file begins with <{root.tag[:40]}>; alfmu attaches models in MJCF")
-            prefixed(root, prefix)
+            named(root, prefix, node.end, self._includes.spend)
             made = copy.copy(self)
             made.folders = [root.file.resolve().parent, *self.folders]
-            made._begin(root, prefix)
+            made._begin(root, prefix, node.end)
             made.settings.off = self.settings.off  # flags hold for all models
             self.models.append(made)
             if made.settings.bounds != (0.0, 0.0) or made.settings.total:
@@ -191,7 +192,7 @@ class File:
             worlds = root.all("worldbody")
             if body:
                 bodies = {x.attributes.get("name", ""): x for w in worlds for x in w.below() if x.tag == "body"}
-                part = known(node, prefix + body, bodies, "body")
+                part = known(node, prefix + body + node.end, bodies, "body")
                 rest = [x for w in worlds for x in w.children if part not in x.below()] + others(root, names_in(part))
                 self.linkage.leave("parts of attached models that are not attached", *rest)
                 for world in worlds:
@@ -325,6 +326,9 @@ class File:
         """Read a child of a body or a frame."""
         if child.tag == "body":
             self._body(child, link, pose, childclass)
+        elif child.tag == "replicate":
+            child.attributes.taken.update(_REPLICATE)
+            self._tree(child, link, pose, childclass)
         elif child.tag == "frame":
             given = Reading(child)
             own = given.text("childclass", "") or childclass
@@ -604,7 +608,7 @@ class File:
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
-        name = given.text("name", f"{self.prefix}{node.tag}{self._parts('equality').index(node) + 1}")
+        name = given.text("name", f"{node.tag}{self._parts('equality').index(node) + 1}".join(self.around))
         if not given.flag("active", True):
             self.linkage.leave("equality constraints that are not active", node)
             return
