@@ -826,6 +826,47 @@ def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tm
     assert not found.mechanism.closures
 
 
+def test_sites_of_a_flexible_body_are_refused_at_once_with_it(tmp_path: Path):
+    path = tmp_path / "m.xml"
+    text = '<actuator><motor site="pS_last"/><motor joint="pJ_first"/></actuator>'
+    path.write_text(arm(after=text).replace("<worldbody>", '<worldbody><composite prefix="p" type="cable"/>'))
+    with pytest.raises(alfmu.InputError, match="refused for 3 reasons") as refused:
+        alfmu.imported(path)
+    assert str(refused.value).count("is part of a flexible body; --option leave=flexible leaves it out") == 2
+    assert not alfmu.imported(path, leave="flexible").mechanism.inputs
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("m.xml", '<mujoco><compiler angle="radian"/><worldbody><body><joint range="-90 {}"/><inertial pos="0 0 0" '
+         'mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'),
+        ("m.urdf", '<robot name="m"><link name="w"/><link name="a"/><joint name="j" type="revolute"><parent link="w"/>'
+         '<child link="a"/><limit lower="-90" upper="{}"/></joint></robot>'),
+        ("m.urdf", '<robot name="m"><link name="w"/><link name="a"/><joint name="j" type="continuous">'
+         '<parent link="w"/><child link="a"/><origin rpy="0 {} 0"/></joint></robot>'),
+        ("m.sdf", '<sdf version="1.9"><model name="m"><link name="a"><pose>0 0 0 0 {} 0</pose></link><joint name="j" '
+         'type="continuous"><parent>world</parent><child>a</child><axis/></joint></model></sdf>'),
+    ],
+)  # fmt: skip
+def test_angles_that_may_be_degrees_are_remarked_upon(name: str, text: str, tmp_path: Path):
+    path = tmp_path / name
+    path.write_text(text.format(90))
+    assert any("multiply degrees by 0.0174532925" in each for each in alfmu.imported(path).notes)
+    path.write_text(text.format(1.5).replace("-90", "-1.5"))
+    assert not any("degrees" in each for each in alfmu.imported(path).notes)
+
+
+def test_too_many_bodies_and_too_large_numbers_are_refused(tmp_path: Path):
+    path = tmp_path / "m.xml"
+    path.write_text("<mujoco><worldbody>" + '<body><joint/><geom size="1"/></body>' * 5001 + "</worldbody></mujoco>")
+    with pytest.raises(alfmu.InputError, match="it has 5001 bodies; alfmu takes 5000"):
+        alfmu.imported(path, contacts="leave")
+    path.write_text('<mujoco><worldbody><body><joint/><geom size="1e200"/></body></worldbody></mujoco>')
+    with pytest.raises(alfmu.InputError, match=r"size has '1e200'; alfmu reads numbers up to 1e\+50"):
+        alfmu.imported(path)
+
+
 ATTACHED = """<mujoco><compiler angle="radian" eulerseq="zyx"/><option><flag contact="disable"/></option>
 <default><joint damping="0.1"/><default class="heavy"><geom density="3000"/></default></default>
 <worldbody><body name="base" pos="0 0 0.1" euler="0.1 0.2 0.3" childclass="heavy">
@@ -845,10 +886,15 @@ AROUND = """<mujoco><option><flag contact="disable"/></option><default><joint da
 """A part of a model in a turned frame, and the whole of it; degrees around it, radians and other defaults in it."""
 
 
-REPLICATED = AROUND.replace('<frame pos="2 0 0">', '<replicate count="2" offset="2 0 0" euler="0 0 20" sep="-">').replace(
-    'prefix="r_"/></frame></worldbody>', 'prefix="r_"/></replicate></worldbody><tendon><fixed name="t" stiffness="3">'
-    '<joint joint="r_j-0" coef="1"/><joint joint="r_o-1" coef="2"/></fixed></tendon>'
-)  # fmt: skip
+REPLICATED = (
+    AROUND.replace('<frame pos="2 0 0">', '<replicate count="2" offset="2 0 0" euler="0 0 20" sep="-">')
+    .replace('prefix="r_"/></frame>', 'prefix="r_"/></replicate>')
+    .replace(
+        "</worldbody>",
+        '</worldbody><tendon><fixed name="t" stiffness="3"><joint joint="r_j-0" coef="1"/>'
+        '<joint joint="r_o-1" coef="2"/></fixed></tendon>',
+    )
+)
 """The same with two copies of the whole model, whose names are those of the model with a prefix and a number."""
 
 

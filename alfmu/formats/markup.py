@@ -36,6 +36,9 @@ _NAMESPACES = ("xmlns", "xsi:", "xml:")
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
 
+_GREATEST = 1e50
+"""Largest size of a number: the fifth power of a length, as inertia has it, remains finite."""
+
 _INCLUDED, _FILES = 8, 100
 """Largest depth of nested includes, and largest number of included files."""
 
@@ -269,6 +272,8 @@ def numbers(node: Node, what: str, text: str, count: int | range, finite: bool =
     for word, value in zip(words, found, strict=True):
         if math.isnan(value) or (finite and math.isinf(value)) or "_" in word:
             node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
+        if finite and abs(value) > _GREATEST:
+            node.fail(f"{what} has {shown(word[:40])}; alfmu reads numbers up to {_GREATEST:g}")
     if not (len(found) in count if isinstance(count, range) else len(found) == count):
         wanted = f"{count.start} to {count.stop - 1}" if isinstance(count, range) else str(count)
         node.fail(f"{what} has {len(found)} numbers; give {wanted}")
