@@ -400,6 +400,10 @@ def test_members_whose_redundant_constraints_would_brake():
             lambda b: Batch(Instance("four_bar"), 2, {"solver.input_order": 1}),
             "four_bar: a batch of an instance has its solver.input_order, 0; set 1 in the instance before",
         ),
+        (
+            lambda b: b.set("solver.input_order", 1),
+            "four_bar: solver.input_order is 1, but fixed at 0 here; give it when",
+        ),
         (lambda b: setattr(b, "time", np.nan), "four_bar: the time of the start is nan; give one finite number"),
         (lambda b: (b.initialize(), setattr(b, "time", 1.0)), "four_bar: the time is fixed once a member is initialis"),
         (lambda b: Batch("four_bar", 2, {"nothing": 1.0}), "nothing"),

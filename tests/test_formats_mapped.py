@@ -1,6 +1,7 @@
 """What files of other programs have beside bodies and joints: tendons, actuators, limits, models in models."""
 
 import importlib.util
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -584,7 +585,7 @@ def test_replicas_name_what_is_wrong(tmp_path: Path):
         ('count="3"', 'count="0"', "count is 0; give a number from 1 to"),
         ('count="3"', 'count="1000000"', r"count is 1e\+06"),
         ('count="2"', 'count="1.5"', r"count is 1\.5; give a number from 1 to"),
-        ('sep="_"', 'sep="_" pos="1 0 0"', "does not know pos of <replicate>"),
+        ('sep="_"', 'sep="_" pos="1 0 0"', r'does not know the effect of pos="1 0 0" of <replicate>'),
         ('joint="jb0_2"', 'joint="jb"', "there is no joint 'jb'"),
     ):
         path.write_text(REPLICAS.replace(old, new))
@@ -825,6 +826,47 @@ def test_what_holds_a_flexible_body_is_left_out_with_it(soft: str, part: str, tm
     assert not found.mechanism.closures
 
 
+def test_sites_of_a_flexible_body_are_refused_at_once_with_it(tmp_path: Path):
+    path = tmp_path / "m.xml"
+    text = '<actuator><motor site="pS_last"/><motor joint="pJ_first"/></actuator>'
+    path.write_text(arm(after=text).replace("<worldbody>", '<worldbody><composite prefix="p" type="cable"/>'))
+    with pytest.raises(alfmu.InputError, match="refused for 3 reasons") as refused:
+        alfmu.imported(path)
+    assert str(refused.value).count("is part of a flexible body; --option leave=flexible leaves it out") == 2
+    assert not alfmu.imported(path, leave="flexible").mechanism.inputs
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("m.xml", '<mujoco><compiler angle="radian"/><worldbody><body><joint range="-90 {}"/><inertial pos="0 0 0" '
+         'mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'),
+        ("m.urdf", '<robot name="m"><link name="w"/><link name="a"/><joint name="j" type="revolute"><parent link="w"/>'
+         '<child link="a"/><limit lower="-90" upper="{}"/></joint></robot>'),
+        ("m.urdf", '<robot name="m"><link name="w"/><link name="a"/><joint name="j" type="continuous">'
+         '<parent link="w"/><child link="a"/><origin rpy="0 {} 0"/></joint></robot>'),
+        ("m.sdf", '<sdf version="1.9"><model name="m"><link name="a"><pose>0 0 0 0 {} 0</pose></link><joint name="j" '
+         'type="continuous"><parent>world</parent><child>a</child><axis/></joint></model></sdf>'),
+    ],
+)  # fmt: skip
+def test_angles_that_may_be_degrees_are_remarked_upon(name: str, text: str, tmp_path: Path):
+    path = tmp_path / name
+    path.write_text(text.format(90))
+    assert any("multiply degrees by 0.0174532925" in each for each in alfmu.imported(path).notes)
+    path.write_text(text.format(1.5).replace("-90", "-1.5"))
+    assert not any("degrees" in each for each in alfmu.imported(path).notes)
+
+
+def test_too_many_bodies_and_too_large_numbers_are_refused(tmp_path: Path):
+    path = tmp_path / "m.xml"
+    path.write_text("<mujoco><worldbody>" + '<body><joint/><geom size="1"/></body>' * 5001 + "</worldbody></mujoco>")
+    with pytest.raises(alfmu.InputError, match="it has 5001 bodies; alfmu takes 5000"):
+        alfmu.imported(path, contacts="leave")
+    path.write_text('<mujoco><worldbody><body><joint/><geom size="1e200"/></body></worldbody></mujoco>')
+    with pytest.raises(alfmu.InputError, match=r"size has '1e200'; alfmu reads numbers up to 1e\+50"):
+        alfmu.imported(path)
+
+
 ATTACHED = """<mujoco><compiler angle="radian" eulerseq="zyx"/><option><flag contact="disable"/></option>
 <default><joint damping="0.1"/><default class="heavy"><geom density="3000"/></default></default>
 <worldbody><body name="base" pos="0 0 0.1" euler="0.1 0.2 0.3" childclass="heavy">
@@ -844,16 +886,66 @@ AROUND = """<mujoco><option><flag contact="disable"/></option><default><joint da
 """A part of a model in a turned frame, and the whole of it; degrees around it, radians and other defaults in it."""
 
 
+REPLICATED = (
+    AROUND.replace('<frame pos="2 0 0">', '<replicate count="2" offset="2 0 0" euler="0 0 20" sep="-">')
+    .replace('prefix="r_"/></frame>', 'prefix="r_"/></replicate>')
+    .replace(
+        "</worldbody>",
+        '</worldbody><tendon><fixed name="t" stiffness="3"><joint joint="r_j-0" coef="1"/>'
+        '<joint joint="r_o-1" coef="2"/></fixed></tendon>',
+    )
+)
+"""The same with two copies of the whole model, whose names are those of the model with a prefix and a number."""
+
+
 @MUJOCO
-def test_attached_models_move_as_in_mujoco(tmp_path: Path):
+@pytest.mark.parametrize("around", [AROUND, REPLICATED])
+def test_attached_models_move_as_in_mujoco(around: str, tmp_path: Path):
     path = tmp_path / "scene.xml"
-    path.write_text(AROUND)
+    path.write_text(around)
     (tmp_path / "arm.xml").write_text(ATTACHED)
     for seed in range(2):
         found, reference, opens = by_mujoco(path, *moving(path, seed))
         assert opens < 1e-11
         assert np.abs(reference).max() > 1
         np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), rtol=0)
+
+
+PARTS, COUNT = '<body name="b"><joint name="j"/><geom size="1"/></body>', 2000
+
+
+@pytest.mark.parametrize(
+    ("around", "within"),
+    [
+        ('<attach model="arm" prefix="{long}"/>', ""),
+        ('<replicate count="100"><attach model="arm" prefix="{long}"/></replicate>', ""),
+        ('<replicate count="12" sep="{long}">' + PARTS + "</replicate>", "<equality>{rows}</equality>"),
+        ('<replicate count="1" sep="{long}">' * 99 + PARTS + "</replicate>" * 99, ""),
+    ],
+)
+def test_copies_of_all_kinds_take_bounded_memory(around: str, within: str, tmp_path: Path):
+    path, rows = tmp_path / "scene.xml", '<connect body1="b" anchor="0 0 0"/>' * 20_000
+    asset = '<asset><model name="arm" file="arm.xml"/></asset>'
+    text = f"<mujoco>{asset}<worldbody>{around}</worldbody>{within}</mujoco>"
+    path.write_text(text.format(long="p" * 20_000, rows=rows))
+    bodies = "".join(PARTS.replace('"b"', f'"b{i}"').replace('"j"', f'"j{i}"') for i in range(COUNT))
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    tracemalloc.start()
+    with pytest.raises(alfmu.InputError, match=r"more than 200000 elements, or 20 million characters"):
+        alfmu.imported(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3e8
+
+
+def test_an_unknown_attribute_of_replicas_is_left_out_on_request(tmp_path: Path):
+    path = tmp_path / "scene.xml"
+    path.write_text(REPLICAS.replace('sep="_"', 'sep="_" wobble="3"'))
+    with pytest.raises(alfmu.InputError, match=r'line 2: mujoco/worldbody/replicate: .* wobble="3" of <replicate>'):
+        alfmu.imported(path)
+    found = alfmu.imported(path, leave="unknown")
+    assert found.warnings == ("unknown elements and attributes, left out by option (line 2)",)
+    assert len(found.mechanism.spatial_bodies) == 10
 
 
 def test_attached_models_are_those_written_out_by_hand(tmp_path: Path):

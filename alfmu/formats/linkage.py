@@ -6,6 +6,7 @@ frame, about points and axes of that frame: a link with several joints is a chai
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,9 @@ from .solids import Inertial
 
 ANYWHERE = 1e15
 """Smallest number [rad, m, N.m, N] by which files express that there is no limit."""
+
+MOST_LINKS = 5000
+"""Largest number of bodies: the time to declare them grows with its square, and 5000 take minutes."""
 
 LEAVES = ("actuators", "balls", "flexible", "free", "gaps", "includes", "medium", "shapes", "tendons", "unknown")
 """Kinds of elements that a user may leave out although they affect the motion; `balls`: springs and friction in ball
@@ -311,6 +315,11 @@ class Linkage:
         """Add a further remark."""
         self.noted.setdefault(what, []).extend(nodes)
 
+    def doubt_angles(self, node: Node, *angles: float) -> None:
+        """Remark on angles [rad] of more than a turn, and by whole numbers, as degrees are."""
+        if any(2 * math.pi < abs(x) < 1e4 and x == round(x) for x in angles):
+            self.note("angles of more than a turn, which are radians here; multiply degrees by 0.0174532925", node)
+
     def leave(self, what: str, *nodes: Node) -> None:
         """Record ignored elements without effect on the motion."""
         self.left_out.setdefault(what, []).extend(nodes)
@@ -365,6 +374,11 @@ class Linkage:
                 self.warn("shapes, whose mass is unknown, left out by option", node)
             elif str(doubt) not in self.causes:
                 self.causes.append(f"{doubt}; --option leave=shapes leaves its mass out")
+        for joint in self.joints:
+            if joint.kind == "revolute":
+                self.doubt_angles(joint.node, *(x for ends in joint.limits for x in ends))
+        if len(self.links) > MOST_LINKS:
+            self.node.fail(f"it has {len(self.links)} bodies; alfmu takes {MOST_LINKS}")
         for link in self.links:
             moments = np.linalg.eigvalsh(link.inertial.inertia)
             tiny = 1e-12 * np.abs(moments).max()

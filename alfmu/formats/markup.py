@@ -36,6 +36,9 @@ _NAMESPACES = ("xmlns", "xsi:", "xml:")
 _LONGEST = 100_000
 """Largest number of values in an attribute."""
 
+_GREATEST = 1e50
+"""Largest size of a number: the fifth power of a length, as inertia has it, remains finite."""
+
 _INCLUDED, _FILES = 8, 100
 """Largest depth of nested includes, and largest number of included files."""
 
@@ -78,6 +81,8 @@ class Node:
     text: str = ""
     taken: bool = False
     """Whether the element was read."""
+    end: str = ""
+    """Text after the names of the model that an <attach> in a <replicate> brings."""
 
     def __post_init__(self, given: Mapping[str, str]) -> None:
         self.attributes = Attributes(given)
@@ -267,6 +272,8 @@ def numbers(node: Node, what: str, text: str, count: int | range, finite: bool =
     for word, value in zip(words, found, strict=True):
         if math.isnan(value) or (finite and math.isinf(value)) or "_" in word:
             node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
+        if finite and abs(value) > _GREATEST:
+            node.fail(f"{what} has {shown(word[:40])}; alfmu reads numbers up to {_GREATEST:g}")
     if not (len(found) in count if isinstance(count, range) else len(found) == count):
         wanted = f"{count.start} to {count.stop - 1}" if isinstance(count, range) else str(count)
         node.fail(f"{what} has {len(found)} numbers; give {wanted}")
@@ -330,8 +337,23 @@ class Includes:
     def __init__(self, node: Node, elements: Callable[[Includes, Node], Sequence[Node]]):
         self.elements = elements
         self._within: list[Path] = [node.file.resolve()]
-        self._count = 0
+        self._count = self._elements = self._characters = 0
+        self._spend(node)
         self.replace(node)
+
+    def spend(self, node: Node, elements: int, characters: int) -> None:
+        """Count elements and characters that files and copies make; reject `node` if there are too many in all."""
+        self._elements += elements
+        self._characters += characters
+        if self._elements > MOST or self._characters > LARGEST:
+            node.fail(
+                f"with included files, attached ones and copies there are more than {MOST} elements, or "
+                f"{LARGEST / 1e6:g} million characters; give fewer, or shorter names"
+            )
+
+    def _spend(self, node: Node) -> None:
+        for each in node.below():
+            self.spend(node, 1, len(each.text) + sum(map(len, each.attributes.values())))
 
     def replace(self, node: Node) -> None:
         """Replace the <include> elements in an element."""
@@ -361,6 +383,7 @@ class Includes:
                 f"files include each other in a circle, more than {_INCLUDED} deep, or there are more than {_FILES}"
             )
         root = parsed(path)
+        self._spend(root)
         self._within.append(path)
         try:
             self.replace(root)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,8 +23,10 @@ from .linkage import Closure, Coupling, Crank, Joint, Link, Linkage, Motor, Sum,
 from .markup import Includes, Node, Reading, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
-from .replicas import names_in, others, prefixed, replicated
+from .replicas import named, names_in, others, replicated
 from .solids import Inertial
+
+T = TypeVar("T")
 
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
@@ -61,6 +64,7 @@ _ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
 _POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
 """Default coefficients of an equality constraint between joints."""
 
+_REPLICATE = ("count", "sep", "offset", "euler")
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
     "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
@@ -117,7 +121,7 @@ class File:
         self.masses: dict[Link, list[Inertial]] = {}
         """Inertias that geoms contribute to bodies."""
         self.soft: list[str] = []
-        """Prefixes of the names of bodies that belong to flexible bodies."""
+        """Prefixes of the names of bodies, joints and sites that belong to flexible bodies."""
         self.tendons: dict[str, Sum | None] = {}
         self.zero: dict[Link, Pose] = {}
         self.models: list[File] = [self]
@@ -149,9 +153,9 @@ class File:
         with self.linkage.trying():
             self._start(key)
 
-    def _begin(self, root: Node, prefix: str = "") -> None:
+    def _begin(self, root: Node, prefix: str = "", end: str = "") -> None:
         """Read the parts that belong to a single model: compiler settings, default classes, meshes."""
-        self.root, self.settings, self.prefix = root, _Settings(), prefix
+        self.root, self.settings, self.around = root, _Settings(), (prefix, end)
         self.defaults: dict[str, dict[str, Inherited]] = {"main": {}}
         self.meshes = {
             x.attributes.get("name", "") or Path(x.attributes.get("file", "")).stem: x
@@ -161,7 +165,7 @@ class File:
         """Inertias at unit density of the meshes read so far, by name and whether the mesh is a shell."""
         self.linkage.every(root.all("compiler"), self._compiler)
         self.linkage.every(root.all("default"), self._default)
-        replicated(root, self._euler)
+        replicated(root, self._euler, self._includes.spend)
         self._sections()
 
     def _attach(self, node: Node, link: Link | None, pose: Pose) -> None:
@@ -176,10 +180,10 @@ class File:
         with self._includes.inside(asset, Reading(asset).text("file"), where, self.folders) as root:
             if root.tag != "mujoco":
                 asset.fail(f"the file begins with <{root.tag[:40]}>; alfmu attaches models in MJCF")
-            prefixed(root, prefix)
+            named(root, prefix, node.end, self._includes.spend)
             made = copy.copy(self)
             made.folders = [root.file.resolve().parent, *self.folders]
-            made._begin(root, prefix)
+            made._begin(root, prefix, node.end)
             made.settings.off = self.settings.off  # flags hold for all models
             self.models.append(made)
             if made.settings.bounds != (0.0, 0.0) or made.settings.total:
@@ -191,7 +195,7 @@ class File:
             worlds = root.all("worldbody")
             if body:
                 bodies = {x.attributes.get("name", ""): x for w in worlds for x in w.below() if x.tag == "body"}
-                part = known(node, prefix + body, bodies, "body")
+                part = known(node, prefix + body + node.end, bodies, "body")
                 rest = [x for w in worlds for x in w.children if part not in x.below()] + others(root, names_in(part))
                 self.linkage.leave("parts of attached models that are not attached", *rest)
                 for world in worlds:
@@ -325,6 +329,9 @@ class File:
         """Read a child of a body or a frame."""
         if child.tag == "body":
             self._body(child, link, pose, childclass)
+        elif child.tag == "replicate":
+            child.attributes.taken.update(_REPLICATE)
+            self._tree(child, link, pose, childclass)
         elif child.tag == "frame":
             given = Reading(child)
             own = given.text("childclass", "") or childclass
@@ -342,8 +349,8 @@ class File:
                 self.sites[name] = link, pose @ at
             self.linkage.leave("sites", child)
         elif child.tag in ("flexcomp", "composite"):
-            name = child.attributes.get("name")
-            self.soft.append(f"{name}_" if child.tag == "flexcomp" else f"{child.attributes.get('prefix')}B_")
+            name, prefix = child.attributes.get("name"), child.attributes.get("prefix")
+            self.soft += [f"{name}_"] if child.tag == "flexcomp" else [f"{prefix}{letter}_" for letter in "BJS"]
             self.linkage.without("flexible", child, f"<{child.tag}> does not map; alfmu takes rigid bodies")
         elif child.tag in _IN_BODIES:
             self.linkage.leave(f"{child.tag}s", child)
@@ -415,6 +422,7 @@ class File:
     def _turn(self, given: Reading, how: str) -> Array:
         x = vector(given.numbers(how, _ATTITUDES[how]))
         if how == "euler":
+            self.linkage.doubt_angles(given.node, *([] if self.settings.degrees else x))
             return self._euler(x.tolist())
         if (not np.linalg.norm(x[:3]) > 0 and how != "quat") or not np.linalg.norm(x) > 0:
             given.fail(how, f"{how} has no direction")
@@ -604,7 +612,7 @@ class File:
         if node.tag not in ("connect", "weld", "joint", "tendon"):
             node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld, joint and tendon")
         given = self._reading(node, None, "equality")
-        name = given.text("name", f"{self.prefix}{node.tag}{self._parts('equality').index(node) + 1}")
+        name = given.text("name", f"{node.tag}{self._parts('equality').index(node) + 1}".join(self.around))
         if not given.flag("active", True):
             self.linkage.leave("equality constraints that are not active", node)
             return
@@ -624,7 +632,7 @@ class File:
         """Return a joint, or the joints of a fixed tendon with their factors, by its name in an attribute."""
         name, tag = given.text(which), given.node.tag
         if what == "joint":
-            joint = known(given.node, name, self.joints, "joint")
+            joint = self._known(given, which, self.joints, "joint")
             said = f"{which} {shown(name)} is no hinge and no slide"
             if not _is_scalar(joint) and tag in _ACTUATORS:
                 self.linkage.skip("actuators", given.node, said)
@@ -678,7 +686,7 @@ class File:
         turns = node.tag == "connect" or given.positive("torquescale", 1.0) == 0
         joint = Joint(name, "spherical" if turns else "weld", node)
         if given.has("site1"):
-            one, two = (known(node, given.text(which), self.sites, "site") for which in ("site1", "site2"))
+            one, two = (self._known(given, which, self.sites, "site") for which in ("site1", "site2"))
             return Closure(joint, one, two)
         first, second = self._link(given, "body1"), self._link(given, "body2", "world")
         apart = self._at_reference(first).inverse @ self._at_reference(second)
@@ -695,10 +703,14 @@ class File:
         return place(link, self.linkage.references, self.zero)
 
     def _link(self, given: Reading, which: str, default: str | None = None) -> Link | None:
-        name = given.text(which, default)
-        if name.startswith(tuple(self.soft)):
+        return None if given.text(which, default) == "world" else self._known(given, which, self.links, "body")
+
+    def _known(self, given: Reading, which: str, there: Mapping[str, T], what: str) -> T:
+        """Return the object that an attribute names; refuse, or leave out, what names a part of a flexible body."""
+        name = given.text(which)
+        if name not in there and name.startswith(tuple(self.soft)):
             self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
-        return None if name == "world" else known(given.node, name, self.links, "body")
+        return known(given.node, name, there, what)
 
     # Actuators --------------------------------------------------------------------------------------------------
 
@@ -770,7 +782,7 @@ class File:
         if given.has("body"):
             self.linkage.skip("actuators", node, "body does not map: alfmu has no contacts")
         if given.has("cranksite"):
-            pin, guide = (known(node, given.text(x), self.sites, "site") for x in ("cranksite", "slidersite"))
+            pin, guide = (self._known(given, x, self.sites, "site") for x in ("cranksite", "slidersite"))
             rod = given.number("cranklength")
             if not rod > 0:
                 given.fail("cranklength", f"cranklength is {rod:g}; it must be above zero")
@@ -785,8 +797,8 @@ class File:
                 self.linkage.warn(f"{what} acts along it, as in MuJoCo", node)
             return made
         if given.has("site"):
-            on = known(node, given.text("site"), self.sites, "site")
-            against = known(node, given.text("refsite"), self.sites, "site") if given.has("refsite") else None
+            on = self._known(given, "site", self.sites, "site")
+            against = self._known(given, "refsite", self.sites, "site") if given.has("refsite") else None
             force, torque = np.split(vector([*gear, *[0.0] * 6][:6]), 2)
             unit = "N" if not torque.any() else "1" if force.any() else "N.m"
             made = Motor(named or f"{given.text('site')}_{node.tag}", node, (), unit)

@@ -1,5 +1,5 @@
 """MJCF's <replicate>: copies of a part of the tree, each at the same pose from the one before, with numbered names;
-and the names of <attach>, which have a prefix.
+and the names of <attach>, which have a prefix, and an end inside a <replicate>.
 
 Elements of other sections that name replicated elements alone are replicated, too.
 """
@@ -24,29 +24,31 @@ _NAMING = {
 _KINDS = {"freejoint": "joint"}
 
 
-def replicated(root: Node, turn: Callable[[Sequence[float]], Array]) -> None:
-    """Replace all <replicate> elements by frames with copies; `turn` returns the rotation by Euler angles."""
+Spend = Callable[[Node, int, int], None]
+"""Counts elements and characters that are made for an element, and limits them."""
+
+
+def replicated(root: Node, turn: Callable[[Sequence[float]], Array], spend: Spend) -> None:
+    """Replace the children of all <replicate> elements by frames with copies; `turn` returns the rotation by Euler
+    angles."""
     for world in root.all("worldbody"):
-        _within(root, world, turn)
+        _within(root, world, turn, spend)
 
 
-def _within(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) -> None:
-    found: list[Node] = []
+def _within(root: Node, node: Node, turn: Callable[[Sequence[float]], Array], spend: Spend) -> None:
     for child in node.children:
-        _within(root, child, turn)
-        found += _copies(root, child, turn) if child.tag == "replicate" else [child]
-    node.children = found
+        _within(root, child, turn, spend)
+        if child.tag == "replicate":
+            child.children = _copies(root, child, turn, spend)
 
 
-def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) -> list[Node]:
+def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array], spend: Spend) -> list[Node]:
     """Return a frame for each copy; names that refer to copies alone are replaced in all sections."""
     given = Reading(node)
     number, between = given.number("count"), given.text("sep", "")
     count = int(number)
     step, angles = vector(given.numbers("offset", 3, (0, 0, 0))), vector(given.numbers("euler", 3, (0, 0, 0)))
     at = np.zeros(3)
-    for name in set(node.attributes) - {"count", "sep", "offset", "euler"}:
-        given.fail(name, f"alfmu does not know {name} of <replicate>; leave it out")
     size = sum(1 for _ in node.below())
     if not 1 <= count <= MOST // size or count != number:
         given.fail("count", f"count is {number:g}; give a number from 1 to {MOST // size}")
@@ -57,8 +59,8 @@ def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
         own = turn((i * angles).tolist())  # MuJoCo multiplies the angles, which is no product of rotations
         posed = {"pos": at, "quat": quaternion(own)}
         numbers = {name: " ".join(repr(float(x)) for x in value) for name, value in posed.items()}
-        frame = Node("frame", numbers, node.file, node.line, node.parent)
-        frame.children = [_copy(child, frame, end, names) for child in node.children]
+        frame = Node("frame", numbers, node.file, node.line, node)
+        frame.children = [_copy(child, frame, end, names, spend) for child in node.children]
         made.append(frame)
         at = at + own @ step
     for section in (x for tag in _SECTIONS for x in root.all(tag)):
@@ -68,7 +70,7 @@ def _copies(root: Node, node: Node, turn: Callable[[Sequence[float]], Array]) ->
             if not named or not named <= names:
                 found.append(each)
                 continue
-            found += [_copy(each, section, end, names) for end in ends]
+            found += [_copy(each, section, end, names, spend) for end in ends]
             names |= {(section.tag, each.attributes.get("name"))} if section.tag == "tendon" else set()
         section.children = found
     return made
@@ -79,15 +81,18 @@ def names_in(node: Node) -> set[tuple[str, str]]:
     return {(_KINDS.get(x.tag, x.tag), x.attributes["name"]) for x in node.below() if "name" in x.attributes}
 
 
-def prefixed(root: Node, prefix: str) -> None:
-    """Put a prefix before all names of a model but those of its assets and default classes, which it alone uses."""
+def named(root: Node, prefix: str, end: str, spend: Spend) -> None:
+    """Put a prefix before, and an end after, all names of a model but those of its assets and default classes, which
+    it alone uses."""
     for node in (x for part in root.children if part.tag not in ("asset", "default") for x in part.below()):
         for name, value in node.attributes.items():
-            kind, named = _named(node, name) if node.tag != "attach" else ("", "")
-            if (name == "name" and node.tag != "attach") or (kind and named != "world"):
-                node.attributes[name] = prefix + value
+            kind, of = _named(node, name) if node.tag != "attach" else ("", "")
+            if (name == "name" and node.tag != "attach") or (kind and of != "world"):
+                node.attributes[name] = prefix + value + end
+                spend(node, 0, len(node.attributes[name]))
         if node.tag == "attach":
             node.attributes["prefix"] = prefix + dict.get(node.attributes, "prefix", "")
+            node.end += end
 
 
 def others(root: Node, names: set[tuple[str, str]]) -> list[Node]:
@@ -109,12 +114,14 @@ def _named(node: Node, attribute: str) -> tuple[str, str]:
     return kind, dict.get(node.attributes, attribute, "") if kind else ""
 
 
-def _copy(node: Node, parent: Node, end: str, names: set[tuple[str, str]]) -> Node:
+def _copy(node: Node, parent: Node, end: str, names: set[tuple[str, str]], spend: Spend) -> Node:
     """Return a copy of an element with `end` after its name, and after the names in `names` that it mentions."""
-    given = {
-        name: value + end if name == "name" or _named(node, name) in names else value
+    changed = {
+        name: value + end
         for name, value in node.attributes.items()
-    }
-    made = Node(node.tag, given, node.file, node.line, parent, text=node.text)
-    made.children = [_copy(child, made, end, names) for child in node.children]
+        if name == "name" or _named(node, name) in names
+    }  # fmt: skip
+    made = Node(node.tag, node.attributes | changed, node.file, node.line, parent, text=node.text, end=node.end + end)
+    spend(node, 1, len(made.end) + sum(map(len, changed.values())))
+    made.children = [_copy(child, made, end, names, spend) for child in node.children]
     return made

@@ -217,6 +217,7 @@ class File:
             return Pose()
         x = numbers(node, "<pose>", node.text, 7 if form == "quat_xyzw" else 6)
         if form != "quat_xyzw":
+            self.linkage.doubt_angles(node, *([] if degrees else x[3:]))
             return Pose(vector(x[:3]), turned("XYZ", [math.radians(a) if degrees else a for a in x[3:]]))
         if not any(x[3:]):
             node.fail("the quaternion is zero")

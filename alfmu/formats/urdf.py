@@ -205,7 +205,9 @@ class File:
 
     def _posed(self, given: Reading) -> Pose:
         """Return the pose from xyz and rpy of an element."""
-        return Pose(vector(given.numbers("xyz", 3, (0, 0, 0))), turned("XYZ", given.numbers("rpy", 3, (0, 0, 0))))
+        angles = given.numbers("rpy", 3, (0, 0, 0))
+        self.linkage.doubt_angles(given.node, *angles)
+        return Pose(vector(given.numbers("xyz", 3, (0, 0, 0))), turned("XYZ", angles))
 
     def _axis(self, node: Node) -> Array:
         child = node.one("axis") or node.add("axis")

@@ -62,7 +62,7 @@ int friction_jammed(Instance *i)
 {
     const Scene *s = i->scene;
     const double *grip;
-    if (!s->frictions || s->gripping < 0)
+    if (!s->frictions || s->gripping < 0 || friction_count_sticking(i) == s->frictions)
         return 0;
     grip = friction_gripped(i) + 3 * s->frictions;
     return !(grip[0] <= JAM_SETTLED * JAM_SETTLED) || !(grip[1] > JAM_PIVOT);

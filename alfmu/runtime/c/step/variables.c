@@ -28,6 +28,10 @@ Outcome variable_check(Instance *i, const Variable *v, double value)
         return instance_say(i, REFUSED, "%s: %s is %g; it must be a whole number", name, v->name, value);
     if (value >= v->minimum && value <= v->maximum)
         return DONE;
+    if (v->minimum == v->maximum)
+        return instance_say(i, REFUSED,
+            "%s: %s is %g, but fixed at %g here; give it when the instance or the batch is made", name, v->name, value,
+            v->minimum);
     if (isfinite(v->minimum))
         write_text(low, sizeof low, "%g", v->minimum);
     if (isfinite(v->maximum))
