@@ -113,11 +113,10 @@ def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -
     """Encode a function with arguments and results of these lengths."""
     if len(instructions) > LONG:
         operations = Operations.of(instructions)
-        if len(operations) > LONG:
-            if found := repeats(operations, WORTH):
-                made = _Writing(operations, inputs, outputs).done(found)
-                if WORTH * len(made.words) < len(operations):
-                    return made
+        if len(operations) > LONG and (found := repeats(operations, WORTH)):
+            made = _Writing(operations, inputs, outputs).done(found)
+            if WORTH * len(made.words) < len(operations):
+                return made
     return _straight(instructions, inputs, outputs)
 
 
