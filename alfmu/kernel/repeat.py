@@ -102,13 +102,19 @@ def repeats(operations: Operations, worth: float = 0.0) -> list[Repeat]:
         if not len(free):
             continue
         start, end = each.start + int(free[0]), each.start + int(free[-1]) + 1
-        count = (end - start) // each.period
-        if taken[start:end].any() or count < FEWEST or (count - 1) * each.period < SAVED:
+        if taken[start:end].any() or not _saves(each.period, end - start):
             continue
+        count = (end - start) // each.period
         repeat = sequence.begun_best(Repeat(start, each.period, count), end)
         taken[repeat.start : repeat.end] = True
         found.append(repeat)
     return _Lines(operations).improved(sorted(found), worth)
+
+
+def _saves(period: int, length: int) -> bool:
+    """Return whether as many operations are enough for a loop of this period."""
+    count = length // period
+    return count >= FEWEST and (count - 1) * period >= SAVED
 
 
 class _Sequence:
@@ -137,7 +143,10 @@ class _Sequence:
             length *= 2
             if length in _WINDOWS:
                 for period, start, end in _stretches(hashed):
-                    for each in self._exact(period, max(0, start - length - period), min(count, end + length + period)):
+                    begin, end = max(0, start - length - period), min(count, end + length + period)
+                    if not _saves(period, end - begin):
+                        continue
+                    for each in self._exact(period, begin, end):
                         if each not in seen:
                             seen.add(each)
                             yield each
@@ -150,7 +159,7 @@ class _Sequence:
         same &= ((one == other) | (np.minimum(one, other) >= period)).all(axis=0)
         for start, stop in _true(same):
             length = stop - start
-            if length >= (FEWEST - 1) * period:
+            if _saves(period, length + period):
                 yield _Candidate(length, period, begin + start, begin + stop + period)
 
     def begun_best(self, repeat: Repeat, end: int) -> Repeat:
