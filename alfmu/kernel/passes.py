@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .arrangement import KIND_OF, KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
-from .repeat import Repeat, pieces, repeats, words_of
+from .repeat import Repeat, pieces, repeats
 from .stream import CONSTANT, INPUT, NOTHING, ROLE, VALUE, Instructions, Operations, address, library
 
 LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
@@ -113,12 +113,10 @@ def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -
     """Encode a function with arguments and results of these lengths."""
     if len(instructions) > LONG:
         operations = Operations.of(instructions)
-        if len(operations) > LONG:
-            found = repeats(operations)
-            if WORTH * words_of(operations, found) < len(operations):
-                made = _Writing(operations, inputs, outputs).done(found)
-                if WORTH * len(made.words) < len(operations):
-                    return made
+        if len(operations) > LONG and (found := repeats(operations, WORTH)):
+            made = _Writing(operations, inputs, outputs).done(found)
+            if WORTH * len(made.words) < len(operations):
+                return made
     return _straight(instructions, inputs, outputs)
 
 

@@ -6,7 +6,8 @@ part by part, so that repetition is found by comparing the sequence with itself,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -90,8 +91,9 @@ class _Candidate(NamedTuple):
     end: int
 
 
-def repeats(operations: Operations) -> list[Repeat]:
-    """Return repetitions in order and without overlap, chosen greedily by gain."""
+def repeats(operations: Operations, worth: float = 0.0) -> list[Repeat]:
+    """Return repetitions in order and without overlap, chosen greedily by gain; none if a function with them would have
+    less than `worth` operations per word."""
     sequence = _Sequence(operations)
     taken = np.zeros(len(operations), bool)
     found = []
@@ -100,21 +102,19 @@ def repeats(operations: Operations) -> list[Repeat]:
         if not len(free):
             continue
         start, end = each.start + int(free[0]), each.start + int(free[-1]) + 1
-        count = (end - start) // each.period
-        if taken[start:end].any() or count < FEWEST or (count - 1) * each.period < SAVED:
+        if taken[start:end].any() or not _saves(each.period, end - start):
             continue
+        count = (end - start) // each.period
         repeat = sequence.begun_best(Repeat(start, each.period, count), end)
         taken[repeat.start : repeat.end] = True
         found.append(repeat)
-    return _Lines(operations).improved(sorted(found))
+    return _Lines(operations).improved(sorted(found), worth)
 
 
-def words_of(operations: Operations, found: list[Repeat]) -> float:
-    """Return about the number of words of a function with these loops; measured, up to a twentieth less than it has."""
-    lines, made = _Lines(operations), _STRAIGHT * len(operations)
-    for each in found:
-        made += lines.entries(each) + _HEAD - _STRAIGHT * each.period * (each.times - 1)
-    return made
+def _saves(period: int, length: int) -> bool:
+    """Return whether as many operations are enough for a loop of this period."""
+    count = length // period
+    return count >= FEWEST and (count - 1) * period >= SAVED
 
 
 class _Sequence:
@@ -143,7 +143,10 @@ class _Sequence:
             length *= 2
             if length in _WINDOWS:
                 for period, start, end in _stretches(hashed):
-                    for each in self._exact(period, max(0, start - length - period), min(count, end + length + period)):
+                    begin, end = max(0, start - length - period), min(count, end + length + period)
+                    if not _saves(period, end - begin):
+                        continue
+                    for each in self._exact(period, begin, end):
                         if each not in seen:
                             seen.add(each)
                             yield each
@@ -156,7 +159,7 @@ class _Sequence:
         same &= ((one == other) | (np.minimum(one, other) >= period)).all(axis=0)
         for start, stop in _true(same):
             length = stop - start
-            if length >= (FEWEST - 1) * period:
+            if _saves(period, length + period):
                 yield _Candidate(length, period, begin + start, begin + stop + period)
 
     def begun_best(self, repeat: Repeat, end: int) -> Repeat:
@@ -164,6 +167,8 @@ class _Sequence:
         periods."""
         start, period, count = repeat
         spare = end - repeat.end + 1
+        if spare == 1:
+            return repeat
         middle = start + count // 2 * period
         reach = np.zeros(period, int)  # distance to the last use of a value, up to a period
         users = np.arange(middle, min(middle + 2 * period, end))
@@ -187,12 +192,14 @@ class _Lines:
         self._period = np.zeros(len(operations), int)
         """Period of the loop that contains an operation, 0 for none."""
 
-    def improved(self, found: list[Repeat]) -> list[Repeat]:
-        """Return the repetitions with longer periods or fewer iterations if tables cost more."""
-        result = []
+    def improved(self, found: list[Repeat], worth: float) -> list[Repeat]:
+        """Return the repetitions with longer periods or fewer iterations if tables cost more, as `repeats` does."""
+        count, result = len(self._operations), []
+        # About the number of words, up to a twentieth less than there are; it only grows below.
+        words = _STRAIGHT * count + sum(map(_added, found))
         for each in found:
-            best = each
-            if self._tables(each, ends=True):
+            best, tables = each, self._tables(each, ends=True)
+            if tables:
                 ways = [Repeat(each.start, m * each.period, each.times // m) for m in _MULTIPLES]
                 best = self._best(ways, each, ends=False)
                 ways = [
@@ -200,25 +207,26 @@ class _Lines:
                     for first, last in product(range(_TRIMMED + 1), repeat=2)
                 ]
                 best = self._best(ways, best, ends=True)
+                tables = tables if best == each else self._tables(best, ends=True)
+            words += _added(best) - _added(each) + tables * best.times
+            if worth * words >= count:
+                return []
             self._period[best.start : best.end] = best.period
             result.append(best)
         return result
 
-    def entries(self, repeat: Repeat) -> int:
-        """Return the number of entries in the tables of a loop, after those before it."""
-        tables = self._tables(repeat, ends=True)
-        self._period[repeat.start : repeat.end] = repeat.period
-        return tables * repeat.times
-
-    def _best(self, ways: list[Repeat], given: Repeat, ends: bool) -> Repeat:
-        """Return the variant with the shortest C: fewest table entries, and operations inside and outside the loop."""
-
-        def cost(way: Repeat) -> int:
-            left = given.period * given.times - way.period * way.times
-            return self._tables(way, ends) * way.times + _LINE * (way.period + left)
-
-        fit = (way for way in ways if way.times >= FEWEST and way.period <= LONGEST and self._alike(way))
-        return min(fit, key=cost, default=given)
+    def _best(self, ways: Iterable[Repeat], given: Repeat, ends: bool) -> Repeat:
+        """Return the first variant with the shortest C: fewest table entries, and operations inside and outside the
+        loop. Most variants have so many operations that their tables do not matter."""
+        best, least = given, math.inf
+        for way in ways:
+            length = _LINE * (way.period + given.period * given.times - way.period * way.times)
+            if way.times < FEWEST or way.period > LONGEST or length >= least or not self._alike(way):
+                continue
+            cost = length + self._tables(way, ends) * way.times
+            if cost < least:
+                best, least = way, cost
+        return best
 
     def _alike(self, way: Repeat) -> bool:
         """Return whether an operand that is computed in its own iteration is so in every iteration: in a longer period,
@@ -257,6 +265,11 @@ class _Lines:
         tables += np.count_nonzero((kind == VALUE) & ~stored & ~written)
         self._period[part] = 0
         return int(tables)
+
+
+def _added(loop: Repeat) -> float:
+    """Return the words of a loop without tables, less those of its operations as straight code."""
+    return _HEAD - _STRAIGHT * loop.period * (loop.times - 1)
 
 
 def _power(exponent: int) -> np.uint64:

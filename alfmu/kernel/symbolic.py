@@ -1069,16 +1069,23 @@ def _factorisation(pattern: ca.Sparsity) -> ca.Function:
     per pivot."""
     n, H = pattern.size1(), SX.sym("H", pattern)
     pattern = pattern.ldl(False)[0]
-    D, inverse, upper, scaled = SX(n, 1), [SX(0)] * n, SX(pattern), SX(pattern)
     rows = {column: pattern.row()[pattern.colind()[column] : pattern.colind()[column + 1]] for column in range(n)}
+    # One product of vectors takes far less time than sums of products of entries of CasADi's matrices.
+    D, inverse = list[SX](), list[SX]()
+    upper, scaled = dict[tuple[int, int], SX](), dict[tuple[int, int], SX]()
+
+    def summed(row: int, column: int, over: Sequence[int]) -> SX:
+        one, other = [upper[k, row] for k in over], [scaled[k, column] for k in over]
+        return ca.horzcat(*one) @ ca.vertcat(*other) if over else SX(0)
+
     for column in range(n):
+        own = set(rows[column])
         for row in rows[column]:
-            shared = [k for k in rows[row] if k in rows[column]]
-            scaled[row, column] = H[row, column] - sum(upper[k, row] * scaled[k, column] for k in shared)
+            scaled[row, column] = H[row, column] - summed(row, column, [k for k in rows[row] if k in own])
             upper[row, column] = scaled[row, column] * inverse[row]
-        D[column] = H[column, column] - sum(upper[k, column] * scaled[k, column] for k in rows[column])
-        inverse[column] = _once(1 / D[column])
-    return ca.Function("factors", [H], [D, upper])
+        D.append(H[column, column] - summed(column, column, rows[column]))
+        inverse.append(_once(1 / D[column]))
+    return ca.Function("factors", [H], [ca.vertcat(*D), SX(pattern, ca.vertcat(*upper.values()))])
 
 
 def _worst(seen: Sequence[Watch], near: SX, margin: SX) -> SX:

@@ -312,7 +312,7 @@ def hull_of(points: Sequence[Vector]) -> list[Vector]:
         corners: list[Vector] = []
         for x, y in sequence:
             while len(corners) > 1:
-                (ax, ay), (bx, by) = corners[-2:]
+                (ax, ay), (bx, by) = corners[-2], corners[-1]
                 if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > tolerance:
                     break
                 corners.pop()

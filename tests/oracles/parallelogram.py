@@ -137,8 +137,9 @@ class Parallelogram:
         with mp.workdps(DIGITS):
             q, v, a = self.state(th, w, sum(map(mpf, torques)))
             _, C, _, M, f = self.equations(q, v, torques)
-            root = mp.diag([sqrt(mpf(x)) for x in (penalties if penalties is not None else [1] * C.rows)])
-            return root * least_norm(C.T * root, f - M * a), a
+            root = np.array([sqrt(mpf(x)) for x in (penalties if penalties is not None else [1] * C.rows)])
+            weighted = matrix((np.array(C.T.tolist()) * root).tolist())
+            return matrix((root * np.array(list(least_norm(weighted, f - M * a)))).tolist()), a
 
     def accelerations(self, th, w, torque=0.0) -> np.ndarray:
         """Accelerations of all coordinates at a state of the branch."""
@@ -175,24 +176,23 @@ def least_norm(A: matrix, b: matrix) -> matrix:
 
     A+ = G' (G G')^-1 (B' B)^-1 B', with B the pivot columns of A and G the reduced row echelon form.
     """
-    G, B = A.copy(), []
+    G, B = np.array(A.tolist()), list[int]()  # entries of arrays are taken in a tenth of the time of a matrix's
     rank, largest = 0, max(abs(e) for e in A)
-    columns = list(range(A.cols))
     while rank < min(A.rows, A.cols):
-        size, i, j = max((abs(G[i, j]), i, j) for i in range(rank, A.rows) for j in columns if j not in B)
+        free = [j for j in range(A.cols) if j not in B]
+        size, i, j = max((abs(G[i, j]), i, j) for i in range(rank, A.rows) for j in free)
         if size < RANK * largest:
             break
-        G[rank, :], G[i, :] = G[i, :].copy(), G[rank, :].copy()
-        G[rank, :] /= G[rank, j]
+        G[[rank, i]] = G[[i, rank]]
+        G[rank] = G[rank] / G[rank, j]
         for k in range(A.rows):
-            if k != rank:
-                G[k, :] -= G[k, j] * G[rank, :]
+            if k != rank and G[k, j]:
+                G[k] = G[k] - G[rank] * G[k, j]
         B.append(j)
         rank += 1
-    G = G[:rank, :]
-    B = matrix([[A[i, j] for j in B] for i in range(A.rows)])
-    y = mp.lu_solve(B.T * B, B.T * b)
-    return G.T * mp.lu_solve(G * G.T, y)
+    G, B = G[:rank], np.array(A.tolist())[:, B]
+    y = mp.lu_solve(matrix((B.T @ B).tolist()), matrix((B.T @ np.array(list(b))).tolist()))
+    return matrix((G.T @ np.array(list(mp.lu_solve(matrix((G @ G.T).tolist()), y)))).tolist())
 
 
 def constrained(M: matrix, F: matrix, C: matrix, xi: matrix) -> tuple[matrix, matrix]:

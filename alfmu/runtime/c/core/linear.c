@@ -36,7 +36,7 @@ static void swap_columns(double *x, double *y, int count)
 static int orthogonalise_columns(double *x, double *y, int rows, double *vx, double *vy, int columns, double noise)
 {
     double xx = 0.0, yy = 0.0, xy = 0.0, ratio, t, c;
-    for (int i = 0; i < rows; i++) { /* at once: each sum waits for its last term */
+    for (int i = 0; i < rows; i++) { /* three sums that do not wait for each other */
         xx += x[i] * x[i];
         yy += y[i] * y[i];
         xy += x[i] * y[i];
@@ -54,16 +54,18 @@ static int orthogonalise_columns(double *x, double *y, int rows, double *vx, dou
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s)
 {
     const double noise = DBL_EPSILON * DBL_EPSILON * dot_product(a, a, rows * columns);
+    const int turned = v ? columns : 0;
     int moved = 1;
-    memset(v, 0, (size_t)columns * (size_t)columns * sizeof *v);
-    for (int i = 0; i < columns; i++)
+    v = v ? v : s; /* of which nothing is turned */
+    memset(v, 0, (size_t)turned * (size_t)turned * sizeof *v);
+    for (int i = 0; i < turned; i++)
         v[i * columns + i] = 1.0;
     for (int sweep = 0; sweep < SWEEPS && moved; sweep++) {
         moved = 0;
         for (int i = 0; i < columns; i++)
             for (int j = i + 1; j < columns; j++)
                 moved |= orthogonalise_columns(
-                    a + i * rows, a + j * rows, rows, v + i * columns, v + j * columns, columns, noise);
+                    a + i * rows, a + j * rows, rows, v + i * turned, v + j * turned, turned, noise);
     }
     for (int i = 0; i < columns; i++)
         s[i] = linear_norm(a + i * rows, rows);
@@ -74,7 +76,7 @@ void linear_singular_values(int rows, int columns, double *a, double *v, double 
                 top = j;
         if (top != i) {
             swap_columns(a + i * rows, a + top * rows, rows);
-            swap_columns(v + i * columns, v + top * columns, columns);
+            swap_columns(v + i * turned, v + top * turned, turned);
             swap_columns(s + i, s + top, 1);
         }
     }

@@ -15,7 +15,7 @@ typedef struct {
 } Envelope;
 
 /* Compute the singular values s, largest first, of a = U S V'. The columns of a (rows x columns) become those of U
-   times s; v is columns x columns. */
+   times s; v is columns x columns, or NULL. */
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s);
 
 /* Replace the first `rank` columns of a matrix (rows, columns), stored by columns, by ones of length one that are

@@ -33,8 +33,7 @@ static int count_rank(Instance *i, Matrix C)
     const Scene *s = i->scene;
     const int wide = s->l < s->n, few = wide ? s->l : s->n, many = wide ? s->n : s->l;
     const size_t arena = arena_mark(i);
-    double *a = arena_alloc(i, (size_t)many * (size_t)few), *V = arena_alloc(i, (size_t)few * (size_t)few);
-    double *sizes = arena_alloc(i, (size_t)few);
+    double *a = arena_alloc(i, (size_t)many * (size_t)few), *sizes = arena_alloc(i, (size_t)few);
     const double least = 1e-7 * fmax(1.0, linear_largest(C.values, C.pattern->entries));
     int rank = 0;
     if (wide) {
@@ -44,7 +43,7 @@ static int count_rank(Instance *i, Matrix C)
                 a[C.pattern->indices[e] * s->n + c] = C.values[e];
     } else
         pattern_spread(C.pattern, C.values, a, s->l);
-    linear_singular_values(many, few, a, V, sizes);
+    linear_singular_values(many, few, a, NULL, sizes);
     while (rank < few && sizes[rank] > least)
         rank++;
     arena_release(i, arena);
