@@ -4,7 +4,6 @@ files are refused."""
 import ctypes
 import re
 import subprocess
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -177,39 +176,20 @@ def test_headers_are_those_of_the_tables():
 
 
 def test_instructions_are_those_that_casadi_tells_one_by_one():
-    """As they stand in its memory, which is far faster to read."""
+    """As they stand in the serialised function, which is far faster to read."""
     f = random_function(np.random.default_rng(3), 500)
-    found = stream._in_memory(f)
+    found = stream._serialised(f)
     for read, told in zip(found, stream._one_by_one(f), strict=True):
         unary = told[0] in stream.UNARY
         assert read[: 3 if unary else 4].tolist() == told[: 3 if unary else 4].tolist()
 
 
-def elsewhere(f, place, count):
-    """Words of a function where a build of CasADi would have nothing that looks like instructions."""
-    return [0] * count
-
-
-def others(f, place, count):
-    """The instructions of another function of as many."""
-    return words(OTHER, place, count)
-
-
-words, x = stream._words, ca.SX.sym("x", 3)
-F, OTHER = (ca.Function("f", [x], [g(x) * x]) for g in (ca.sin, ca.cos))
-
-
-@pytest.mark.parametrize("found", [elsewhere, others])
-def test_instructions_are_told_one_by_one_where_memory_has_others(monkeypatch, found):
-    one = Instructions.of(F)
-    monkeypatch.setattr(stream, "_words", found)
-    monkeypatch.setattr(stream, "_KNOWN", OrderedDict())
-    if found is elsewhere:
-        stream._place.cache_clear()
-        monkeypatch.setattr(stream, "_place", stream._place.__wrapped__)
-    assert stream._in_memory(F) is None
-    two = Instructions.of(F)
-    assert two is not one
+def test_instructions_are_told_one_by_one_where_the_serialised_form_is_another(monkeypatch):
+    f = random_function(np.random.default_rng(3), 500)
+    one = Instructions.of(f)
+    monkeypatch.setattr(stream, "_decoded", lambda text: np.zeros((len(text) // stream._ATOM, 4), "<i4"))
+    assert stream._serialised(f) is None
+    two = Instructions.of(f)
     for name in ("code", "operands", "place"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
     assert same_bits(one.constant, two.constant)
