@@ -77,7 +77,8 @@ def ordered(e: Traced) -> Traced:
     """Return equations with only the functions of the scene, in the order of its file."""
     used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
-    functions = {name: e.functions[name] for name in names}
+    # Functions of similar lengths are alike, and archives refer to 32 kB before at most.
+    functions = {name: e.functions[name] for name in sorted(names, key=lambda name: e.functions[name].n_instructions())}
     # The number of outputs determines the layout of the memory, whether or not a function computes them.
     signatures = {name: e.signatures[name] for name in (*names, "seen") if name in e.signatures}
     return replace(e, functions=functions, signatures=signatures)
