@@ -7,6 +7,7 @@ which is as good as RK4 can be.
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -658,3 +659,28 @@ def test_a_loop_rests_at_its_change_point_while_another_part_moves(rotor, spin, 
         atol=1e-12,
     )
     assert np.abs(found["A.angle"] - exact.y[0]).max() < 2e-8
+
+
+@pytest.mark.parametrize("method", ["auto", "explicit", "rk4"])
+@pytest.mark.parametrize("beside", [1e-3, 1e-5, 9e-7, 1e-7, -1e-6])
+def test_a_start_at_rest_beside_a_singular_position(method, beside):
+    """A parallelogram (bars of 1, 2, 1 m and kg) in absolute coordinates under a torque: 5/3 th'' = 4."""
+    m = alfmu.Mechanism("beside")
+    th = m.start("angle", 0.0, "rad")
+    x, y = ca.cos(th), ca.sin(th)
+
+    def bar(name: str, length: float, place: tuple, angle: ca.SX) -> alfmu.Body:
+        units = zip("xyt", ("m", "m", "rad"), (*place, angle), strict=True)
+        pose = tuple(m.coordinate(f"{name}_{axis}", unit, start=start) for axis, unit, start in units)
+        return m.bar(name, mass=1.0, length=length, pose=pose)
+
+    crank, coupler = bar("crank", 1.0, (x / 2, y / 2), th), bar("coupler", 2.0, (x + 1, y), ca.SX(0))
+    rocker = bar("rocker", 1.0, (2 + x / 2, y / 2), th)
+    A = m.revolute("A", m.ground.at(0, 0), crank.start)
+    m.revolute("B", crank.end, coupler.start)
+    m.revolute("C", coupler.end, rocker.end)
+    m.revolute("D", m.ground.at(2, 0), rocker.start)
+    m.drive(A, m.input("A.torque", "N.m"))
+    given = {"start.angle": beside, "solver.method": method}
+    found = alfmu.simulate(m, 1.0, 0.01, parameters=given, inputs={"A.torque": 4.0}, outputs=["crank.angle"])
+    assert np.abs(found["crank.angle"] - beside - 1.2 * found["time"] ** 2).max() < 1e-8
