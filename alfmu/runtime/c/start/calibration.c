@@ -284,8 +284,8 @@ void calibration_find(Instance *i, const double *q, const double *v, const unsig
         freedom = rank_freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
     survey_along(i, q, v, s->normal, 0, freedom, taken);
-    /* If a loop rests in or beside a singular position, maybe while another part moves, places along that motion may all
-       be singular, and those along a random one may not close. */
+    /* If a loop rests in or beside a singular position, maybe while another part moves, places along that motion may
+       all be singular, and those along a random one may not close. */
     for (int k = 0; k < RANKED && s->n <= DENSE && may_stay_singular(surveys); k++) {
         survey_along(i, q, v, s->normal + k * s->n, 1, freedom, other);
         if (most_regular(i, other) > most_regular(i, taken) - (taken == surveys ? log(REGULAR_PRODUCT) : 0.0)) {
