@@ -658,6 +658,22 @@ def test_messages_at_run_time_name_the_line_of_the_file(tmp_path: Path):
         alfmu.simulate(alfmu.imported(path).mechanism, 0.1)
 
 
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+def test_limits_in_the_wrong_order_are_told(kind, tmp_path: Path):
+    """They leave the joint no place, so that nothing stops it."""
+    limit = {"urdf": "<limit lower='1' upper='-1'/>", "sdf": "<limit><lower>1</lower><upper>-1</upper></limit>"}[kind]
+    path = tmp_path / f"r.{kind}"
+    path.write_text({
+        "urdf": f"<robot name='r'><link name='l0'>{BAR}</link><joint name='j' type='revolute'><parent link='world'/>"
+        f"<child link='l0'/><axis xyz='0 1 0'/>{limit}</joint></robot>",
+        "sdf": "<sdf version='1.9'><model name='r'><link name='l0'/><joint name='j' type='revolute'>"
+        f"<parent>world</parent><child>l0</child><axis>{limit}</axis></joint></model></sdf>",
+    }[kind])  # fmt: skip
+    found = alfmu.imported(path)
+    assert found.warnings == ("limits whose lower one is above the upper one (line 1, j)",)
+    assert not found.mechanism.end_stops
+
+
 def test_what_exporters_write_is_read_over(tmp_path: Path):
     path = tmp_path / "r.urdf"
     extras = (

@@ -7,6 +7,7 @@ which is as good as RK4 can be.
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -608,3 +609,78 @@ def test_a_body_beside_a_loop_does_not_make_its_singular_positions_wider():
     assert alone["monitor.distance"].min() < 0.03
     assert alone.counters.patient == beside.counters.patient == 0
     np.testing.assert_allclose(beside["A.angle"], alone["A.angle"], atol=1e-7)
+
+
+def beside_a_rotor(rotor: str, spin: float, **start: float) -> alfmu.Mechanism:
+    """A parallelogram in space (bars of 1, 2 and 1 m) that falls, and a rotor beside it."""
+    m = alfmu.Mechanism("beside_a_rotor")
+    m.gravity(0, 0, -9.81)
+    ground = m.spatial_ground
+    if rotor == "top":
+        top = m.spatial_body("top", mass=1.0, inertia=(0.01, 0.02, 0.03), center=(0, 0, 0.3), relative=True)
+        e = [m.coordinate(f"e{k}", "1", start=k == 0, rate=spin / 2 * (k == 1), independent=True) for k in range(4)]
+        m.spherical("S", ground.at(0, 3, 0), top.at(), coordinates=tuple(e))
+    else:
+        arm = m.spatial_body("arm", mass=1.0, inertia=(0.01, 0.01, 0.01), center=(0.3, 0, 0), relative=True)
+        swing = m.coordinate("swing", "rad", start=0.3, rate=spin, independent=True)
+        m.spatial_revolute("S", ground.at(0, 5, 0), arm.at(), axis=(0, 1, 0), coordinate=swing)
+    lengths = {"crank": 1.0, "coupler": 2.0, "rocker": 1.0}
+    crank, coupler, rocker = (
+        m.spatial_body(name, mass=1.0, inertia=(0.01, 0.1, 0.1), center=(l / 2, 0, 0), relative=True)
+        for name, l in lengths.items()
+    )
+    th, turned, other = (
+        m.coordinate(name, "rad", start=sign * start.get("th", 0.0), independent=sign > 0 and name == "th", **rate)
+        for name, sign, rate in (("th", 1, {"rate": start.get("w", 0.0)}), ("turned", -1, {}), ("other", 1, {}))
+    )
+    axis = (0, -1, 0)
+    m.spatial_revolute("A", ground.at(), crank.at(), axis=axis, coordinate=th)
+    m.spatial_revolute("P", crank.at(1, 0, 0), coupler.at(), axis=axis, coordinate=turned)
+    m.spatial_revolute("Q", ground.at(2, 0, 0), rocker.at(), axis=axis, coordinate=other)
+    m.spatial_revolute("R", coupler.at(2, 0, 0), rocker.at(1, 0, 0), axis=axis)
+    return m
+
+
+@pytest.mark.parametrize(("rotor", "spin"), [("top", 0.0), ("top", 1.0), ("top", 20.0), ("arm", 20.0)])
+@pytest.mark.parametrize("rests", ["at the start", "half a turn on"])
+def test_a_loop_rests_at_its_change_point_while_another_part_moves(rotor, spin, rests):
+    """It turns back there; the reference is its equation of one angle: 1.7 th'' = -2 g cos th."""
+    inertia, weight = 1.7, 2 * 9.81
+    # Half a turn on: the rate with which it comes to rest at th = -pi.
+    start = {} if rests == "at the start" else {"th": -1.0, "w": -np.sqrt(2 * weight * np.sin(1.0) / inertia)}
+    found = alfmu.simulate(beside_a_rotor(rotor, spin, **start), 3.0, 0.01, outputs=["A.angle"])
+    exact = solve_ivp(
+        lambda _, y: (y[1], -weight * np.cos(y[0]) / inertia),
+        (0.0, 3.0),
+        (start.get("th", 0.0), start.get("w", 0.0)),
+        method="DOP853",
+        t_eval=found["time"],
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    assert np.abs(found["A.angle"] - exact.y[0]).max() < 2e-8
+
+
+@pytest.mark.parametrize("method", ["auto", "explicit", "rk4"])
+@pytest.mark.parametrize("beside", [1e-3, 1e-5, 9e-7, 1e-7, -1e-6])
+def test_a_start_at_rest_beside_a_singular_position(method, beside):
+    """A parallelogram (bars of 1, 2, 1 m and kg) in absolute coordinates under a torque: 5/3 th'' = 4."""
+    m = alfmu.Mechanism("beside")
+    th = m.start("angle", 0.0, "rad")
+    x, y = ca.cos(th), ca.sin(th)
+
+    def bar(name: str, length: float, place: tuple, angle: ca.SX) -> alfmu.Body:
+        units = zip("xyt", ("m", "m", "rad"), (*place, angle), strict=True)
+        pose = tuple(m.coordinate(f"{name}_{axis}", unit, start=start) for axis, unit, start in units)
+        return m.bar(name, mass=1.0, length=length, pose=pose)
+
+    crank, coupler = bar("crank", 1.0, (x / 2, y / 2), th), bar("coupler", 2.0, (x + 1, y), ca.SX(0))
+    rocker = bar("rocker", 1.0, (2 + x / 2, y / 2), th)
+    A = m.revolute("A", m.ground.at(0, 0), crank.start)
+    m.revolute("B", crank.end, coupler.start)
+    m.revolute("C", coupler.end, rocker.end)
+    m.revolute("D", m.ground.at(2, 0), rocker.start)
+    m.drive(A, m.input("A.torque", "N.m"))
+    given = {"start.angle": beside, "solver.method": method}
+    found = alfmu.simulate(m, 1.0, 0.01, parameters=given, inputs={"A.torque": 4.0}, outputs=["crank.angle"])
+    assert np.abs(found["crank.angle"] - beside - 1.2 * found["time"] ** 2).max() < 1e-8

@@ -564,6 +564,8 @@ def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
         low, high, effort, speed = (Children(child).limit(each, x) for each, x in _LIMITS.items())
         if min(abs(low), abs(high)) < ANYWHERE and low < high:
             linkage.limited.append(joint.node)
+        elif low > high:
+            linkage.warn("limits whose lower one is above the upper one", joint.node)
         if 0 <= speed < ANYWHERE:
             linkage.warn("limits of the speed of joints", joint.node)
         if 0 < effort < ANYWHERE and axis.tag == "axis":

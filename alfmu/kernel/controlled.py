@@ -463,11 +463,8 @@ class _Collocation(_Implicit):
                 if self.e.frictions and not self.tracer.supplies:
                     known = f"t{i} q{i} v{i} {self.inputs(i)}"
                     rubbing.power(self.calls, known, f"guess{i}", f"power{i}", "rubbing_power_at_node")
-                    continue
-                at = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
-                self.calls.made.append(Call("power", at, (f"power{i}",)))
-                self.tracer._supply(self.calls, i, {"u": self.inputs(i)}, whole=True)
-                self.tracer._supplied(self.calls, i)
+                else:
+                    self._power(i)
             powers = [f"power{i}" for i in self.nodes]
 
         def found(z: SX, dt: SX, rates: SX, *powers: SX) -> tuple[SX, ...]:
@@ -477,8 +474,15 @@ class _Collocation(_Implicit):
 
         self.calls(f"{self.mark}_sum", spaced("z step rates", powers), spaced("q v work", self.tracer.states), found)
 
+    def _power(self, i: str) -> None:
+        """Compute power at a stage, with that of prescribed motion."""
+        self.calls.made.append(Call("power", (f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"), (f"power{i}",)))
+        self.tracer._supply(self.calls, i, {"u": self.inputs(i)}, whole=True)
+        self.tracer._supplied(self.calls, i)
+
     def _judge(self) -> None:
-        """Compute the error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
+        """Compute the error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`; the work of a
+        prescribed motion counts, unfiltered."""
         n, side, rule, calls, scene = self.e.n, self.side, self.rule, self.calls, self.scene
 
         def first(z: SX, dt: SX, rates: SX, a0: SX) -> list[SX]:
@@ -490,12 +494,15 @@ class _Collocation(_Implicit):
         def filtering(dt: SX, H: SX, Q: SX, dq: SX, dv: SX) -> SX:
             return ca.reshape(H, side, side) @ dv + rule.gamma * dt * (ca.reshape(Q, side, side) @ dq)
 
+        def off_work(z: SX, dt: SX, _: SX, *powers: SX) -> SX:
+            return scene.work_size(z, dt, dt * combined((rule.gamma, *rule.errors), list(powers)), powers)
+
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
-            *x, dq, dv, renew = known
+            *x, dq, dv, renew = known[: len(known) - len(worked)]
             states = (*x, dv[n:]) if x else ()
             parts = dq[:n], dv[:n]
             size, floor = scene.error_size(z, q, v, scene.along(q, *parts) if self.e.l else parts, states=states)
-            size /= self.allowed
+            size = reduce(ca.fmax, map(scene.symbol, worked), size) / self.allowed
             return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 
         calls("estimate", f"z step rates {self.rates_of('0')}", "dq dv", first)
@@ -504,7 +511,13 @@ class _Collocation(_Implicit):
             self.solve(calls, "filtered", ["estimate"], "dv")
             calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
         self.project()
-        calls(f"{self.mark}_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
+        worked = ["off_work"] * self.tracer.supplies
+        if worked:
+            self._power("0")
+            powers = [f"power{i}" for i in ("0", *self.nodes)]
+            calls(f"{self.name}_off", spaced("z step control", powers, "k"), spaced(worked), off_work)
+        known = spaced("z q v", self.tracer.states, "dq dv renew", worked, "p k")
+        calls(f"{self.mark}_error", known, "error floor", size)
         if self.kinked:
             # The tolerance of an explicit step is the scene's own, or that of an explicit alternative.
             explicit = scene.settings.beside if self.mark == "method" else SX(1)

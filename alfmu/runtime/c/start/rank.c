@@ -99,7 +99,7 @@ void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
 
 /* S1: return the degrees of freedom at regular positions near q, in `here` those at q, in `place` one of these
    positions. */
-static int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
+int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l, count = l + (size_t)s->ties;
@@ -215,7 +215,7 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
 }
 
 /* Return whether this happens for a motion at a position near the start. */
-static int rank_changes_near(Instance *i, const double *q, const double *v)
+int rank_changes_near(Instance *i, const double *q, const double *v)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, count = (size_t)(s->l + s->ties);
@@ -306,194 +306,6 @@ void rank_freeze(Instance *i)
             }
         tape_holding(i, instance_field(i, s->z), matrix);
     }
-    arena_release(i, arena);
-}
-
-/* Sort a few numbers in increasing order. */
-static void sort_numbers(double *x, int count)
-{
-    for (int a = 1; a < count; a++)
-        for (int b = a; b > 0 && x[b] < x[b - 1]; b--) {
-            const double swapped = x[b];
-            x[b] = x[b - 1];
-            x[b - 1] = swapped;
-        }
-}
-
-/* Return the median of sorted numbers. */
-static double median(const double *x, int count)
-{
-    return (x[(count - 1) / 2] + x[count / 2]) / 2;
-}
-
-/* Round a logarithm, so that the result does not depend on the round-off of a processor. */
-static double round_coarsely(double x)
-{
-    return floor(x * COARSE + 0.5) / COARSE;
-}
-
-/* S1: logarithms of products of pivots at a position, and the largest mass over its scale. */
-typedef struct {
-    double smallest, small, all, heaviest;
-} Pivots;
-
-static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n;
-    Pivots found = {0.0, 0.0, 0.0, 0.0};
-    double *pivots = arena_alloc(i, n), *unused = arena_alloc(i, n);
-    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
-    double *y[] = {pivots, unused, unused, &found.heaviest};
-    int bad = 0;
-    function_call(i, s->pivots, x, y);
-    for (int c = 0; c < s->n; c++)
-        bad |= !(pivots[c] > 0.0);
-    sort_numbers(pivots, bad ? 0 : s->n);
-    for (int c = 0; c < s->n; c++) {
-        const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
-        found.smallest += c < smallest ? part : 0.0;
-        found.small += c < smallest || pivots[c] < SMALL_PIVOT ? part : 0.0;
-        found.all += part;
-    }
-    arena_release(i, arena);
-    return found;
-}
-
-/* S1: return the typical product of the smallest pivots, as a logarithm. */
-static double typical_smallest(const Pivots *places, int count)
-{
-    double found[SIDE_PLACES + 1];
-    int second;
-    for (int a = 0; a < count; a++)
-        found[a] = places[a].smallest;
-    /* The start, which may be singular, is among the positions twice. */
-    sort_numbers(found, count);
-    second = count > 1 && found[1] == found[0] ? 2 : 1;
-    while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
-        count--;
-    return median(found, count);
-}
-
-/* S1: return the typical product of all small pivots at regular positions. At a position with more small pivots, as
-   near a singular one, the product of all pivots is smaller; the difference corrects for that. */
-static double typical_small(const Pivots *places, int count)
-{
-    double found[SIDE_PLACES + 1], largest = -INFINITY;
-    for (int a = 0; a < count; a++)
-        largest = fmax(largest, places[a].all);
-    for (int a = 0; a < count; a++)
-        found[a] = places[a].small + largest - places[a].all;
-    sort_numbers(found, count);
-    return median(found, count);
-}
-
-/* S1: find the product of pivots at which the margin is 1, and the margin that masses leave at a singular position. A
-   coordinate that hardly describes the motion has a larger pivot than masses contribute, and a coordinate that
-   constraints hold by a small coefficient has a smaller one. Each Euler parameter is one or the other in the course of
-   a turn. */
-static void calibrate_margin(Instance *i, const Pivots *places, int count)
-{
-    const Scene *s = i->scene;
-    const double freedom = *i->freedom, raised = (float)(RAISED * places[0].heaviest);
-    double typical = typical_smallest(places, count);
-    int turns = 0;
-    for (int c = 0; c < s->n; c++)
-        turns |= !strcmp(s->coordinates[c].unit, "1");
-    if (freedom > 0.0 && raised > 0.0 && (turns || typical > freedom * log(raised))) {
-        *i->masses = round_coarsely(typical_small(places, count));
-        *i->least_margin = raised;
-    } else {
-        *i->masses = round_coarsely(typical);
-        *i->least_margin = freedom > 0.0 ? exp(*i->masses / freedom) : 0.0;
-    }
-}
-
-/* Close the constraints at the position `there`; displaced along the motion v, `near` becomes the nearest position.
-   Return whether they are closed. */
-int rank_close(Instance *i, const double *there, const double *v, double *near)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i);
-    const double *p = instance_field(i, s->p), *k = instance_field(i, s->k);
-    const double *x[] = {there, p, k}, *from[] = {near, p, k}, *beside[] = {near, there, v, p, k};
-    double *to[] = {near}, *both[] = {near, arena_alloc(i, (size_t)s->n)};
-    int row, closed;
-    function_call(i, s->place, x, to);
-    function_call(i, s->place, from, to);
-    function_call(i, s->bring, beside, both);
-    function_call(i, s->place, from, to);
-    closed = constraints_widest(i, near, v, 0, &row) <= GROSS;
-    arena_release(i, arena);
-    return closed;
-}
-
-/* S1: find the scales of coordinates, the pivots contributed by masses, the degrees of freedom and the rank. */
-void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
-{
-    const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n;
-    const double *p = instance_field(i, s->p);
-    double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l;
-    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n);
-    double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n),
-           *touched = arena_alloc(i, n);
-    double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n),
-           together[SIDE_PLACES + 1], size, heaviest;
-    Pivots found[SIDE_PLACES + 1] = {{0.0, 0.0, 0.0, 0.0}};
-    int freedom = s->freedom + s->timed, count = 1, here;
-    if (!usual || s->freedom < 0)
-        freedom = rank_freedom_near(i, q, held, &here, there);
-    *i->rank = s->n - freedom;
-    /* Take the masses as unknown. */
-    k[SETTINGS_NOTHING] = 0.0;
-    for (int c = 0; c < s->n; c++)
-        inverse_scales[c] = 1.0;
-    memcpy(way, v, n * sizeof *way);
-    memset(touched, 0, n * sizeof *touched);
-    memset(i->scales, 0, n * sizeof *i->scales);
-    if (linear_largest(v, scene_coordinates(s)) == 0.0) {
-        const double *x[] = {q, there, v, p, k};
-        double *y[] = {way, rate};
-        for (int c = 0; c < s->n; c++)
-            there[c] = q[c] + (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[c];
-        function_call(i, s->bring, x, y);
-        for (int c = 0; c < s->n; c++)
-            way[c] -= q[c];
-    }
-    size = fmax(instance_largest(i, way), 1e-300);
-    for (int c = 0; c < s->n; c++)
-        way[c] /= size;
-    memcpy(places, q, n * sizeof *q);
-    for (int a = 0; a < SIDE_PLACES; a++) {
-        const double *x[] = {there, p, k};
-        double *y[] = {pivots, diagonal, columns, &heaviest};
-        for (int c = 0; c < s->n; c++)
-            there[c] = q[c] + side_places[a] * way[c];
-        function_call(i, s->pivots, x, y);
-        for (int c = 0; c < s->n; c++) {
-            touched[c] += columns[c];
-            i->scales[c] = fmax(i->scales[c], *i->largest_penalty * diagonal[c]);
-        }
-        if (rank_close(i, there, v, near))
-            memcpy(places + count++ * n, near, n * sizeof *near);
-    }
-    *i->freedom = freedom;
-    for (int c = 0; c < s->n; c++) {
-        *i->freedom -= touched[c] == 0.0;
-        inverse_scales[c] = *i->largest_penalty / i->scales[c];
-    }
-    i->flags.brakes = rank_changes_near(i, q, v);
-    for (int a = 0; a < count; a++) {
-        found[a] = multiply_pivots(i, places + a * n, (int)*i->freedom);
-        together[a] = found[a].all;
-    }
-    /* A coordinate that cannot describe the motion makes the product far larger, a singular position smaller. */
-    sort_numbers(together, count);
-    *i->regular = median(together, count) + log(REGULAR_PRODUCT);
-    calibrate_margin(i, found, count);
-    for (int c = 0; c < s->n; c++)
-        i->scales[c] = (float)i->scales[c];
     arena_release(i, arena);
 }
 

@@ -1,4 +1,4 @@
-/* Ranks of the constraints: degrees of freedom, redundancy, scales of pivots, and the rank that a step freezes. */
+/* Ranks of the constraints: degrees of freedom, redundancy, and the rank that a step freezes. */
 
 #pragma once
 
@@ -9,6 +9,6 @@ void rank_weighted_rows(Instance *i, const double *q, const double *weights, Mat
 int rank_at(Instance *i, const double *q, const unsigned char *held);
 void rank_correction(Instance *i, const Rows *J, const double *r, double *x);
 void rank_freeze(Instance *i);
-int rank_close(Instance *i, const double *there, const double *v, double *near);
-void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
+int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place);
+int rank_changes_near(Instance *i, const double *q, const double *v);
 Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);

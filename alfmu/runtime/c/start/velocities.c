@@ -106,8 +106,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
     return DONE;
 }
 
-/* Find the direction of motion at fixed time for the start rates or, with `equal`, for equal rates of all start
-   values; zero if there is none. */
+/* Find the direction of motion at fixed time for the start rates or, with `equal`, for equal rates of all start values
+   except Euler parameters, which cannot all grow; zero if there is none. */
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;
@@ -118,7 +118,7 @@ void start_find_way(Instance *i, const unsigned char *held, const double *q, int
     double *y[] = {guess, way};
     Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
-        rates[k] = equal ? 1.0 : loops_starts(i)[s->starts + k];
+        rates[k] = equal ? strcmp(s->variables[s->own + k].unit, "1") != 0 : loops_starts(i)[s->starts + k];
     function_call(i, s->guesses, x, y);
     if (s->timed)
         way[s->n - 1] = 0.0;

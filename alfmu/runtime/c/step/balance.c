@@ -72,7 +72,7 @@ void instance_balance(Instance *i)
             "%s, t = %.6g s: the energy balance is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
             settings_method(i) == 1 && *i->freedom <= 0.0 ? "the motion is prescribed, and tolerances control its work "
-                                                            "only in explicit steps above solver.step_size: "
+                                                            "only in steps above solver.step_size: "
                                                             "take shorter communication steps"
                 : settings_method(i) == 1       ? "use a smaller solver.relative_tolerance"
                 : s->l && !settings_continue(i) ? "near singular positions solver.formulation residual with "

@@ -3,6 +3,7 @@
 #include "settings.h"
 
 #include "baseline.h"
+#include "calibration.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
@@ -281,7 +282,7 @@ Outcome settings_update_rank(Instance *i, const double *q, const double *v)
     *i->masses = 0.0;
     *i->least_margin = 1.0;
     if (s->l)
-        rank_calibrate(i, q, v, held, settings_usual(i));
+        calibration_find(i, q, v, held, settings_usual(i));
     if (i->flags.brakes && !s->brakes)
         outcome = instance_say(i, RANK_CHANGES,
             "%s: with these parameters redundant constraints would brake the motion, and the scene is not traced for "

@@ -5,12 +5,12 @@
 #include "way.h"
 
 #include "baseline.h"
+#include "calibration.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
 #include "message.h"
-#include "rank.h"
 #include "record.h"
 #include "scene.h"
 #include "scene_sizes.h"
@@ -90,7 +90,7 @@ static void follow_branch(Instance *i, const double *q, double *way)
     for (int side = 0; side < 2; side++) {
         for (size_t c = 0; c < n; c++)
             there[c] = q[c] + (side ? BESIDE : -BESIDE) * way[c];
-        closed &= rank_close(i, there, zeros, sides[side]);
+        closed &= calibration_close(i, there, zeros, sides[side]);
     }
     for (size_t c = 0; c < n; c++)
         there[c] = sides[1][c] - sides[0][c];
@@ -193,7 +193,7 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
             set_unit_way(i, v, there);
             for (size_t c = 0; c < n; c++)
                 there[c] = q[c] + BESIDE * there[c];
-            if (rank_close(i, there, v, near))
+            if (calibration_close(i, there, v, near))
                 point_way(i, near);
         }
     }
