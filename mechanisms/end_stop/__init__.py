@@ -45,7 +45,8 @@ def end_stop() -> Mechanism:
     angle = m.start("angle", -2.0, "rad", rate=2.0, rate_name="angular_velocity", description="angle of the flywheel")
 
     xB, yB = l1 * ca.cos(angle), l1 * ca.sin(angle)
-    reach = ca.sqrt(ca.fmax(l2**2 - yB**2, 1e-30 * l2**2))
+    square = l2**2 - yB**2
+    reach = ca.sqrt(ca.if_else(square > 0, square, 1e-12 * l2**2))
     th1 = m.coordinate("th1", "rad", start=angle)
     pose = (
         m.coordinate("x2", "m", start=xB + reach / 2),

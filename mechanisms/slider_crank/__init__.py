@@ -47,7 +47,8 @@ def slider_crank(
     # Positions of B and C, and the angle of the rod, for a crank angle th: only the guess of the assembly uses them.
     def place(th: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         xB, yB = l1 * ca.cos(th), b + l1 * ca.sin(th)
-        reach = side * ca.sqrt(ca.fmax(l2**2 - yB**2, 1e-30 * l2**2))
+        square = l2**2 - yB**2
+        reach = side * ca.sqrt(ca.if_else(square > 0, square, 1e-12 * l2**2))  # of a rod too short, almost none
         return xB, yB, xB + reach, ca.atan2(-yB, reach)
 
     A, guide = m.ground.at(0.0, b), m.ground.at(0.0, 0.0)
