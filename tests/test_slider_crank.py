@@ -230,3 +230,13 @@ def test_equal_links_pass_from_any_phase(angle: float) -> None:
     exact = ALIGNED.motion(angle, 0.0, r.time)[:, 0]
     plain = plain_steps(ALIGNED.acceleration, angle, 0.0, 0.02, 200)
     assert np.abs(r["crank.angle"] - exact).max() <= np.abs(plain - exact).max()
+
+
+@coordinate_sets
+def test_equal_links_start_beside_the_vertical(coordinates: str) -> None:
+    """A torque turns the crank from rest through the vertical, which is 2.8e-7 rad from the start."""
+    e, angle = derived("slider_crank", coordinates=coordinates), np.pi / 2 - 2.8e-7
+    given = {"l1": 1.0, "l2": 1.0, "g": 0.0, "start.angle": angle}
+    r = alfmu.simulate(e, 0.5, 0.01, inputs={"A.torque": 4.0}, parameters=given)
+    exact = SliderCrank(l1=1.0, l2=1.0, g=0.0, torque=4.0, aligned=True).motion(angle, 0.0, r.time)[:, 0]
+    assert np.abs(r["crank.angle"] - exact).max() <= 1e-7
