@@ -16,7 +16,7 @@ from ..model.errors import InputError
 from ..model.words import shown
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, place
 from .loops import listed
-from .markup import Node, Reading, known, numbers
+from .markup import Children, Node, Reading, known, numbers
 from .poses import Array, Pose, about, quaternion, turned, vector
 from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
@@ -414,10 +414,16 @@ class File:
             node.fail("it has no name; give one")
 
         def axis_in(axis: Node) -> Array:
-            xyz = axis.one("xyz")
-            if xyz is None or xyz.attributes or axis.one("use_parent_model_frame") is not None:
-                axis.fail("alfmu takes <xyz> in the frame of the joint, without expressed_in")
-            return vector(numbers(xyz, "<xyz>", xyz.text, 3))
+            xyz = axis.need("xyz")
+            direction = vector(numbers(xyz, "<xyz>", xyz.text, 3))
+            base = xyz.attributes.get("expressed_in", "")
+            if Children(axis).flag("use_parent_model_frame", False):
+                base = "__model__"
+            if not base:
+                return direction
+            # The frame of the model is that of the root link, the ground's where all coordinates are zero.
+            known(xyz, base, {"__model__": None} | self.links, "link")
+            return frame.turn.T @ place(self.links.get(base), {}, zeros).turn @ direction
 
         own = Pose(vector(x[:3]), turned("XYZ", x[3:]))
         zeros: dict[Link, Pose] = {}
