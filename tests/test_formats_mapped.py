@@ -677,6 +677,35 @@ def test_limits_in_the_wrong_order_are_told(kind, tmp_path: Path):
     assert not found.mechanism.end_stops
 
 
+@pytest.mark.parametrize("limits", [(-0.5, 0.3), (0.2, 0.2), (3.0, 4.0)])
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+def test_limits_of_a_joint_that_follows_another_stop_that_one(kind: str, limits: tuple[float, float], tmp_path: Path):
+    """It turns by 0.1 - 2 a, within -1 and 1 for a."""
+    path, ends = tmp_path / f"r.{kind}", []
+    for low, high in ((-1, 1), limits):
+        if kind == "urdf":
+            follows = '<mimic joint="a" multiplier="-2" offset="0.1"/>' * bool(ends)
+            ends.append(f'<limit lower="{low}" upper="{high}"/>{follows}<axis xyz="0 1 0"/></joint>')
+        else:
+            follows = "<mimic joint='a'><multiplier>-2</multiplier><offset>0.1</offset></mimic>" * bool(ends)
+            limit = f"<limit><lower>{low}</lower><upper>{high}</upper></limit>"
+            ends.append(f"<axis><xyz>0 1 0</xyz>{limit}{follows}</axis></joint>")
+    text = "".join(
+        f"<link name='{x}l'>{BAR}</link><joint name='{x}' type='revolute'>"
+        f"<parent link='world'/><child link='{x}l'/>{end}"
+        if kind == "urdf"
+        else f'<link name="{x}l"/><joint name="{x}" type="revolute"><parent>world</parent><child>{x}l</child>{end}'
+        for x, end in zip("ab", ends, strict=True)
+    )
+    text = f'<robot name="r">{text}</robot>' if kind == "urdf" else text
+    path.write_text(text if kind == "urdf" else f'<sdf version="1.11"><model name="r">{text}</model></sdf>')
+    found = alfmu.imported(path)
+    ends = [(-0.1, 0.3)] if limits == (-0.5, 0.3) else [(-1.0, 1.0)]
+    assert [(stop.lower, stop.upper) for stop in found.mechanism.end_stops] == [pytest.approx(x) for x in ends]
+    words = {(0.2, 0.2): "limits that are equal", (3.0, 4.0): "limits that exclude those"}.get(limits, "")
+    assert [each.startswith(words) for each in found.warnings] == [True] * bool(words)
+
+
 def test_what_exporters_write_is_read_over(tmp_path: Path):
     path = tmp_path / "r.urdf"
     extras = (

@@ -415,6 +415,13 @@ class Linkage:
                 what = "joints that move no mass and no inertia, which no loop holds, so that it cannot run"
                 self.note(f"{what}; give the links both, or make the joints fixed", joint.node)
 
+    def doubt_limits(self, node: Node, low: float, high: float) -> None:
+        """Tell of limits between which there is no motion: they make no stop."""
+        if low > high:
+            self.warn("limits whose lower one is above the upper one", node)
+        elif low == high:
+            self.warn("limits that are equal, within which a joint cannot move; make it fixed in the file", node)
+
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""
         if word not in self.leaves:

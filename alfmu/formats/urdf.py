@@ -303,8 +303,8 @@ class File:
             if kind != "continuous" and low < high:
                 joint.limits = ((low, high),)
                 self.linkage.limited.append(joint.node)
-            elif kind != "continuous" and low > high:
-                self.linkage.warn("limits whose lower one is above the upper one", joint.node)
+            elif kind != "continuous" and child.attributes.keys() & {"lower", "upper"}:
+                self.linkage.doubt_limits(joint.node, low, high)
 
     def _other_freedoms(self, joint: Joint, kind: str) -> list[Joint]:
         """Return the joints by which the file of loops replaces a joint of the URDF."""
