@@ -422,8 +422,8 @@ class File:
             if not base:
                 return direction
             # The frame of the model is that of the root link, the ground's where all coordinates are zero.
-            known(xyz, base, {"__model__": None} | self.links, "link")
-            return frame.turn.T @ place(self.links.get(base), {}, zeros).turn @ direction
+            link = None if base == "__model__" else known(xyz, base, self.links, "link")
+            return frame.turn.T @ place(link, {}, zeros).turn @ direction
 
         own = Pose(vector(x[:3]), turned("XYZ", x[3:]))
         zeros: dict[Link, Pose] = {}
