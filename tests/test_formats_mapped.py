@@ -1,6 +1,9 @@
 """What files of other programs have beside bodies and joints: tendons, actuators, limits, models in models."""
 
+import collections
 import importlib.util
+import re
+import sys
 import tracemalloc
 import warnings
 from pathlib import Path
@@ -674,6 +677,35 @@ def test_limits_in_the_wrong_order_are_told(kind, tmp_path: Path):
     assert not found.mechanism.end_stops
 
 
+@pytest.mark.parametrize("limits", [(-0.5, 0.3), (0.2, 0.2), (3.0, 4.0)])
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+def test_limits_of_a_joint_that_follows_another_stop_that_one(kind: str, limits: tuple[float, float], tmp_path: Path):
+    """It turns by 0.1 - 2 a, within -1 and 1 for a."""
+    path, ends = tmp_path / f"r.{kind}", []
+    for low, high in ((-1, 1), limits):
+        if kind == "urdf":
+            follows = '<mimic joint="a" multiplier="-2" offset="0.1"/>' * bool(ends)
+            ends.append(f'<limit lower="{low}" upper="{high}"/>{follows}<axis xyz="0 1 0"/></joint>')
+        else:
+            follows = "<mimic joint='a'><multiplier>-2</multiplier><offset>0.1</offset></mimic>" * bool(ends)
+            limit = f"<limit><lower>{low}</lower><upper>{high}</upper></limit>"
+            ends.append(f"<axis><xyz>0 1 0</xyz>{limit}{follows}</axis></joint>")
+    text = "".join(
+        f"<link name='{x}l'>{BAR}</link><joint name='{x}' type='revolute'>"
+        f"<parent link='world'/><child link='{x}l'/>{end}"
+        if kind == "urdf"
+        else f'<link name="{x}l"/><joint name="{x}" type="revolute"><parent>world</parent><child>{x}l</child>{end}'
+        for x, end in zip("ab", ends, strict=True)
+    )
+    text = f'<robot name="r">{text}</robot>' if kind == "urdf" else text
+    path.write_text(text if kind == "urdf" else f'<sdf version="1.11"><model name="r">{text}</model></sdf>')
+    found = alfmu.imported(path)
+    ends = [(-0.1, 0.3)] if limits == (-0.5, 0.3) else [(-1.0, 1.0)]
+    assert [(stop.lower, stop.upper) for stop in found.mechanism.end_stops] == [pytest.approx(x) for x in ends]
+    words = {(0.2, 0.2): "limits that are equal", (3.0, 4.0): "limits that exclude those"}.get(limits, "")
+    assert [each.startswith(words) for each in found.warnings] == [True] * bool(words)
+
+
 def test_what_exporters_write_is_read_over(tmp_path: Path):
     path = tmp_path / "r.urdf"
     extras = (
@@ -1135,3 +1167,55 @@ def test_flags_of_a_model_hold_for_those_attached_to_it(tmp_path: Path):
     )
     run = alfmu.simulate(alfmu.imported(path).mechanism, 1e-3, 1e-3)
     assert run["a_j.angular_velocity"][-1] == pytest.approx(9.81 * 0.5 / (0.5**2 + 0.4 * 0.1**2) * 1e-3, rel=1e-5)
+
+
+def test_twice_the_bodies_take_twice_the_calls(tmp_path: Path):
+    """Names, poses and masses of many bodies were searched for each of them again."""
+    made, calls = [], collections.Counter[str]()
+    for count in (10, 20, 60, 100):
+        legs = "".join(
+            f'<link name="b{i}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+            f'</inertial></link><joint name="j{i}" type="revolute"><parent link="base"/><child link="b{i}"/>'
+            '<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+            for i in range(count)
+        )
+        path = tmp_path / f"legs{count}.urdf"
+        path.write_text(f'<robot name="legs"><link name="base"/>{legs}</robot>')
+        calls.clear()
+        sys.setprofile(lambda frame, event, argument: calls.update((event,)))
+        try:
+            alfmu.imported(path)
+        finally:
+            sys.setprofile(None)
+        made.append(calls["call"] + calls["c_call"])
+    assert made[3] - made[2] < 1.01 * (made[2] - made[1])
+
+
+@pytest.mark.parametrize(
+    ("said", "axis"),
+    [
+        ("<xyz>0 0 1</xyz><use_parent_model_frame>false</use_parent_model_frame>", (1, 0, 0)),
+        ("<xyz>0 0 1</xyz><use_parent_model_frame>true</use_parent_model_frame>", (0, 0, 1)),
+        ('<xyz expressed_in="__model__">0 1 0</xyz>', (0, 1, 0)),
+        ('<xyz expressed_in="arm">0 1 0</xyz>', (0, 0, 1)),
+    ],
+)
+def test_axes_of_gazebo_joints_are_in_the_named_frame(said: str, axis: tuple[int, int, int], tmp_path: Path):
+    """The link `arm` is turned by a quarter about x, and `hand` by one about y, both in the ground's axes."""
+    heavy = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    free = '<joint name="{0}" type="floating"><parent link="base"/><child link="{0}l"/></joint>'
+    text = f'<robot name="r"><link name="base"/><link name="arm">{heavy}</link><link name="hand">{heavy}</link>'
+    for name, turn in (("arm", "1.5707963267948966 0 0"), ("hand", "0 1.5707963267948966 0")):
+        text += (
+            free.replace("{0}l", name)
+            .replace("{0}", f"free_{name}")
+            .replace("</joint>", f'<origin rpy="{turn}"/></joint>')
+        )
+    text += '<gazebo><joint name="g" type="revolute"><parent>arm</parent><child>hand</child><axis>{}</axis></joint>'
+    path = tmp_path / "r.urdf"
+    path.write_text(text.format(said) + "</gazebo></robot>")
+    found = re.search(r'"g",.*?axis=\(([^)]*)\)', alfmu.imported(path).source(), re.DOTALL)
+    np.testing.assert_allclose([float(x) for x in found[1].split(",")], axis, atol=1e-12)
+    path.write_text(text.format('<xyz expressed_in="nowhere">0 0 1</xyz>') + "</gazebo></robot>")
+    with pytest.raises(alfmu.InputError, match="nowhere"):
+        alfmu.imported(path)

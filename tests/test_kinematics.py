@@ -974,3 +974,22 @@ def test_efforts_hold_against_violated_stops():
         position = k.forward({"A": angle})
         assert k.efforts(position)["A"] == pytest.approx(0.8 * 9.81 * 0.25 * np.cos(angle) + pushed, abs=1e-12)
         assert bool(position.beyond) == bool(pushed)
+
+
+def test_a_cycle_through_a_folded_position_names_a_span():
+    """A scissor folds flat where its feet meet, and there turns as a whole: this side of it, it is a circle."""
+    m = Mechanism("scissor")
+    p, q = (m.bar(name, mass=1.0, length=0.6) for name in "pq")
+    foot = m.body("foot", mass=0.5, inertia=1e-3)
+    x = m.coordinate("x", "m", start=0.5, independent=True)
+    slider = m.prismatic("S", m.ground.at(0, 0), foot.at(0, 0), coordinate=x)
+    m.revolute("O", m.ground.at(0, 0), p.start, coordinate=m.coordinate("a", "rad", start=0.58))
+    m.revolute("Q", foot.at(0, 0), q.start, coordinate=m.coordinate("b", "rad", start=math.pi - 0.58))
+    m.revolute("C", p.at(0.3, 0), q.at(0.3, 0))
+    m.drive(slider, m.input("u", "N"))
+    m.watch("tip", q.end)
+    k = kinematics(m)
+    with pytest.raises(alfmu.InputError, match=r"meet between S = 0.5 and -0.0066+7 m; give a span on one side"):
+        k.cycle()
+    side = k.cycle(span=(0.1, 0.55), rows=10)
+    np.testing.assert_allclose(side["tip.y"], np.sqrt(0.36 - np.linspace(0.1, 0.55, 10) ** 2), atol=1e-12)

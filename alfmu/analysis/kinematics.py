@@ -741,7 +741,7 @@ class Kinematics:
             low, high = self._numbers("span", span, 2)
             if low >= high:
                 raise InputError(f"{self.name}: span is {shown(span)}; give two values of {joint}, the lower one first")
-        grid = np.linspace(low, high, rows)
+        grid, unit = np.linspace(low, high, rows), self.units[joint]
         fixed = {self.actuated[k]: begin.actuated[self.actuated[k]] for k in self._others(at)}
 
         found = dict(ends)
@@ -749,9 +749,16 @@ class Kinematics:
         for way in (range(middle, rows), range(middle - 1, -1, -1)):
             near = begin  # not a dead position, from which straight lines lead nowhere
             for x in (grid[k] for k in way if grid[k] not in ends):
-                found[x] = near = self.forward({**fixed, joint: x}, near)
+                try:
+                    found[x] = near = self.forward({**fixed, joint: x}, near)
+                except InputError as error:
+                    if span is not None:
+                        raise
+                    reached = f"between {joint} = {plain(begin.actuated[joint], unit)} and {plain(x, unit)}"
+                    why = f"for a cycle, assemblies meet {reached} {unit}; give a span on one side (span=, --span)"
+                    raise InputError(f"{error}; {why}") from error
         positions = [found[x] for x in grid]
-        unit, seen = self.units[joint], [self.transmission(each) for each in positions]
+        seen = [self.transmission(each) for each in positions]
         columns: Columns = {joint: (unit, grid)}
         toggles: dict[str, list[float]] = {}
         for name, own in self.watched.items():

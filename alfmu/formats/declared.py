@@ -7,6 +7,7 @@ coordinates, so every joint has one axis, the same on both bodies, and its coord
 from __future__ import annotations
 
 import functools
+import itertools
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -114,6 +115,7 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
             notes.append(_moved(mechanism, guessed.values, closed, loose))
             warned = notes[-1] if closed.way > _FAR or closed.left > _OPEN or closed.beyond else warned
     final = _Declaring(linkage, description, chosen, values, spare)
+    final.script.mechanism._dropped = False
     return final.script, final.renamed, notes, warned
 
 
@@ -156,6 +158,7 @@ class _Declaring:
         self.bodies: dict[Link | None, Named] = {}
         self.origins: dict[Link | None, Array] = {None: np.zeros(3)}
         self.zeros: dict[Link, Pose] = {}
+        self.parents = {joint: link.parent for link in linkage.links for joint in link.joints}
         self.drivable: set[Joint] = {joint for motor in linkage.motors for joint, _ in motor.along}
         self.script = Script(plain_name(linkage.name), description)
         self.bodies[None] = self.script.ground
@@ -197,13 +200,16 @@ class _Declaring:
             yield
         except DeclarationError as error:
             raise InputError(f"{node.where}: {error}") from error
-        lines |= dict.fromkeys(list(lines)[count:], (str(node.file), node.line))
+        added = [*itertools.islice(reversed(lines), len(lines) - count)]
+        lines |= dict.fromkeys(added, (str(node.file), node.line))
 
     def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
         """Return an unused name: the wanted one, with `otherwise` appended, or with a number."""
         plain = plain_name(wanted)
         beside = ("", *companions)
-        tries = (plain, *(f"{plain}_{otherwise}{number}" for number in ("", *range(1, len(self.taken) + 2))))
+        tries = itertools.chain(
+            (plain, f"{plain}_{otherwise}"), (f"{plain}_{otherwise}{i}" for i in itertools.count(1))
+        )
         name = next(name for name in tries if not any(name + each in self.taken for each in beside))
         self.taken.update(name + each for each in beside)
         if name != wanted:
@@ -371,7 +377,7 @@ class _Declaring:
         that the joints before it carry."""
         M, momenta, columns = self.linkage.masses
         at = columns[joint][which]
-        parent = next(link for link in self.linkage.links if joint in link.joints).parent
+        parent = self.parents[joint]
         while parent is not None:
             for each in parent.joints:
                 if each.kind == joint.kind and M[at, at] <= _LIGHT * M[columns[each][0], columns[each][0]]:

@@ -415,6 +415,13 @@ class Linkage:
                 what = "joints that move no mass and no inertia, which no loop holds, so that it cannot run"
                 self.note(f"{what}; give the links both, or make the joints fixed", joint.node)
 
+    def doubt_limits(self, node: Node, low: float, high: float) -> None:
+        """Tell of limits between which there is no motion: they make no stop."""
+        if low > high:
+            self.warn("limits whose lower one is above the upper one", node)
+        elif low == high:
+            self.warn("limits that are equal, within which a joint cannot move; make it fixed in the file", node)
+
     def without(self, word: str, node: Node, why: str) -> None:
         """Refuse an element that affects the motion, or leave it out if `word` is among `leaves`."""
         if word not in self.leaves:
@@ -454,11 +461,11 @@ class Linkage:
         """Return twists (n, 6), the angular velocity and the velocity at the ground's origin per unit of each rate, at
         the references; the rates that move each link; and the rates of each joint."""
         found, paths = list[Array](), dict[Link | None, list[int]]({None: []})
-        columns, known = dict[Joint, range](), dict[Link, Pose]()
+        columns, known, references = dict[Joint, range](), dict[Link, Pose](), self.references
         for link in self.links:
             paths[link] = list(paths[link.parent])
             for j, joint in enumerate(link.joints):
-                pose = link.before(j, self.references, known)
+                pose = link.before(j, references, known)
                 turns = np.array([pose.turn @ axis / np.linalg.norm(axis) for axis in joint.axes] or np.eye(3))
                 own = np.hstack((turns, np.cross(pose.at(joint.point), turns) + joint.lead / (2 * np.pi) * turns))
                 if joint.kind in ("prismatic", "free"):
@@ -477,9 +484,9 @@ class Linkage:
         """
         twists, paths, columns = self.twists
         M, momenta = np.diag([j.armature for j in columns for _ in columns[j]]), np.zeros((3, len(twists)))
-        known = dict[Link, Pose]()
+        known, references = dict[Link, Pose](), self.references
         for link in self.links:
-            x, at, path = link.inertial, place(link, self.references, known), paths[link]
+            x, at, path = link.inertial, place(link, references, known), np.array(paths[link], dtype=int)
             spins, moves = np.split(twists[path], 2, axis=1)
             moves = moves + np.cross(spins, at.at(x.center))
             M[np.ix_(path, path)] += x.mass * moves @ moves.T + spins @ at.turn @ x.inertia @ at.turn.T @ spins.T

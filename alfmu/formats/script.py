@@ -137,6 +137,7 @@ class Script:
 
     def __init__(self, name: str, description: str):
         self.mechanism = Mechanism(name, description)
+        self.mechanism._dropped = True
         self._lines: list[str] = []
         self.ground = Named(self.mechanism.spatial_ground, "m.spatial_ground")
 

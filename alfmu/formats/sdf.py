@@ -521,6 +521,15 @@ def follow(linkage: Linkage, node: Node, joint: Joint, other: Joint, factor: flo
         linkage.couplings.append(Coupling(f"{joint.name}_mimic", node, ((joint, 1.0),), ((other, 1.0),), coefficients))
         return
     joint.follows = (other, factor, offset)
+    if joint.limits and factor:
+        ends = sorted((x - offset) / factor for x in joint.limits[0])
+        low, high = (
+            pick(x) for pick, x in zip((max, min), zip(ends, *other.limits or (ends,), strict=True), strict=True)
+        )
+        if low < high:
+            other.limits = ((low, high),)
+        else:
+            linkage.warn("limits that exclude those of the joint that is followed", joint.node)
 
 
 def mimics(joint: Joint) -> list[Node]:
@@ -564,8 +573,7 @@ def _axis(linkage: Linkage, joint: Joint, axis: Node) -> tuple:
         low, high, effort, speed = (Children(child).limit(each, x) for each, x in _LIMITS.items())
         if min(abs(low), abs(high)) < ANYWHERE and low < high:
             linkage.limited.append(joint.node)
-        elif low > high:
-            linkage.warn("limits whose lower one is above the upper one", joint.node)
+        linkage.doubt_limits(joint.node, low, high)
         if 0 <= speed < ANYWHERE:
             linkage.warn("limits of the speed of joints", joint.node)
         if 0 < effort < ANYWHERE and axis.tag == "axis":

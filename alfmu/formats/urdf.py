@@ -16,7 +16,7 @@ from ..model.errors import InputError
 from ..model.words import shown
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, place
 from .loops import listed
-from .markup import Node, Reading, known, numbers
+from .markup import Children, Node, Reading, known, numbers
 from .poses import Array, Pose, about, quaternion, turned, vector
 from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
@@ -303,8 +303,8 @@ class File:
             if kind != "continuous" and low < high:
                 joint.limits = ((low, high),)
                 self.linkage.limited.append(joint.node)
-            elif kind != "continuous" and low > high:
-                self.linkage.warn("limits whose lower one is above the upper one", joint.node)
+            elif kind != "continuous" and child.attributes.keys() & {"lower", "upper"}:
+                self.linkage.doubt_limits(joint.node, low, high)
 
     def _other_freedoms(self, joint: Joint, kind: str) -> list[Joint]:
         """Return the joints by which the file of loops replaces a joint of the URDF."""
@@ -414,10 +414,16 @@ class File:
             node.fail("it has no name; give one")
 
         def axis_in(axis: Node) -> Array:
-            xyz = axis.one("xyz")
-            if xyz is None or xyz.attributes or axis.one("use_parent_model_frame") is not None:
-                axis.fail("alfmu takes <xyz> in the frame of the joint, without expressed_in")
-            return vector(numbers(xyz, "<xyz>", xyz.text, 3))
+            xyz = axis.need("xyz")
+            direction = vector(numbers(xyz, "<xyz>", xyz.text, 3))
+            base = xyz.attributes.get("expressed_in", "")
+            if Children(axis).flag("use_parent_model_frame", False):
+                base = "__model__"
+            if not base:
+                return direction
+            # The frame of the model is that of the root link, the ground's where all coordinates are zero.
+            link = None if base == "__model__" else known(xyz, base, self.links, "link")
+            return frame.turn.T @ place(link, {}, zeros).turn @ direction
 
         own = Pose(vector(x[:3]), turned("XYZ", x[3:]))
         zeros: dict[Link, Pose] = {}

@@ -240,12 +240,16 @@ class Declaration:
         self._changes: list[tuple[Any, str, Any]] = []
         self._choices: dict[str, list[str]] = {}
         self._weighs = False
+        self._dropped = False
+        """A refused declaration ends the whole mechanism, as in an import, so that no earlier state is kept."""
         self._points: set[Body] = set()
         self._told: set[float] = set()
 
     def _as_it_was(self) -> Callable[[], None]:
         """Return a function that restores the mechanism to its present state, for a declaration that is refused
         halfway."""
+        if self._dropped:
+            return lambda: None
         own = {name: copy(each) if isinstance(each, dict | set) else each for name, each in vars(self).items()}
         own["_parts"] = {name: [*each] for name, each in self._parts.items()}
         changes, count = self._changes, len(self._changes)
