@@ -406,6 +406,10 @@ def _equations(
     instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
     guess = [said.symbols[letter] for letter in ARGUMENTS["guess"]]
     far = far_of(m, ca.Function("guess", guess, [said.of["guess"]]))
+    places = {
+        "q": [i for i, c in enumerate(m.coordinates) if c.unit == "m"],
+        "p": [i for i, x in enumerate(m.parameters) if x.unit == "m" and abs(x.default) >= far],
+    }
     return Equations(
         name=m.name,
         description=m.description,
@@ -451,7 +455,7 @@ def _equations(
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
         options=m.options,
-        functions={name: _function(m, name, said.symbols, x, far) for name, x in said.of.items()},
+        functions={name: _function(m, name, said.symbols, x, far, places) for name, x in said.of.items()},
     )
 
 
@@ -592,7 +596,9 @@ def _check_names(m: Mechanism, equations: Equations) -> None:
         found[v.name] = v
 
 
-def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX, far: float) -> ca.Function:
+def _function(
+    m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX, far: float, places: dict[str, list[int]]
+) -> ca.Function:
     arguments = [symbols[letter] for letter in ARGUMENTS[name]]
     value = ca.densify(value) if value.is_column() else value
     function = ca.Function(name, arguments, [value], {"allow_free": True})
@@ -603,8 +609,8 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX, 
             "declare it here"
         )
     if far:
-        places = [i for i, c in enumerate(m.coordinates) if c.unit == "m" and ARGUMENTS[name][0] == "q"]
-        value = rearranged(arguments, value, far, places)
+        own = {(k, i) for k, letter in enumerate(ARGUMENTS[name]) for i in places.get(letter, ())}
+        value = rearranged(arguments, value, far, own)
     return shared(name, arguments, [value])
 
 

@@ -1,14 +1,14 @@
 """Sums far from the origin: lengths that cancel are subtracted first, so that their round-off enters no force.
 
 A point at (arm + 70) m has round-off of 1e-14 m, which the difference of two such points keeps, and a stiff spring
-multiplies. In sums and differences, large constants are therefore added up exactly, and coordinates of places are
-subtracted from each other, before anything else is added.
+multiplies. In sums and differences, large constants are therefore added up exactly, and places (coordinates, and large
+parameters) are subtracted from each other, before anything else is added.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -18,6 +18,13 @@ FAR = 16.0
 """Distance from the origin, over the longest arm, from which sums are rearranged: nearer ones lose no digit that the
 coordinates have."""
 
+_MOST_PLACES = 16
+"""Number of places in a sum, counted as often as they occur, above which its value takes part in other sums: the work
+and the expressions stay in proportion to the given ones."""
+
+_LARGEST = 1e100
+"""Constants above are not added up exactly, as sums and products of them may exceed all numbers."""
+
 
 @dataclass
 class _Sum:
@@ -25,8 +32,8 @@ class _Sum:
 
     rest: ca.SX | None = None
     constant: Fraction = Fraction(0)
-    places: dict[int, int] = field(default_factory=dict)
-    """Factor of each coordinate, by its index."""
+    places: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Factor of each place, by its argument and its entry there."""
 
     def plus(self, other: _Sum, sign: int) -> _Sum:
         """Return the sum with another, or the difference."""
@@ -41,9 +48,13 @@ class _Sum:
         """Return the sum, which has no places, times a number."""
         return _Sum(None if self.rest is None else float(factor) * self.rest, factor * self.constant)
 
-    def value(self, q: Sequence[ca.SX]) -> ca.SX:
+    def is_short(self) -> bool:
+        """Return whether other sums may contain the parts of this one."""
+        return sum(map(abs, self.places.values())) <= _MOST_PLACES and abs(self.constant) < _LARGEST
+
+    def value(self, entries: Sequence[Sequence[ca.SX]]) -> ca.SX:
         """Return the sum: places less others first, then the constant, then the rest."""
-        more, less = ([q[i] for i, k in self.places.items() for _ in range(sign * k)] for sign in (1, -1))
+        more, less = ([entries[i][j] for (i, j), k in self.places.items() for _ in range(sign * k)] for sign in (1, -1))
         both = min(len(more), len(less))
         parts = [a - b for a, b in zip(more, less, strict=False)]
         left = [*more[both:], *(-x for x in less[both:])]
@@ -56,33 +67,37 @@ class _Sum:
         return self.rest if found is None else found + self.rest
 
 
-def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Sequence[int]) -> ca.SX:
+def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collection[tuple[int, int]]) -> ca.SX:
     """Return the same expressions in other sums; `far` is the smallest constant that is added up exactly, `places` are
-    entries of the first argument that are coordinates of places."""
+    arguments and their entries that are places."""
     f = ca.Function("sums", arguments, [value.nz[:]])
     entries = [ca.vertsplit(ca.vec(x)) for x in arguments]
-    q, atoms = entries[0], {*places}
     kept: dict[int, _Sum] = {}
     found = [ca.SX(0)] * value.nnz()
     for k in range(f.n_instructions()):
         code, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
         if code == ca.OP_OUTPUT:
-            found[outputs[1]] = kept[inputs[0]].value(q)
+            found[outputs[1]] = kept[inputs[0]].value(entries)
             continue
         if code == ca.OP_INPUT:
             which, entry = inputs
-            mine = _Sum(None, places={entry: 1}) if which == 0 and entry in atoms else _Sum(entries[which][entry])
+            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else _Sum(entries[which][entry])
         elif code == ca.OP_CONST:
             number = f.instruction_constant(k)
-            mine = _Sum(None, Fraction(number)) if far <= abs(number) < math.inf else _Sum(ca.SX(number))
+            mine = _Sum(None, Fraction(number)) if far <= abs(number) < _LARGEST else _Sum(ca.SX(number))
         else:
-            mine = _combined(code, [kept[i] for i in inputs], q)
+            operands = [kept[i] for i in inputs]
+            combined = _combined(code, operands)
+            if combined is None or not combined.is_short():
+                values = [x.value(entries) for x in operands]
+                combined = _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
+            mine = combined
         kept[outputs[0]] = mine
     return ca.SX(value.sparsity(), ca.vertcat(*found))
 
 
-def _combined(code: int, operands: list[_Sum], q: Sequence[ca.SX]) -> _Sum:
-    """Return the result of an operation: a sum of sums, or of a sum times a number, else one value."""
+def _combined(code: int, operands: list[_Sum]) -> _Sum | None:
+    """Return a sum or difference of sums, or a sum times a number; None for the result of any other operation."""
     if code in (ca.OP_ADD, ca.OP_SUB):
         return operands[0].plus(operands[1], 1 if code == ca.OP_ADD else -1)
     if code == ca.OP_NEG:
@@ -92,5 +107,4 @@ def _combined(code: int, operands: list[_Sum], q: Sequence[ca.SX]) -> _Sum:
             number = one.rest if other.constant and not one.constant else None
             if number is not None and number.is_constant() and math.isfinite(float(number)):
                 return other.times(Fraction(float(number)))
-    values = [x.value(q) for x in operands]
-    return _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
+    return None
