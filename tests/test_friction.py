@@ -850,3 +850,18 @@ def test_methods_without_dry_friction_are_refused_by_name(incline):
         alfmu.simulate(incline, 0.1, 0.01, kernel="oracle")
     with pytest.raises(AlfmuError, match=r"dry friction needs the multiplier iteration of solver\.formulation"):
         alfmu.simulate(incline, 0.1, 0.01, parameters={"solver.method": "rk4", "solver.formulation": "penalty"})
+
+
+def test_the_first_of_two_hinges_about_one_axis_slides_at_its_limit():
+    """A growing torque on the second body; the first has a hundredth of its inertia. (I1 + I2) w' = r t - 0.1."""
+    m, inertias, rate = Mechanism("coaxial"), (0.001, 0.1), 0.3
+    first, second = (m.body(name, mass=1.0, inertia=x) for name, x in zip("ab", inertias, strict=True))
+    for name, before, body, limit in (("A", m.ground, first, 0.1), ("B", first, second, 0.2)):
+        angle = m.coordinate(f"q{name}", "rad", independent=True)
+        m.friction(m.revolute(name, before.at(), body.at(), coordinate=angle), coulomb=limit, load=1.0)
+    m.torque(second, rate * m.time)
+    m.gravity(0.0, 0.0)
+    run = alfmu.simulate(m, 0.6, 0.01, parameters={"solver.relative_tolerance": 1e-10})
+    exact = rate * np.maximum(run.time - 0.1 / rate, 0.0) ** 3 / 6 / sum(inertias)
+    for name in "ab":
+        np.testing.assert_allclose(run[f"{name}.angle"], exact, atol=1e-9)

@@ -41,6 +41,13 @@ PENALTY_RATIO = 1e8
 """penalty over the largest mass that the rows constrain [1]: at this ratio the residual form of (8) needs three
 iterations to round-off, and four at 1e6 and at 1e10 (`alfmu report --profile paper`)."""
 
+LIGHTEST = 1e-5
+"""mass of the lightest motion over the largest mass that the rows constrain [1]: below it, the default penalty is
+reduced in proportion, so that round-off of constraints stays 2e-3 of that mass."""
+
+LEAST_RATIO = 1e4
+"""least penalty over the largest mass that the rows constrain [1]: masses lighter still are below round-off."""
+
 ALIKE = 10.0
 """ratio of the units of rows [1]: rows with unknown units share one if they differ by less."""
 

@@ -53,6 +53,8 @@
 #define UNFINISHED 1e-07
 #define REGULAR 0.001
 #define PENALTY_RATIO 100000000.0
+#define LIGHTEST 1e-05
+#define LEAST_RATIO 10000.0
 #define ALIKE 10.0
 #define HARDLY 0.001
 #define SAME 1e-11

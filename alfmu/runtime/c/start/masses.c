@@ -72,6 +72,41 @@ static double find_weakest_of_many(Instance *i, Matrix M, Matrix C, double scale
     return 1 / size;
 }
 
+/* Return the mass of the lightest motion that constraints leave, over the masses (l) that their rows hold, with each
+   coordinate in units of its own diagonal entry of M + C' masses C. */
+double masses_lightest(Instance *i, const double *q, const unsigned char *held, const double *masses)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    const Matrix M = matrix_new(i, &s->mass), C = matrix_new(i, &s->constraint);
+    double *motion = arena_alloc(i, n), *zeros = arena_alloc(i, n), *size = arena_alloc(i, n), least;
+    memset(zeros, 0, n * sizeof *zeros);
+    memset(size, 0, n * sizeof *size);
+    constraints_evaluate(i, q, zeros, M.values, C.values, NULL, NULL);
+    for (int c = 0; c < s->n; c++) {
+        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++) {
+            const int r = C.pattern->indices[e];
+            C.values[e] *= held[r] ? sqrt(masses[r]) : 0.0;
+            size[c] += C.values[e] * C.values[e];
+        }
+        for (int e = M.pattern->offsets[c]; e < M.pattern->offsets[c + 1]; e++)
+            if (M.pattern->indices[e] == c) {
+                M.values[e] = s->timed && c == s->n - 1 ? fmax(size[c], 1e-300) : M.values[e]; /* Time needs no mass. */
+                size[c] += M.values[e];
+            }
+        size[c] = sqrt(fmax(size[c], 1e-300));
+    }
+    for (int c = 0; c < s->n; c++) {
+        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+            C.values[e] /= size[c];
+        for (int e = M.pattern->offsets[c]; e < M.pattern->offsets[c + 1]; e++)
+            M.values[e] /= size[c] * size[M.pattern->indices[e]];
+    }
+    least = (s->n <= DENSE ? find_weakest_motion : find_weakest_of_many)(i, M, C, 1.0, motion);
+    arena_release(i, arena);
+    return least;
+}
+
 Outcome masses_check(Instance *i, const double *q, const unsigned char *held)
 {
     const Scene *s = i->scene;

@@ -113,7 +113,8 @@ static Outcome begin_run(Instance *i)
 {
     const Scene *s = i->scene;
     const size_t l = (size_t)s->l, n = (size_t)s->n;
-    double *q = arena_alloc(i, n), *v = arena_alloc(i, n), alpha = i->values[s->penalty], heavy = 0.0;
+    double *q = arena_alloc(i, n), *v = arena_alloc(i, n), *masses = arena_alloc(i, l),
+           alpha = i->values[s->penalty], heavy = 0.0;
     int light = -1; /* a constraint whose penalty is below the mass that it holds */
     unsigned char *held = (unsigned char *)arena_alloc(i, l);
     const double time = *instance_time(i);
@@ -140,9 +141,16 @@ static Outcome begin_run(Instance *i)
     for (int r = 0; r < s->l; r++) {
         const double mass = i->full[r] / PENALTY_RATIO;
         i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
+        masses[r] = mass;
         i->full[r] = i->flags.given ? i->given[r] : alpha > 0.0 ? alpha : i->full[r];
         if (held[r] && i->full[r] < mass * (1 - 1e-9) && mass > heavy)
             heavy = mass, light = r;
+    }
+    if (s->l && alpha == 0.0 && !i->flags.given) {
+        const double lightest = masses_lightest(i, q, held, masses);
+        for (int r = 0; lightest < LIGHTEST && r < s->l; r++)
+            i->full[r] *= fmax(lightest / LIGHTEST, LEAST_RATIO / PENALTY_RATIO);
+        i->flags.scaled &= lightest >= LIGHTEST;
     }
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;

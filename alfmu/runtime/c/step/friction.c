@@ -21,6 +21,9 @@
 #include "scene.h"
 #include "settings.h"
 
+/* Number of passes after which shares of friction are extrapolated; those of most mechanisms settle in fewer. */
+#define EXTRAPOLATED 20
+
 double *friction_slip(const Instance *i, int k)
 {
     return i->discrete + i->scene->friction[k].slip;
@@ -288,6 +291,17 @@ static void release_unheld(Instance *i)
     settings_upload_parameters(i);
 }
 
+/* Extrapolate shares whose steps from pass to pass shrink slowly, as those of hinges about nearly the same axis do. */
+static void extrapolate_shares(Instance *i, const unsigned char *rests, const double *steps, double more)
+{
+    const Scene *s = i->scene;
+    for (int k = 0; k < s->frictions; k++)
+        if (rests[k]) {
+            double *share = i->discrete + s->friction[k].value;
+            *share = fmin(fmax(*share + more * steps[k], -1.0), 1.0);
+        }
+}
+
 /* Decide which joints at rest stick and in which direction the others slide. Each joint in turn takes the share of its
    limit that holds it, until only joints at their whole limit move. This ends because friction opposes motion: a share
    that one joint takes relieves the others. Then the joint with the largest acceleration slides, and the search
@@ -298,7 +312,7 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
     const size_t arena = arena_mark(i);
     const int count = s->frictions;
     unsigned char *began = (unsigned char *)arena_alloc(i, (size_t)count);
-    double settled = 0.0;
+    double *steps = arena_alloc(i, (size_t)count), settled = 0.0;
     memcpy(began, rests, (size_t)count);
     for (int again = 0; again <= SLIDING_ROUNDS * count; again++) {
         double idle = IDLE * pow(find_pace(i), 2);
@@ -316,7 +330,9 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
         }
         for (int k = 0; k < count; k++)
             idle = fmax(idle, IDLE * fabs((i->workspace + s->grip)[2 * count + k]));
+        memset(steps, 0, (size_t)count * sizeof *steps);
         for (int pass = 0; any && moves && pass < SHARING_ROUNDS; pass++) {
+            double alike = 0.0, squares = 0.0;
             moves = 0;
             for (int k = 0; k < count; k++)
                 if (rests[k]) {
@@ -324,7 +340,12 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
                                  share = find_holding_share(i, k, before, idle);
                     moves |= fabs(share - before) > STEADY_SHARE;
                     i->discrete[s->friction[k].value] = share;
+                    alike += (share - before) * steps[k];
+                    squares += steps[k] * steps[k];
+                    steps[k] = share - before;
                 }
+            if (pass % EXTRAPOLATED == EXTRAPOLATED - 1 && moves && alike > 0.0 && alike < squares)
+                extrapolate_shares(i, rests, steps, alike / (squares - alike));
             settings_upload_parameters(i);
         }
         settled = IDLER * idle;
