@@ -7,10 +7,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import ConvexHull
 
 from alfmu import DeclarationError, InputError, Mechanism, load
 from alfmu.cli import main
 from alfmu.view.drawing import as_data, from_data
+from alfmu.view.faces import SIDES, Stage
 from alfmu.view.picture import COLORS_OF_ICON, animate, drawing, model_png, view_of
 from alfmu.view.shapes import geometry
 from alfmu.view.surface import COLORS, PUSHED, WHITE, Text, placed, width_of
@@ -350,3 +352,18 @@ def test_what_is_in_the_plane_is_drawn_in_space_beside_bodies_there():
     image = m.draw().image()
     assert hued(image, COLORS[2]).sum() > 100
     assert re.fullmatch(r"<Drawing of slanted, 640 x 480 pixels>", repr(m.draw()))
+
+
+def test_shadows_have_the_corners_of_the_convex_hulls():
+    """Volumes by Qhull of all corners, and of those that shape a shadow; a rod and a box have fewer."""
+    seen = set()
+    for name in ("bennett", "bricard", "stewart_platform", "gyroscope"):
+        drawn = drawing(load(name))
+        stage = Stage(drawn.shapes, drawn.view, drawn.size)
+        solid = [piece for piece in stage.pieces if piece.kind != "coil"]
+        meshes = [mesh[: len(mesh) // 2] for mesh in stage.meshes if mesh is not None]
+        for piece, mesh, outer in zip(solid, meshes, stage.faces.outer, strict=True):
+            assert ConvexHull(mesh[outer]).volume == pytest.approx(ConvexHull(mesh).volume, rel=1e-9)
+            assert (len(outer) < len(mesh)) == (piece.kind in ("rod", "box")) or len(outer) == len(mesh) == 2 * SIDES
+            seen.add(piece.kind)
+    assert seen >= {"rod", "box"}

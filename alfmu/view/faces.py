@@ -35,28 +35,26 @@ class Stage:
         self.pieces = pieces_of(self.space, view)
         self.lens = Lens(self.camera, size)
         self.floor = floor_of(view, self.lens.scale, base_of(size))
-        self.meshes = [() if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
+        meshes = [None if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
+        rim = 1.3 * base_of(size) / self.lens.scale
+        self.meshes = [mesh and np.concatenate([mesh[0], mesh[0] + rim * mesh[1]]) for mesh in meshes]
+        """Corners of each piece, and of its rim; None for a coil."""
+        self.faces = _Faces.of(self.pieces, [mesh for mesh in meshes if mesh])
 
     def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Any]]) -> None:
         """Paint a mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
         poses = poses_of(self.shapes, columns)
         lens, base, unit = self.lens, base_of(self.size), self.unit
-        rim = 1.3 * base / lens.scale
-        faces: list[Faces] = []
-        rims: list[Faces] = []
+        corners: list[NDArray[np.float64]] = []
         lines: list[tuple[NDArray[np.float64], str, float]] = []  # (P, 3)
         for piece, mesh in zip(self.pieces, self.meshes, strict=True):
-            color, dark = PALETTE.get(piece.color, piece.color), rim_of(piece.color)
-            if not mesh:
+            if mesh is None:
+                dark = rim_of(piece.color)
                 lines.append((_between(piece, poses, _coil()), dark, max(1.2 * base, 2 * piece.size[1] * lens.scale)))
-                continue
-            vertices, normals, quads = mesh
-            for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
-                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # a box hides a shaft inside it
-                corners = _world(piece, poses, vertices + grown * normals)
-                kept.append(Faces(corners, corners[quads], shown, before))
-        _floor(surface, lens, self, [face.corners for face in faces])
-        items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
+            else:
+                corners.append(_world(piece, poses, mesh))
+        _floor(surface, lens, self, [x[each] for x, each in zip(corners, self.faces.outer, strict=True)])
+        items = self.faces.lit(lens, corners)
         for name, path in trails.items():
             if len(path) > 1:
                 some = np.unique(np.linspace(0, len(path) - 1, min(len(path), 400)).astype(int))
@@ -82,30 +80,65 @@ Item = tuple[float, Sequence[Vector], float, str, bool]
 
 
 @dataclass(frozen=True)
-class Faces:
-    """Corners (V, 3) and faces (F, 4, 3) of a piece in ground axes [m], sorted as if nearer by `before` [m]."""
+class _Faces:
+    """All faces of a picture, of pieces first and then of their rims, whose far sides are shown."""
 
-    corners: NDArray[np.float64]
-    quads: NDArray[np.float64]
-    color: str
-    before: float
+    quads: NDArray[np.intp]
+    """Places (F, 4) of their corners among those of all pieces."""
+    back: NDArray[np.bool_]
+    """Whether a face belongs to a rim."""
+    before: NDArray[np.float64]
+    """Distance [m] by which a face is sorted as if nearer."""
+    colors: list[tuple[str, ...]]
+    """Shades of each face from dark to light; of a rim one."""
+    outer: list[NDArray[np.intp]]
+    """Corners of each piece that are on its convex hull, which alone shape its shadow."""
+
+    @classmethod
+    def of(cls, pieces: Sequence[Piece], meshes: Sequence[Mesh]) -> _Faces:
+        solid = [piece for piece in pieces if piece.kind != "coil"]
+        first = np.cumsum([0, *(2 * len(vertices) for vertices, *_ in meshes)])[:-1]
+        parts = list(zip(solid, meshes, first, strict=True))
+        quads = [quads + at for _, (_, _, quads), at in parts]
+        quads += [quads + at + len(vertices) for _, (vertices, _, quads), at in parts]
+        counts = [len(each) for each in quads]
+        # A box hides a shaft inside it.
+        before = [0.8 * min(piece.size) if piece.kind == "box" else 0.0 for piece in solid]
+        shades = [_steps(PALETTE.get(piece.color, piece.color)) for piece in solid]
+        shades += [(rim_of(piece.color),) for piece in solid]
+        return cls(
+            np.concatenate(quads or [np.empty((0, 4), int)]),
+            np.repeat([False, True], [sum(counts[: len(solid)]), sum(counts[len(solid) :])]),
+            np.repeat([*before, *before], counts),
+            [shade for shade, count in zip(shades, counts, strict=True) for _ in range(count)],
+            [_outer(piece, vertices) for piece, (vertices, *_) in zip(solid, meshes, strict=True)],
+        )
+
+    def lit(self, lens: Lens, corners: Sequence[NDArray[np.float64]]) -> list[Item]:
+        """Return faces towards the eye, lit from above on the left, and faces of rims away from it, unlit."""
+        places = np.concatenate([*corners, np.empty((0, 3))])
+        a, b, c, d = (places[each] for each in self.quads.T)
+        middles, normals = (a + b + c + d) / 4 - lens.eye, cross(c - a, d - b)
+        towards = -np.sum(normals * middles, axis=1)
+        seen = np.flatnonzero(np.where(self.back, -towards, towards) > 0)
+        light = np.array([-0.45, 0.75, 0.6]) @ lens.axes
+        light /= np.linalg.norm(light)
+        normals, back = normals[seen], self.back[seen]
+        sizes = np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+        shares = 0.7 + 0.38 * np.maximum(0.0, normals @ light / sizes)
+        steps = np.where(back, 0, np.clip(np.rint((shares - 0.6) / 0.5 * 64), 0, 64)).astype(int)
+        depths = np.linalg.norm(middles[seen], axis=1) - self.before[seen]
+        pixels = lens.seen(places)[0][self.quads[seen]]
+        shown = zip(depths.tolist(), pixels.tolist(), seen.tolist(), steps.tolist(), strict=True)
+        return [(depth, points, 0.0, self.colors[face][step], True) for depth, points, face, step in shown]
 
 
-def _lit(lens: Lens, faces: Sequence[Faces], back: bool = False) -> Iterator[Item]:
-    """Return faces towards the eye, lit from above on the left; with `back` faces away from it, unlit."""
-    light = np.array([-0.45, 0.75, 0.6]) @ lens.axes
-    light /= np.linalg.norm(light)
-    for quads, color, before in ((f.quads, f.color, f.before) for f in faces):
-        normals = cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        middles = quads.mean(axis=1)
-        towards = np.sum(normals * (lens.eye - middles), axis=1)
-        keep = towards < 0 if back else towards > 0
-        pixels, _ = lens.seen(quads[keep])
-        depths = np.linalg.norm(middles[keep] - lens.eye, axis=1) - before
-        shares = np.zeros(len(depths)) if back else 0.7 + 0.38 * np.maximum(0.0, normals[keep] @ light)
-        for depth, points, share in zip(depths.tolist(), pixels.tolist(), shares.tolist(), strict=True):
-            yield depth, points, 0.0, color if back else _light(color, share), True
+def _outer(piece: Piece, vertices: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the corners of a piece that can be on its convex hull: a rod and a box have others on their sides."""
+    if piece.kind == "box":
+        return np.flatnonzero(np.isclose(np.abs(vertices), piece.size).all(axis=1))
+    ends = SIDES if piece.kind == "rod" else len(vertices)
+    return np.unique([*range(ends), *range(len(vertices) - ends, len(vertices))])
 
 
 @cache
@@ -117,11 +150,6 @@ def _steps(color: str) -> tuple[str, ...]:
         share = 0.6 + 0.5 * i / 64
         found.append("#" + "".join(f"{min(255, int(x * share + 0.5)):02x}" for x in rgb))
     return tuple(found)
-
-
-def _light(color: str, share: float) -> str:
-    """Return a colour with a share of its brightness."""
-    return _steps(color)[min(64, max(0, round((share - 0.6) / 0.5 * 64)))]
 
 
 def _floor(surface: Surface, lens: Lens, stage: Stage, pieces: Sequence[NDArray[np.float64]]) -> None:

@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 from html import escape
 from typing import Any, Protocol
 
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 Vector = tuple[float, float]
 
@@ -84,19 +84,19 @@ class Raster:
         return self._image.reduce(SAMPLES)
 
     def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
-        top = self.size[1]
-        points = [(SAMPLES * x, SAMPLES * (top - y)) for x, y in points]
+        top, ink = self.size[1], _ink(color)
+        places = [SAMPLES * each for x, y in points for each in (x, top - y)]
         if filled:
-            self._pen.polygon(points, color)
-            points = [*points, points[0]]
+            self._pen.polygon(places, ink)
             if not width:
                 return
+            places += places[:2]
         wide = max(1, round(SAMPLES * width))
-        if len(points) > 1:
-            self._pen.line(points, color, wide)
+        if len(places) > 2:
+            self._pen.line(places, ink, wide)
         r = wide / 2
-        for x, y in points if r > 1 else ():
-            self._pen.ellipse((x - r, y - r, x + r, y + r), color)
+        for x, y in zip(places[::2], places[1::2], strict=True) if r > 1 else ():
+            self._pen.ellipse((x - r, y - r, x + r, y + r), ink)
 
     def text(self, text: Text) -> None:
         # At whole pixels, so that the masks of moving labels are the same in all frames.
@@ -211,6 +211,12 @@ def cell_of(pixels: float, scale: float) -> float:
     wanted = pixels / scale
     power = 10.0 ** math.floor(math.log10(wanted))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= wanted * (1 - 1e-9))
+
+
+@cache
+def _ink(color: str) -> Any:
+    """Return a colour as Pillow's numbers, read once: a picture in space has a thousand areas."""
+    return ImageColor.getrgb(color)
 
 
 @cache
