@@ -196,6 +196,27 @@ static void share_of_turns(const Scene *s, double *x)
             x[k - 1] = x[k];
 }
 
+/* S1: raise the scales of coordinates that constraints hardly touch along a motion, but touch where angles differ: one
+   of the motions that cross at a singular position may leave them free, as where a slider rests on its crank's axis. */
+static void raise_untouched(Instance *i, const double *q, const double *random, Survey *survey)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double *there = arena_alloc(i, n), *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n),
+           *columns = arena_alloc(i, n), heaviest;
+    const double *x[] = {there, instance_field(i, s->p), instance_field(i, s->k)};
+    double *y[] = {pivots, diagonal, columns, &heaviest};
+    for (int c = 0; c < s->n; c++)
+        there[c] = q[c] + (coordinate_is_angle(s, c) ? side_places[SIDE_PLACES - 1] * random[c] : 0.0);
+    function_call(i, s->pivots, x, y);
+    for (int c = 0; c < s->n; c++)
+        if (survey->scales[c] < HARDLY * *i->largest_penalty * diagonal[c]) {
+            survey->scales[c] = *i->largest_penalty * diagonal[c];
+            survey->touched[c] += columns[c];
+        }
+    arena_release(i, arena);
+}
+
 /* S1: survey the places along the motion v at q or, if v rests, along a random motion; with `rest`, along a motion of
    what v leaves at rest. */
 static void survey_along(
@@ -235,6 +256,7 @@ static void survey_along(
         if (close_near(i, there, rate, rest ? MOST_RETURNS : 0, near))
             memcpy(places + survey->count++ * n, near, n * sizeof *near);
     }
+    raise_untouched(i, q, random, survey);
     if (rest) {
         share_of_turns(s, survey->scales);
         share_of_turns(s, survey->touched);
