@@ -252,8 +252,8 @@ static void survey_along(
         if (close_near(i, there, rate, rest ? MOST_RETURNS : 0, near))
             memcpy(places + survey->count++ * n, near, n * sizeof *near);
     }
-    /* One of the motions that cross at a singular position may leave coordinates free that constraints touch where angles
-       differ. */
+    /* One of the motions that cross at a singular position may leave coordinates free that constraints touch where
+       angles differ. */
     for (int c = 0; c < s->n; c++)
         there[c] = q[c] + (coordinate_is_angle(s, c) ? side_places[SIDE_PLACES - 1] * random[c] : 0.0);
     raise_scales(i, there, HARDLY, survey);
