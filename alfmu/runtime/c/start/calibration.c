@@ -196,6 +196,23 @@ static void share_of_turns(const Scene *s, double *x)
             x[k - 1] = x[k];
 }
 
+/* S1: raise the scales of coordinates whose share of the diagonal of H at a position is less than `share`. */
+static void raise_scales(Instance *i, const double *q, double share, Survey *survey)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n), heaviest;
+    const double *x[] = {q, instance_field(i, s->p), instance_field(i, s->k)};
+    double *y[] = {pivots, diagonal, columns, &heaviest};
+    function_call(i, s->pivots, x, y);
+    for (int c = 0; c < s->n; c++)
+        if (survey->scales[c] < share * *i->largest_penalty * diagonal[c]) {
+            survey->scales[c] = *i->largest_penalty * diagonal[c];
+            survey->touched[c] += columns[c];
+        }
+    arena_release(i, arena);
+}
+
 /* S1: survey the places along the motion v at q or, if v rests, along a random motion; with `rest`, along a motion of
    what v leaves at rest. */
 static void survey_along(
@@ -235,6 +252,11 @@ static void survey_along(
         if (close_near(i, there, rate, rest ? MOST_RETURNS : 0, near))
             memcpy(places + survey->count++ * n, near, n * sizeof *near);
     }
+    /* One of the motions that cross at a singular position may leave coordinates free that constraints touch where
+       angles differ. */
+    for (int c = 0; c < s->n; c++)
+        there[c] = q[c] + (coordinate_is_angle(s, c) ? side_places[SIDE_PLACES - 1] * random[c] : 0.0);
+    raise_scales(i, there, HARDLY, survey);
     if (rest) {
         share_of_turns(s, survey->scales);
         share_of_turns(s, survey->touched);
@@ -243,6 +265,12 @@ static void survey_along(
     for (int c = 0; c < s->n; c++)
         survey->freedom -= survey->touched[c] == 0.0;
     use_scales(i, survey);
+    /* Beside a singular position the places of a random motion may be between two motions before they are closed. */
+    if ((rest || still) && multiply_pivots(i, q, (int)survey->freedom).few > survey->freedom) {
+        for (int a = 0; a < survey->count; a++)
+            raise_scales(i, places + a * n, 1.0, survey);
+        use_scales(i, survey);
+    }
     for (int a = 0; a < survey->count; a++)
         survey->found[a] = multiply_pivots(i, places + a * n, (int)survey->freedom);
     arena_release(i, arena);

@@ -310,7 +310,7 @@ int step_adaptive(Instance *i, double end, long tries)
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     const double relative = i->values[s->relative_tolerance];
     double judged = 0.0; /* length of the first step that could not be judged since the last judged one */
-    double until = -INFINITY, since = m[s->z + s->time];
+    double until = -INFINITY, window = 0.0, since = m[s->z + s->time];
     int stuck = 0, made = 0;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0 && i->left > 0; tries--, i->left--) {
@@ -329,7 +329,9 @@ int step_adaptive(Instance *i, double end, long tries)
         if (after[s->trouble] != 0.0) {
             const double tried = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * tried;
             if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
-                until = m[s->z + s->time] + tried;
+                /* Steps that shrink towards a position leave each window of their own length. */
+                window = fmax(tried, window / 2);
+                until = m[s->z + s->time] + window;
                 stuck = 0;
             }
             stuck += after[s->near] != 0.0;
