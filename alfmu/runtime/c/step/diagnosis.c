@@ -58,8 +58,8 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
     else if (!(pivot > 0.0))
         outcome = instance_say(i, FAILED,
             "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
-            "constraints; if a mass or an inertia is some 1e12 times less than the others, make it larger; if a body is "
-            "some 1e4 times as long as the link that turns it, give the body a pose%s",
+            "constraints; if a mass or an inertia is some 1e12 times less than the others, make it larger; if a body "
+            "is some 1e4 times as long as the link that turns it, give the body a pose%s",
             s->name, t, settings_or_penalty(i));
     arena_release(i, arena);
     return outcome;
