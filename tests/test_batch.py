@@ -402,7 +402,7 @@ def test_members_whose_redundant_constraints_would_brake():
         ),
         (
             lambda b: b.set("solver.input_order", 1),
-            "four_bar: solver.input_order is 1, but fixed at 0 here; give it when",
+            "four_bar: solver.input_order is 1, but fixed at 0 here; give it where the instance, batch or FMU is made",
         ),
         (lambda b: setattr(b, "time", np.nan), "four_bar: the time of the start is nan; give one finite number"),
         (lambda b: (b.initialize(), setattr(b, "time", 1.0)), "four_bar: the time is fixed once a member is initialis"),

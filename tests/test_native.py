@@ -474,9 +474,10 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
 @pytest.mark.slow
 def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
-    for given in ({}, {"solver.input_order": 1}):
-        with Fmu(built("slider_crank", parameters=given)) as fmu:
-            with pytest.raises(alfmu.StepError, match=r"solver.input_order = 2 1 is outside"):
+    for order in (0, 1):
+        with Fmu(built("slider_crank", parameters={"solver.input_order": order} if order else {})) as fmu:
+            refused = f"solver.input_order is 2, but fixed at {order} here; give it where the instance, batch or FMU is made"
+            with pytest.raises(alfmu.StepError, match=refused):
                 fmu.set("solver.input_order", 2)
             fmu.initialize()
             found.append(len(fmu.save()))

@@ -30,8 +30,8 @@ Outcome variable_check(Instance *i, const Variable *v, double value)
         return DONE;
     if (v->minimum == v->maximum)
         return instance_say(i, REFUSED,
-            "%s: %s is %g, but fixed at %g here; give it when the instance or the batch is made", name, v->name, value,
-            v->minimum);
+            "%s: %s is %g, but fixed at %g here; give it where the instance, batch or FMU is made",
+            name, v->name, value, v->minimum);
     if (isfinite(v->minimum))
         write_text(low, sizeof low, "%g", v->minimum);
     if (isfinite(v->maximum))
