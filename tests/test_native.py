@@ -476,7 +476,7 @@ def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
     for order in (0, 1):
         with Fmu(built("slider_crank", parameters={"solver.input_order": order} if order else {})) as fmu:
-            refused = f"is 2, but fixed at {order} here; give it where the instance, batch or FMU is made"
+            refused = f"solver.input_order is 2, but fixed at {order} here; give it where the instance, batch or FMU"
             with pytest.raises(alfmu.StepError, match=refused):
                 fmu.set("solver.input_order", 2)
             fmu.initialize()
