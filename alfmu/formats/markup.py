@@ -382,6 +382,7 @@ class Includes:
             node.fail(
                 f"files include each other in a circle, more than {_INCLUDED} deep, or there are more than {_FILES}"
             )
+        self.spend(node, 0, 0)  # Where all causes are collected, others follow the one of too much.
         root = parsed(path)
         self._spend(root)
         self._within.append(path)
