@@ -71,11 +71,15 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
     """Return the same expressions in other sums; `far` is the smallest constant that is added up exactly, `places` are
     arguments and their entries that are places."""
     f = ca.Function("sums", arguments, [value.nz[:]])
+    steps = [(f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)) for k in range(f.n_instructions())]
+    numbers = {k: f.instruction_constant(k) for k, (code, _, _) in enumerate(steps) if code == ca.OP_CONST}
+    large = {k for k, number in numbers.items() if far <= abs(number) < _LARGEST}
+    if not _may_cancel(steps, large, places):
+        return value
     entries = [ca.vertsplit(ca.vec(x)) for x in arguments]
     kept: dict[int, _Sum] = {}
     found = [ca.SX(0)] * value.nnz()
-    for k in range(f.n_instructions()):
-        code, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+    for k, (code, inputs, outputs) in enumerate(steps):
         if code == ca.OP_OUTPUT:
             found[outputs[1]] = kept[inputs[0]].value(entries)
             continue
@@ -83,8 +87,7 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
             which, entry = inputs
             mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else _Sum(entries[which][entry])
         elif code == ca.OP_CONST:
-            number = f.instruction_constant(k)
-            mine = _Sum(None, Fraction(number)) if far <= abs(number) < _LARGEST else _Sum(ca.SX(number))
+            mine = _Sum(None, Fraction(numbers[k])) if k in large else _Sum(ca.SX(numbers[k]))
         else:
             operands = [kept[i] for i in inputs]
             combined = _combined(code, operands)
@@ -94,6 +97,28 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
             mine = combined
         kept[outputs[0]] = mine
     return ca.SX(value.sparsity(), ca.vertcat(*found))
+
+
+def _may_cancel(
+    steps: Sequence[tuple[int, Sequence[int], Sequence[int]]],
+    large: Collection[int],
+    places: Collection[tuple[int, int]],
+) -> bool:
+    """Return whether a sum has two operands with places or large constants: operations, inputs, outputs of `steps`."""
+    carries: dict[int, bool] = {}
+    for k, (code, inputs, outputs) in enumerate(steps):
+        if code == ca.OP_INPUT:
+            mine = (inputs[0], inputs[1]) in places
+        elif code == ca.OP_CONST:
+            mine = k in large
+        elif code == ca.OP_OUTPUT:
+            continue
+        else:
+            mine = any(carries[i] for i in inputs) and code in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_MUL)
+            if code in (ca.OP_ADD, ca.OP_SUB) and all(carries[i] for i in inputs):
+                return True
+        carries[outputs[0]] = mine
+    return False
 
 
 def _combined(code: int, operands: list[_Sum]) -> _Sum | None:
