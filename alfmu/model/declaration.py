@@ -241,7 +241,7 @@ class Declaration:
         self._choices: dict[str, list[str]] = {}
         self._weighs = False
         self._dropped = False
-        """A refused declaration ends the whole mechanism, as in an import, so that no earlier state is kept."""
+        """Whether a refused declaration ends the whole mechanism, as in an import: then no earlier state is kept."""
         self._points: set[Body] = set()
         self._told: set[float] = set()
 
