@@ -64,7 +64,8 @@ def _chunks(text: str) -> Iterator[str]:
         else:
             bare = _LITERAL.sub("", line) if '"' in line or "'" in line else line
             depth += bare.count("{") - bare.count("}")
-            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(re.match(r"[A-Z_0-9]+\(.*\)$", bare)))
+            called = re.match(r"[A-Z_0-9]+\([^;{}]*\)$", chunk) and chunk.count("(") == chunk.count(")")
+            whole = not depth and (bare.rstrip().endswith((";", "}")) or bool(called))
         if whole and (chunk.startswith("#") or not depth):
             yield chunk
             chunk = ""

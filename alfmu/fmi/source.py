@@ -361,8 +361,11 @@ def _prefixed(text: str, fmi: int) -> str:
     """Return C whose FMI functions have the model's prefix, so that several models can be linked together."""
     macro = f"FMI{fmi}_FUNCTION_PREFIX"
     names = {*re.findall(rf"\b(?:UNKNOWN\()?(fmi{fmi}[A-Z]\w+)[()]", text)}
-    for kind in re.findall(r"^\w*(?:VALUES|VECTOR)\((\w+)\b", text, re.MULTILINE):
+    for kind in re.findall(r"^\w*VALUES\((\w+)\b", text, re.MULTILINE):
         names |= {f"fmi{fmi}Get{kind}", f"fmi{fmi}Set{kind}"}
+    [state] = re.findall(r"^SHARED_CALLS\(PASSED, (\w+),", text, re.MULTILINE)
+    passed = re.findall(r"\b(?:X|PASSED|NEVER_PENDING|NO_VARIABLE)\(([\w#]*[a-z][\w#]*),", text)
+    names |= {f"fmi{fmi}{each.replace('##', '').replace('STATE', state)}" for each in passed}
     lines = [f"#if defined({macro})", "#define JOINED(a, b) JOINED_(a, b)", "#define JOINED_(a, b) a##b"]
     lines += [f"#define {each} JOINED({macro}, {each})" for each in sorted(names)]
     return "\n".join([*lines, "#endif\n"]) + text

@@ -10,6 +10,7 @@
 #include "fmi.h"
 #include "instance.h"
 #include "model_exchange.h"
+#include "shared_calls.h"
 
 /* FMI's arguments besides the component. */
 typedef struct {
@@ -72,11 +73,6 @@ API void fmi2FreeInstance(fmi2Component c)
     component_free(c);
 }
 
-API fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
-{
-    INSIDE(fmi2Status, component_logging(c, on, count, categories, "fmi2SetDebugLogging"));
-}
-
 API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
     fmi2Boolean has_stop, fmi2Real stop)
 {
@@ -84,25 +80,26 @@ API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, f
         component_begin(c, start, has_stop ? &stop : NULL, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment"));
 }
 
-API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
-{
-    INSIDE(fmi2Status, component_enter(c, "fmi2EnterInitializationMode"));
-}
+/* A function that passes its arguments on. */
+#define PASSED(NAME, ARGUMENTS, FUNCTION, ...) \
+    API fmi2Status fmi2##NAME ARGUMENTS \
+    { \
+        INSIDE(fmi2Status, FUNCTION(__VA_ARGS__, "fmi2" #NAME)); \
+    }
 
-API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
-{
-    INSIDE(fmi2Status, exchange_initialized(c, "fmi2ExitInitializationMode"));
-}
+#define REFERENCES const fmi2ValueReference references[], size_t count
 
-API fmi2Status fmi2Terminate(fmi2Component c)
-{
-    INSIDE(fmi2Status, component_terminated(c, "fmi2Terminate"));
-}
-
-API fmi2Status fmi2Reset(fmi2Component c)
-{
-    INSIDE(fmi2Status, component_reset(c, "fmi2Reset"));
-}
+SHARED_CALLS(PASSED, FMUstate, fmi2Byte)
+PASSED(EnterInitializationMode, (void *c), component_enter, c)
+PASSED(SetDebugLogging, (void *c, fmi2Boolean on, size_t count, const fmi2String categories[]), component_logging, c,
+    on, count, categories)
+PASSED(SetRealInputDerivatives, (void *c, REFERENCES, const fmi2Integer orders[], const fmi2Real values[]),
+    component_slopes, c, references, count, orders, values)
+PASSED(GetRealOutputDerivatives, (void *c, REFERENCES, const fmi2Integer orders[], fmi2Real values[]),
+    component_output_derivatives, c, references, count, orders, values, count)
+PASSED(DeSerializeFMUstate, (void *c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state), component_read, c,
+    bytes, size, state)
+PASSED(GetDerivatives, (void *c, fmi2Real values[], size_t count), exchange_get, c, RATES, values, count)
 
 #define VALUES(TYPE, FORM) \
     API fmi2Status fmi2Get##TYPE( \
@@ -151,19 +148,6 @@ API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueRefe
         changes, unknown_count, NULL, "fmi2GetDirectionalDerivative"));
 }
 
-API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
-    const fmi2Integer orders[], const fmi2Real values[])
-{
-    INSIDE(fmi2Status, component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives"));
-}
-
-API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
-    const fmi2Integer orders[], fmi2Real values[])
-{
-    INSIDE(fmi2Status, component_output_derivatives(
-        c, references, count, orders, values, count, "fmi2GetRealOutputDerivatives"));
-}
-
 API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
 {
     (void)no_way_back;
@@ -185,12 +169,17 @@ static fmi2Status status_of(Component *c, int found, const char *call)
     return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "steps are never pending");
 }
 
-API fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
-{
-    (void)kind;
-    (void)value;
-    return status_of(c, 0, "fmi2GetStatus");
-}
+#define NEVER_PENDING(NAME, TYPE) \
+    API fmi2Status fmi2##NAME(fmi2Component c, const fmi2StatusKind kind, TYPE *value) \
+    { \
+        (void)kind; \
+        (void)value; \
+        return status_of(c, 0, "fmi2" #NAME); \
+    }
+
+NEVER_PENDING(GetStatus, fmi2Status)
+NEVER_PENDING(GetIntegerStatus, fmi2Integer)
+NEVER_PENDING(GetStringStatus, fmi2String)
 
 API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
 {
@@ -201,13 +190,6 @@ API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind k
     return status;
 }
 
-API fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
-{
-    (void)kind;
-    (void)value;
-    return status_of(c, 0, "fmi2GetIntegerStatus");
-}
-
 API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
 {
     const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
@@ -216,54 +198,7 @@ API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, 
     return status;
 }
 
-API fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
-{
-    (void)kind;
-    (void)value;
-    return status_of(c, 0, "fmi2GetStringStatus");
-}
-
-API fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    INSIDE(fmi2Status, component_save(c, state, "fmi2GetFMUstate"));
-}
-
-API fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
-{
-    INSIDE(fmi2Status, component_restore(c, state, "fmi2SetFMUstate"));
-}
-
-API fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    INSIDE(fmi2Status, component_forget(c, state, "fmi2FreeFMUstate"));
-}
-
-API fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    INSIDE(fmi2Status, component_state_size(c, state, size, "fmi2SerializedFMUstateSize"));
-}
-
-API fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
-{
-    INSIDE(fmi2Status, component_write(c, state, bytes, size, "fmi2SerializeFMUstate"));
-}
-
-API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
-{
-    INSIDE(fmi2Status, component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate"));
-}
-
 /* Model Exchange --------------------------------------------------------------------------------------------------- */
-
-API fmi2Status fmi2EnterEventMode(fmi2Component c)
-{
-    INSIDE(fmi2Status, exchange_enter(c, AT_EVENT, "fmi2EnterEventMode"));
-}
-
-API fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
-{
-    INSIDE(fmi2Status, exchange_enter(c, CONTINUOUS, "fmi2EnterContinuousTimeMode"));
-}
 
 API fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
@@ -285,24 +220,3 @@ API fmi2Status fmi2CompletedIntegratorStep(
     *enter = *terminate = fmi2False;
     INSIDE(fmi2Status, exchange_accepted(c, enter, "fmi2CompletedIntegratorStep"));
 }
-
-API fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
-{
-    INSIDE(fmi2Status, exchange_time(c, time, "fmi2SetTime"));
-}
-
-API fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real states[], size_t count)
-{
-    INSIDE(fmi2Status, exchange_set(c, states, count, "fmi2SetContinuousStates"));
-}
-
-#define VECTOR(NAME, WHICH) \
-    API fmi2Status fmi2Get##NAME(fmi2Component c, fmi2Real values[], size_t count) \
-    { \
-        INSIDE(fmi2Status, exchange_get(c, WHICH, values, count, "fmi2Get" #NAME)); \
-    }
-
-VECTOR(Derivatives, RATES)
-VECTOR(EventIndicators, INDICATORS)
-VECTOR(ContinuousStates, STATES)
-VECTOR(NominalsOfContinuousStates, NOMINALS)

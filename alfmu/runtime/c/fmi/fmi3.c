@@ -9,6 +9,7 @@
 #include "fmi.h"
 #include "instance.h"
 #include "model_exchange.h"
+#include "shared_calls.h"
 
 /* FMI's arguments besides the component. */
 typedef struct {
@@ -118,11 +119,6 @@ API void fmi3FreeInstance(fmi3Instance c)
     component_free(c);
 }
 
-API fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[])
-{
-    INSIDE(fmi3Status, component_logging(c, on, count, categories, "fmi3SetDebugLogging"));
-}
-
 API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
     fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
 {
@@ -135,27 +131,29 @@ API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_toler
     return (fmi3Status)begun;
 }
 
-API fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
-{
-    INSIDE(fmi3Status, exchange_initialized(c, "fmi3ExitInitializationMode"));
-}
+/* A function that passes its arguments on. */
+#define PASSED(NAME, ARGUMENTS, FUNCTION, ...) \
+    API fmi3Status fmi3##NAME ARGUMENTS \
+    { \
+        INSIDE(fmi3Status, FUNCTION(__VA_ARGS__, "fmi3" #NAME)); \
+    }
 
-API fmi3Status fmi3Terminate(fmi3Instance c)
-{
-    INSIDE(fmi3Status, component_terminated(c, "fmi3Terminate"));
-}
+#define REFERENCES const fmi3ValueReference *references, size_t count
 
-API fmi3Status fmi3Reset(fmi3Instance c)
-{
-    INSIDE(fmi3Status, component_reset(c, "fmi3Reset"));
-}
+SHARED_CALLS(PASSED, FMUState, fmi3Byte)
+PASSED(SetDebugLogging, (void *c, fmi3Boolean on, size_t count, const fmi3String categories[]), component_logging, c,
+    on, count, categories)
+PASSED(GetOutputDerivatives,
+    (void *c, REFERENCES, const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count),
+    component_output_derivatives, c, references, count, orders, values, value_count)
+PASSED(DeserializeFMUState, (void *c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state), component_read, c,
+    bytes, size, state)
+PASSED(GetContinuousStateDerivatives, (void *c, fmi3Float64 x[], size_t count), exchange_get, c, RATES, x, count)
+PASSED(GetNumberOfContinuousStates, (void *c, size_t *count), exchange_count, c, STATES, count)
+PASSED(GetNumberOfEventIndicators, (void *c, size_t *count), exchange_count, c, INDICATORS, count)
 
-#define GET(TYPE)                                                                                                      \
-    API fmi3Status fmi3Get##TYPE(                                                                                      \
-        fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], size_t value_count)
-#define SET(TYPE) \
-    API fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, \
-        const fmi3##TYPE values[], size_t value_count)
+#define GET(TYPE) API fmi3Status fmi3Get##TYPE(void *c, REFERENCES, fmi3##TYPE values[], size_t value_count)
+#define SET(TYPE) API fmi3Status fmi3Set##TYPE(void *c, REFERENCES, const fmi3##TYPE values[], size_t value_count)
 
 #define VALUES(TYPE, FORM) \
     GET(TYPE) \
@@ -192,17 +190,32 @@ NO_VALUES(UInt32)
 NO_VALUES(UInt64)
 NO_VALUES(String)
 
-API fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, size_t sizes[],
-    fmi3Binary values[], size_t value_count)
-{
-    return none(c, count + value_count, "fmi3GetBinary", references, sizes, values);
-}
+#define NO_VARIABLE(NAME, ARGUMENTS, COUNT, ...) \
+    API fmi3Status fmi3##NAME ARGUMENTS \
+    { \
+        return none(c, COUNT, "fmi3" #NAME, __VA_ARGS__); \
+    }
 
-API fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, const size_t sizes[],
-    const fmi3Binary values[], size_t value_count)
-{
-    return none(c, count + value_count, "fmi3SetBinary", references, sizes, values);
-}
+NO_VARIABLE(GetBinary, (void *c, REFERENCES, size_t sizes[], fmi3Binary values[], size_t value_count),
+    count + value_count, references, sizes, values)
+NO_VARIABLE(SetBinary, (void *c, REFERENCES, const size_t sizes[], const fmi3Binary values[], size_t value_count),
+    count + value_count, references, sizes, values)
+NO_VARIABLE(GetClock, (void *c, REFERENCES, fmi3Clock values[]), count, references, values)
+NO_VARIABLE(SetClock, (void *c, REFERENCES, const fmi3Clock values[]), count, references, values)
+NO_VARIABLE(GetIntervalDecimal, (void *c, REFERENCES, fmi3Float64 x[], fmi3IntervalQualifier qualifiers[]), count,
+    references, x, qualifiers)
+NO_VARIABLE(SetIntervalDecimal, (void *c, REFERENCES, const fmi3Float64 x[]), count, references, x)
+NO_VARIABLE(GetIntervalFraction,
+    (void *c, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]), count,
+    references, counters, resolutions, qualifiers)
+NO_VARIABLE(SetIntervalFraction, (void *c, REFERENCES, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]),
+    count, references, counters, resolutions)
+NO_VARIABLE(GetShiftDecimal, (void *c, REFERENCES, fmi3Float64 x[]), count, references, x)
+NO_VARIABLE(SetShiftDecimal, (void *c, REFERENCES, const fmi3Float64 x[]), count, references, x)
+NO_VARIABLE(GetShiftFraction, (void *c, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[]), count, references,
+    counters, resolutions)
+NO_VARIABLE(SetShiftFraction, (void *c, REFERENCES, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]), count,
+    references, counters, resolutions)
 
 API fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 step, fmi3Boolean no_way_back,
     fmi3Boolean *events, fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *reached)
@@ -242,43 +255,6 @@ API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference
         sensitivity, sensitivity_count, adjoints_along, "fmi3GetAdjointDerivative"));
 }
 
-API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count)
-{
-    INSIDE(fmi3Status, component_output_derivatives(
-        c, references, count, orders, values, value_count, "fmi3GetOutputDerivatives"));
-}
-
-API fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
-{
-    INSIDE(fmi3Status, component_save(c, state, "fmi3GetFMUState"));
-}
-
-API fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
-{
-    INSIDE(fmi3Status, component_restore(c, state, "fmi3SetFMUState"));
-}
-
-API fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
-{
-    INSIDE(fmi3Status, component_forget(c, state, "fmi3FreeFMUState"));
-}
-
-API fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
-{
-    INSIDE(fmi3Status, component_state_size(c, state, size, "fmi3SerializedFMUStateSize"));
-}
-
-API fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
-{
-    INSIDE(fmi3Status, component_write(c, state, bytes, size, "fmi3SerializeFMUState"));
-}
-
-API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
-{
-    INSIDE(fmi3Status, component_read(c, bytes, size, state, "fmi3DeserializeFMUState"));
-}
-
 /* Functions without arguments. */
 #define UNKNOWN(NAME) \
     API fmi3Status NAME(fmi3Instance c) \
@@ -301,75 +277,6 @@ API fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference de
 {
     return unknown(c, "fmi3GetVariableDependencies", dependent, elements, independents, independent_elements, kinds,
         count);
-}
-
-API fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Clock values[])
-{
-    return none(c, count, "fmi3GetClock", references, values);
-}
-
-API fmi3Status fmi3SetClock(
-    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
-{
-    return none(c, count, "fmi3SetClock", references, values);
-}
-
-API fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
-{
-    return none(c, count, "fmi3GetIntervalDecimal", references, intervals, qualifiers);
-}
-
-API fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
-{
-    return none(c, count, "fmi3GetIntervalFraction", references, counters, resolutions, qualifiers);
-}
-
-API fmi3Status fmi3GetShiftDecimal(
-    fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Float64 shifts[])
-{
-    return none(c, count, "fmi3GetShiftDecimal", references, shifts);
-}
-
-API fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    fmi3UInt64 counters[], fmi3UInt64 resolutions[])
-{
-    return none(c, count, "fmi3GetShiftFraction", references, counters, resolutions);
-}
-
-API fmi3Status fmi3SetIntervalDecimal(
-    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 intervals[])
-{
-    return none(c, count, "fmi3SetIntervalDecimal", references, intervals);
-}
-
-API fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
-{
-    return none(c, count, "fmi3SetIntervalFraction", references, counters, resolutions);
-}
-
-API fmi3Status fmi3SetShiftDecimal(
-    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 shifts[])
-{
-    return none(c, count, "fmi3SetShiftDecimal", references, shifts);
-}
-
-API fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
-    const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
-{
-    return none(c, count, "fmi3SetShiftFraction", references, counters, resolutions);
-}
-
-API fmi3Status fmi3EnterEventMode(fmi3Instance c)
-{
-    INSIDE(fmi3Status, exchange_enter(c, AT_EVENT, "fmi3EnterEventMode"));
-}
-
-API fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
-{
-    INSIDE(fmi3Status, exchange_enter(c, CONTINUOUS, "fmi3EnterContinuousTimeMode"));
 }
 
 API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
@@ -403,37 +310,6 @@ API fmi3Status fmi3CompletedIntegratorStep(
     *enter = far != 0;
     *terminate = fmi3False;
     return (fmi3Status)status;
-}
-
-API fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
-{
-    INSIDE(fmi3Status, exchange_time(c, time, "fmi3SetTime"));
-}
-
-API fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 states[], size_t count)
-{
-    INSIDE(fmi3Status, exchange_set(c, states, count, "fmi3SetContinuousStates"));
-}
-
-#define VECTOR(NAME, WHICH) \
-    API fmi3Status fmi3Get##NAME(fmi3Instance c, fmi3Float64 values[], size_t count) \
-    { \
-        INSIDE(fmi3Status, exchange_get(c, WHICH, values, count, "fmi3Get" #NAME)); \
-    }
-
-VECTOR(ContinuousStateDerivatives, RATES)
-VECTOR(EventIndicators, INDICATORS)
-VECTOR(ContinuousStates, STATES)
-VECTOR(NominalsOfContinuousStates, NOMINALS)
-
-API fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
-{
-    INSIDE(fmi3Status, exchange_count(c, INDICATORS, count, "fmi3GetNumberOfEventIndicators"));
-}
-
-API fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
-{
-    INSIDE(fmi3Status, exchange_count(c, STATES, count, "fmi3GetNumberOfContinuousStates"));
 }
 
 API fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)

@@ -230,7 +230,6 @@ METHOD(void *, update, "update-discrete-states", (Owner * o), (o))
     return answer(fmi3UpdateDiscreteStates(o->instance, b, b + 1, b + 2, b + 3, b + 4, area.numbers + 2), 8);
 }
 
-#define REFERENCES const fmi3ValueReference *references, size_t count
 #define ARGUMENTS(...) __VA_ARGS__
 
 /* The getter and setter of a type: the C types of their values, and their last arguments. */
