@@ -3,8 +3,6 @@
 To add a code, write a function that takes a problem and returns a simulation, and add it to CODES.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

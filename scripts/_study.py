@@ -1,7 +1,5 @@
 """Interleaved timing, and targets of numbers, for scripts that measure costs."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import time

@@ -5,8 +5,6 @@ machine, each is compared with a yardstick timed in turn with it: `numpy.linalg.
 oracle, or an empty FMU; costs of many loops are compared with those of ten.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import math

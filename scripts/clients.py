@@ -5,8 +5,6 @@ are in no registry are run if they are on PATH. A cell is the largest difference
 puts the table into the page; `--installed` uses the clients that this Python finds, and installs nothing.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import csv

@@ -5,8 +5,6 @@ point; it is silent if no warning reports this. The exit code is 1 if a run is s
 alfmu's own.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

@@ -5,8 +5,6 @@ longest call, and at the end the total; returns 1 if a sanitizer reported an err
 was wrong.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

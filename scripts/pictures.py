@@ -5,8 +5,6 @@ figure shows a four-bar linkage that passes a singular position. `cost DIR` puts
 which `alfmu report all -o DIR` wrote, between the markers of the page.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import os

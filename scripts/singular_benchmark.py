@@ -5,8 +5,6 @@ limit. Writes `results.csv`, a picture and tables into a folder; `--write` puts 
 remakes problems and exact motions.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import importlib

@@ -6,8 +6,6 @@ Python, only its recursion is counted: the time that a body adds to a call, time
 step.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from functools import partial

@@ -6,8 +6,6 @@ Every figure is printed with its number of runs. Of repetitions the fastest coun
 processor times, which they disturb less, are printed beside wall times.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import resource

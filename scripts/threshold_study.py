@@ -5,8 +5,6 @@ its own runtime. `--write` puts the figures between two markers of `docs/singula
 are the constants themselves and their docstrings.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import math

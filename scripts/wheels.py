@@ -5,8 +5,6 @@ isolated environment. Every wheel has the runtime for all platforms and for brow
 The exit code is 1 if a check fails.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import configparser

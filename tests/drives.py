@@ -1,7 +1,5 @@
 """Connected systems that tests share: a four-bar with DC motor and speed controller, in parts and in one mechanism."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import alfmu

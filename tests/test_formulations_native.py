@@ -1,7 +1,5 @@
 """Every formulation in native FMUs: the oracle's numbers, its words where a step fails, and what is refused."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial

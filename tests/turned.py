@@ -4,8 +4,6 @@ Most are planar linkages made of bodies and joints in space, whose loops have re
 The others are a Sarrus linkage, a linkage with a universal joint and a ball, and a table on parallel legs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

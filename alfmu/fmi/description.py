@@ -15,6 +15,7 @@ from ..equations.interface import BALANCE, default_settings
 from ..equations.interface import variables_of as interface
 from ..equations.types import configured
 from ..model.units import composed
+from .markup import written
 
 LICENSE = "MIT"
 
@@ -170,8 +171,7 @@ def model_description(
             {"name": "time", "valueReference": str(first + 2 * len(states) + len(indicators)), **time},
         )
     _structure(root, e, variables, fmi, range(first, first + len(own)), len(indicators))
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)
 
 
 def _structure(
@@ -243,8 +243,7 @@ def build_description(identifier: str, sources: Sequence[str]) -> bytes:
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     _files(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", sources)
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)
 
 
 def _categories(root: ET.Element) -> None:

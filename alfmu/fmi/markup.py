@@ -1,10 +1,16 @@
-"""Parse XML files of FMUs and systems from untrusted sources."""
+"""Parse XML files of FMUs and systems from untrusted sources, and write such files."""
 
 from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError
+
+
+def written(root: ET.Element) -> bytes:
+    """Return a file with this root, indented, as UTF-8."""
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
 class _Plain(ET.TreeBuilder):

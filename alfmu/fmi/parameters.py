@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError
-from .markup import tree
+from .markup import tree, written
 
 SSV = "application/x-ssp-parameter-set"
 """Media type of a parameter set."""
@@ -34,8 +34,7 @@ def parameter_set(name: str, values: Mapping[str, float | int | bool | str]) -> 
         kind = {bool: "Boolean", int: "Integer", str: "String"}.get(type(value), "Real")
         text = str(value).lower() if kind == "Boolean" else f"{value:.17g}" if kind == "Real" else str(value)
         ET.SubElement(ET.SubElement(listed, f"{{{_VALUES}}}Parameter", name=each), f"{{{_VALUES}}}{kind}", value=text)
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)
 
 
 def read_parameter_set(data: bytes, name: str) -> dict[str, float | int | bool | str]:

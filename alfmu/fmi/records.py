@@ -29,7 +29,7 @@ from ..model.settings import internal_steps
 from ..runtime import Instance
 from ..simulation import communication_points, run
 from ..simulation.result import Result
-from .markup import tree
+from .markup import tree, written
 from .parameters import SSV, parameter_set, read_parameter_set
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
@@ -254,9 +254,7 @@ def _files(
         ET.SubElement(one, "References", source=f"{name}_ref.csv", type="text/csv")
         text = f"outputs over time, {record.description}"
         add(f"{name}_ref.csv", _table(record.references, kept, every), "text/csv", "result", text)
-    ET.indent(root)
-    data = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-    add(f"{name}.exp", data, EXPERIMENTS, f"experiment/{role}", f"a run {record.description}")
+    add(f"{name}.exp", written(root), EXPERIMENTS, f"experiment/{role}", f"a run {record.description}")
     return files, related
 
 
@@ -281,8 +279,7 @@ def _manifest(related: list[dict[str, str]], files: Mapping[str, bytes]) -> byte
     for each in related:
         digest = hashlib.sha3_256(files[each["source"]]).hexdigest()
         ET.SubElement(root, "Related", {**each, "checksum": digest, "checksumType": "SHA3-256"})
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)
 
 
 # Reading --------------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 
 from ..model.mechanism import Mechanism
+from .markup import written
 
 _MEMBERS = {
     "N.m": {"torque": "", "angle": "angle", "angular_velocity": "angular_velocity"},
@@ -61,5 +62,4 @@ def document(found: dict[str, dict[str, str]]) -> bytes:
             ET.SubElement(
                 terminal, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind="signal"
             )
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)

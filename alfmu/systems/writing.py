@@ -85,8 +85,7 @@ def _element(parent: ET.Element, name: str, attributes: Mapping[str, str] | None
 def _bytes(root: ET.Element) -> bytes:
     for prefix, space in SPACES.items():
         ET.register_namespace(prefix, space)
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return written(root)
 
 
 def _about() -> dict[str, str]:

@@ -1,7 +1,5 @@
 """Chains of bodies at random places in the words of MJCF, SDF and URDF, written side by side."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ It executes CasADi's instructions one by one and knows nothing of tangents, tape
 Decisions go by real parts, step control has no imaginary part.
 """
 
-from __future__ import annotations
-
 import cmath
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Mechanisms that are written in the formats of other programs: loops, joints, forces and starts of all kinds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

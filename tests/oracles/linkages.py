@@ -1,7 +1,5 @@
 """Accelerations of files by the mass matrix, bias and Jacobians of MuJoCo and Pinocchio, with rigid constraints."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

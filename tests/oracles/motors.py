@@ -1,7 +1,5 @@
 """A DC motor on a flywheel by the matrix exponential, and on a slider-crank in its one coordinate by SciPy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

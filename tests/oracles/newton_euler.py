@@ -5,8 +5,6 @@ coordinates are chosen. Joints are rows for the accelerations of both bodies. Ga
 gives the accelerations, by a pseudoinverse, which redundant rows do not disturb. DOP853 integrates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp

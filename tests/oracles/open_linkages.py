@@ -1,7 +1,5 @@
 """Random linkages in space that are closed at a place of their own, and declared with guesses away from it."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray

@@ -23,15 +23,11 @@ from .registry import (
     CHECKS,
     FAILED,
     NOT_APPLICABLE,
-    NOTED,
     PASSED,
     UNJUDGED,
     Check,
-    Fault,
-    NotApplicable,
-    Noted,
+    Ended,
     Task,
-    Unjudged,
 )
 from .unit import Broken, Journal, Once, Session
 
@@ -108,18 +104,12 @@ def _one(folder: Path, check: Check, description: ModelDescription, task: dict, 
         try:
             session = Session(Path(task["folder"]), description, Journal(folder / JOURNAL))
             result, detail = PASSED, (check.run(session, given) if check.run else None) or ""
-        except Fault as fault:
-            result, detail = check.fault, str(fault)
-        except Noted as note:
-            result, detail = NOTED, str(note)
+        except Ended as ended:
+            result, detail = ended.result or check.fault, str(ended)
         except Once as reason:
             result, detail = NOT_APPLICABLE, str(reason)
         except Broken as broken:
             result, detail = FAILED, str(broken)
-        except NotApplicable as reason:
-            result, detail = NOT_APPLICABLE, str(reason)
-        except Unjudged as reason:
-            result, detail = UNJUDGED, str(reason)
         except AttributeError as error:
             # fmpy resolves all functions of the interface when it loads the library.
             if session is not None:

@@ -14,20 +14,32 @@ RISKY, NOTED = "risk", "note"
 only worth knowing."""
 
 
-class Fault(Exception):
+class Ended(Exception):
+    """A check has ended with this result; an empty one stands for `Check.fault`."""
+
+    result = ""
+
+
+class Fault(Ended):
     """The FMU violates the standard."""
 
 
-class Noted(Exception):
+class Noted(Ended):
     """The FMU's behaviour is allowed, and worth knowing."""
 
+    result = NOTED
 
-class NotApplicable(Exception):
+
+class NotApplicable(Ended):
     """The FMU has no feature to which this check applies."""
 
+    result = NOT_APPLICABLE
 
-class Unjudged(Exception):
+
+class Unjudged(Ended):
     """The check cannot be judged, for the given reason."""
+
+    result = UNJUDGED
 
 
 @dataclass(frozen=True)

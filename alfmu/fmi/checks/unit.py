@@ -35,9 +35,6 @@ TYPES = {
 }
 """Types with functions to get and set them; Binary and Clock of FMI 3 are left out."""
 
-_STATE_2 = {"Deserialize": "DeSerialize"}
-"""Names of state functions in FMI 2 that FMI 3 spells differently."""
-
 
 _ONCE = "canBeInstantiatedOnlyOncePerProcess is true, and this check takes more than one instance"
 
@@ -387,19 +384,19 @@ class Unit:
     def get_raw(self, kind: str, references: Sequence[int]) -> tuple[int, list[Any]]:
         """Return status and values of a type, by references."""
         s = self.session
-        values = (_ctype(s.version, kind) * len(references))()
+        values = (_ctype(s.name(kind)) * len(references))()
         array = (ctypes.c_uint * len(references))(*references)
         size = () if s.version == "2" else (len(references),)
         said = f"vr={_short(references)}"
         status = self.call(f"Get{kind}", array, len(references), values, *size, said=said)
-        return status, [
-            (each or b"").decode("utf-8", "replace") if kind == "String" else each for each in _plain(values, kind)
-        ]
+        if kind == "String":
+            return status, [(each or b"").decode("utf-8", "replace") for each in values]
+        return status, [bool(each) for each in values] if kind == "Boolean" else list(values)
 
     def set_raw(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> int:
         s = self.session
         given = [str(x).encode() for x in values] if kind == "String" else values
-        data = (_ctype(s.version, kind) * len(given))(*given)
+        data = (_ctype(s.name(kind)) * len(given))(*given)
         array = (ctypes.c_uint * len(references))(*references)
         size = () if s.version == "2" else (len(given),)
         said = f"vr={_short(references)}, value={_short(values)}"
@@ -515,11 +512,7 @@ class Unit:
 
 def state_call(name: str, version: str) -> str:
     """Return the name of a function of the state in a version of FMI."""
-    if version == "2":
-        name = name.replace("FMUState", "FMUstate")
-        for ours, theirs in _STATE_2.items():
-            name = name.replace(ours, theirs)
-    return name
+    return name.replace("FMUState", "FMUstate").replace("Deserialize", "DeSerialize") if version == "2" else name
 
 
 def shown(status: int) -> str:
@@ -528,19 +521,9 @@ def shown(status: int) -> str:
 
 _BYTE: dict[str, Any] = {"2": fmi2.fmi2Byte, "3": fmi3.fmi3Byte}
 
-_CTYPES: dict[str, Callable[[str], Any]] = {
-    "2": lambda kind: getattr(fmi2, f"fmi2{kind}"),
-    "3": lambda kind: getattr(fmi3, f"fmi3{kind}"),
-}
 
-
-def _ctype(version: str, kind: str) -> Any:
-    return _CTYPES[version](kind)
-
-
-def _plain(values: Any, kind: str) -> list[Any]:
-    """Return the values of an array as Python objects; Booleans of FMI 2 are numbers in it."""
-    return [bool(each) for each in values] if kind == "Boolean" else list(values)
+def _ctype(name: str) -> Any:
+    return getattr(fmi2 if name.startswith("fmi2") else fmi3, name)
 
 
 def _short(values: Sequence[Any]) -> str:

@@ -7,7 +7,6 @@
 
 #include "driving_inputs.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "message.h"

@@ -1,6 +1,5 @@
 #include "equations.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

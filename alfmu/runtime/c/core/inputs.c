@@ -1,6 +1,5 @@
 #include "inputs.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

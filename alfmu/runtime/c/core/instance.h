@@ -8,7 +8,6 @@
 
 #include <assert.h>
 
-#include "baseline.h"
 #include "layout.h"
 #include "scene.h"
 

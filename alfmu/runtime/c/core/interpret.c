@@ -3,7 +3,6 @@
 
 #include "interpret.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "lanes.h"
 #include "linear.h"

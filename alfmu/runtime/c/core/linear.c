@@ -1,6 +1,5 @@
 #include "linear.h"
 
-#include "baseline.h"
 
 #include "lanes.h"
 

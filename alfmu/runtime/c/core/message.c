@@ -3,7 +3,6 @@
 #include <stdarg.h>
 #include <stdio.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 #include "text.h"

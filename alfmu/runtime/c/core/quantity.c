@@ -1,6 +1,5 @@
 #include "quantity.h"
 
-#include "baseline.h"
 #include "layout.h"
 #include "text.h"
 

@@ -4,7 +4,6 @@
 
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -8,7 +8,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

@@ -8,7 +8,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "layout.h"
 #include "scene_functions.h"
 #include "scene_programs.h"

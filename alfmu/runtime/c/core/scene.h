@@ -3,7 +3,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "layout.h"
 #include "linear.h"
 

@@ -2,7 +2,6 @@
 
 #include <stdarg.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "operations.h"
 #include "scene.h"

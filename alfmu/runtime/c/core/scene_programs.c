@@ -1,6 +1,5 @@
 #include "scene_programs.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "operations.h"

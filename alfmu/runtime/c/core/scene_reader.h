@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "scene.h"
 
 typedef struct {

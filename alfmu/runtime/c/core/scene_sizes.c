@@ -1,6 +1,5 @@
 #include "scene_sizes.h"
 
-#include "baseline.h"
 #include "layout.h"
 #include "scene.h"
 

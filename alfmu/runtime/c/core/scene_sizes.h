@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "scene.h"
 
 /* Values stored after the peaks: whether the start of the previous step is known, its time, q and v. */

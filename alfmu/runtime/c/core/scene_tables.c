@@ -1,6 +1,5 @@
 #include "scene_tables.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "linear.h"

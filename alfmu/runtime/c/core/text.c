@@ -2,7 +2,6 @@
 
 #include <stdarg.h>
 
-#include "baseline.h"
 
 typedef struct {
     char *to;

@@ -3,7 +3,6 @@
 
 #include "adjoint.h"
 
-#include "baseline.h"
 #include "function_adjoints.h"
 #include "gradient.h"
 #include "input_derivatives.h"

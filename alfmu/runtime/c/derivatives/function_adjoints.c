@@ -1,6 +1,5 @@
 #include "function_adjoints.h"
 
-#include "baseline.h"
 #include "gradient.h"
 #include "operations.h"
 #include "rare_operations.h"

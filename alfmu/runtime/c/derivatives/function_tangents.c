@@ -1,6 +1,5 @@
 #include "function_tangents.h"
 
-#include "baseline.h"
 #include "gradient.h"
 #include "lanes.h"
 #include "operations.h"

@@ -2,7 +2,6 @@
 
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "lanes.h"

@@ -1,6 +1,5 @@
 #include "input_derivatives.h"
 
-#include "baseline.h"
 #include "driving_inputs.h"
 #include "gradient.h"
 #include "lanes.h"

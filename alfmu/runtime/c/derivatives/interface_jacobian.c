@@ -6,7 +6,6 @@
 
 #include "interface_jacobian.h"
 
-#include "baseline.h"
 #include "gradient.h"
 #include "instance.h"
 #include "lanes.h"

@@ -7,7 +7,6 @@
 
 #include "start_derivatives.h"
 
-#include "baseline.h"
 #include "function_adjoints.h"
 #include "function_tangents.h"
 #include "gradient.h"

@@ -5,7 +5,6 @@
 
 #include "tangent.h"
 
-#include "baseline.h"
 #include "function_tangents.h"
 #include "gradient.h"
 #include "input_derivatives.h"

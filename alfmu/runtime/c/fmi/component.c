@@ -5,7 +5,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "begin.h"
 #include "driving_inputs.h"
 #include "instance.h"

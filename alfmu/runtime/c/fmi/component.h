@@ -3,7 +3,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

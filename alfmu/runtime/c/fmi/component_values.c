@@ -2,7 +2,6 @@
 
 #include <stdbool.h>
 
-#include "baseline.h"
 #include "component.h"
 #include "exchange.h"
 #include "instance.h"

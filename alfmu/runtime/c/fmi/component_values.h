@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "component.h"
 #include "gradient.h"
 

@@ -2,7 +2,6 @@
 
 #include <stdio.h>
 
-#include "baseline.h"
 #include "border.h"
 #include "component.h"
 #include "component_values.h"

@@ -1,7 +1,6 @@
 /* FMI 3.0 for co-simulation, without event mode, and Model Exchange: scalar variables, no clocks. */
 
 #include "adjoint.h"
-#include "baseline.h"
 #include "border.h"
 #include "component.h"
 #include "component_values.h"

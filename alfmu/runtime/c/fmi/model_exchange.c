@@ -1,10 +1,8 @@
 #include "model_exchange.h"
 
-#include "baseline.h"
 #include "component.h"
 #include "exchange.h"
 #include "instance.h"
-#include "scene.h"
 #include "scene_sizes.h"
 
 Component *exchange_instance(Component *c, char *why, size_t why_size)

@@ -3,7 +3,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "files.h"
 #include "scene.h"
 

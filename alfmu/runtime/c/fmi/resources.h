@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "scene.h"
 
 /* Load the scene from the resources folder of an FMU, given as a URI or a path. */
