@@ -5,8 +5,6 @@ if the motion can be continued: to second order U' (dC/dq w) w = 0 for all U wit
 in x. Each solution is followed away from q, where it must close the loops.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Films of small motions: the mechanism moves in a mode at a visible amplitude, with its loops closed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Laws of time and signals in analyses: inputs that prescribe motion, and checks that prescribed motions are
 at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ steps of all coordinates are comparable. Rows are divided by their units. The le
 motions in these coordinates. If time is the last coordinate, y includes it, and no motion changes it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

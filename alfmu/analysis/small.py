@@ -15,8 +15,6 @@ ds with C Q = -Phi_s, and so on for rates and accelerations. Dry friction of sli
 = law(q, v, a, lam, mu), which depend on all others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

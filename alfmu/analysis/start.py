@@ -1,7 +1,5 @@
 """Prepare the instance for a run: at its start values, or in an equilibrium."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

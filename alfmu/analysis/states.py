@@ -1,7 +1,5 @@
 """States in which a mechanism is analysed: its start, an equilibrium, instants of a motion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

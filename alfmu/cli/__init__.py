@@ -3,8 +3,6 @@
 Each command is declared and run in one of the modules COMMANDS.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

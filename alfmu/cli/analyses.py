@@ -1,7 +1,5 @@
 """Commands that analyse: equilibrium, linearize, mobility, kinematics."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Command that fits parameters and start values to measurements: fit."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -1,7 +1,5 @@
 """Commands for FMUs: export, validate."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands for studies of accuracy: report, stability."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from functools import partial

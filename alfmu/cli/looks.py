@@ -1,7 +1,5 @@
 """Commands that show a mechanism: list, info, draw, import, live."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import keyword

@@ -1,7 +1,5 @@
 """Commands for many runs: sweep."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Output of commands, progress, and handling of interrupts."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

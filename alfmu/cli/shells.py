@@ -1,7 +1,5 @@
 """Commands for this machine: cache, completion."""
 
-from __future__ import annotations
-
 import argparse
 import os
 

@@ -1,7 +1,5 @@
 """Commands for connected systems: system, couple."""
 
-from __future__ import annotations
-
 import argparse
 
 from ..systems.masters import MASTERS

@@ -1,7 +1,5 @@
 """A loaded scene as constant tables of C: the structures of `scene.h`, read from that header, with their values."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import math

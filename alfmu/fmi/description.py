@@ -1,7 +1,5 @@
 """The modelDescription.xml of an FMU and its documentation page."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Export: equations and the run side of alfmu packed as an FMU, reproducible to the byte."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json

@@ -1,7 +1,5 @@
 """Parse XML files of FMUs and systems from untrusted sources, and write such files."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError

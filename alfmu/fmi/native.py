@@ -1,7 +1,5 @@
 """The C library of the runtime inside FMUs: libraries shipped with alfmu, and others that zig builds."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Callable, Container, Iterable, Mapping

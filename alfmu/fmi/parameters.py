@@ -1,7 +1,5 @@
 """Parameter sets of the SSP standard (`.ssv`): numbers, Booleans and texts by the names of variables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from xml.etree import ElementTree as ET
 

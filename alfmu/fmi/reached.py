@@ -1,7 +1,5 @@
 """C without what nothing in it uses."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence

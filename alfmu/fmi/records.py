@@ -4,8 +4,6 @@ The layered standard FMI-LS-REF (1.0.0-beta.1) defines their paths and the role 
 format of experiments (`.exp`) names parameters (SSV), stimuli and reference results (CSV) of each run.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Sizes of the FMUs of a scene in bytes: by file, and the C of a native one by purpose."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ The runtime is that of every FMU, without functions that this scene never calls,
 compiler extensions. The files of `runtime/c/source` replace those of the same name.
 """
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import re

@@ -1,7 +1,5 @@
 """Terminals of an FMU: shafts with torque, angle and speed, sliders with force, position and speed."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from xml.etree import ElementTree as ET
 

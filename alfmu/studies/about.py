@@ -1,7 +1,5 @@
 """Information on a mechanism before it runs: as data, in a few lines, or complete."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

@@ -1,7 +1,5 @@
 """Common parts of studies: a case, its run with errors, cost and failure, and the loop over cases."""
 
-from __future__ import annotations
-
 import shlex
 import statistics
 import time

@@ -1,7 +1,5 @@
 """Cost of a scene in operations of its generated functions: by part, and with parts left out added again."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Styles in all figures of a study: one colour and marker for each integrator; line styles for other differences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..model.settings import METHODS

@@ -8,8 +8,6 @@ first in ground axes [N], named as in alfmu: A to F (x and y) of the five-bar, A
 slider-crank.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import time

@@ -3,8 +3,6 @@
 A figure is a dictionary for JSON with `data` and `layout`; this module does not need plotly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -11,8 +11,6 @@ Placement  q(y) is the guess that the declaration computes from its start values
            everywhere: then it is the branch of the motion in closed form, and passes singular positions.
 """
 
-from __future__ import annotations
-
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator

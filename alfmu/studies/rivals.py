@@ -4,8 +4,6 @@ SciPy's integrators run any mechanism, on the index-1 DAE (9); Pinocchio, Exudyn
 `peers`, if they are installed. To compare another code, add a `Rival` to RIVALS.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

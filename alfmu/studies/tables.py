@@ -1,7 +1,5 @@
 """Tables of a study: rows as CSV files with all digits and rounded in Markdown, and the machine they were made on."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import datetime

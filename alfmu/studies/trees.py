@@ -3,8 +3,6 @@
 The frame of a body is at its joint, parallel to the frame of its parent if the coordinate is zero.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys

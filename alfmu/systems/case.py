@@ -1,7 +1,5 @@
 """One run of a study of coupling."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -26,8 +26,6 @@
 docs/howto/systems.md has every key.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

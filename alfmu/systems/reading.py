@@ -1,7 +1,5 @@
 """Read systems from SSP archives of untrusted origin: checked completely, never executed."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Names common to reading and writing an SSP."""
 
-from __future__ import annotations
-
 VERSIONS = ("1.0", "2.0")
 """Supported versions of SSP."""
 

@@ -1,7 +1,5 @@
 """Write systems as SSP archives: FMUs, units, parameter sets, the annotation of the master."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import zipfile
 from collections.abc import Mapping

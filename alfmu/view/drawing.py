@@ -1,7 +1,5 @@
 """Shapes as plain data beside a result, so that a film needs neither the mechanism nor its code."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, is_dataclass
 from functools import cache

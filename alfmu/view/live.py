@@ -6,8 +6,6 @@ Its files are in the folder `page`: `engine.js` and `worker.js` drive the runtim
 pointer input have their own files. This module collects the data of the mechanism.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import math

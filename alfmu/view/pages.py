@@ -1,7 +1,5 @@
 """Films as self-contained pages: a template, the script of a picture and the motion as data in one file."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -4,8 +4,6 @@ Each is fixed in a frame or spans two points. `faces` paints them, and so does t
 with three.js. Positions and directions stay traced if numbers of shapes are.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ metres and in units of symbols. The motion defines the extent (`view_of`), and w
 pixels (`Fit`). `Stage.paint` paints it at one instant; the script `shared/strokes.js` does so in a browser.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

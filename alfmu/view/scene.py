@@ -4,8 +4,6 @@ Positions and directions stay traced if numbers of shapes are. `plane` paints a 
 `shared/strokes.js` of pages.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Shapes of a mechanism for pictures, in metres, computed from its declaration (`geometry`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ The shapes define frames and parts fixed in them, the motion defines the extent 
 the floor follow (`Camera`, `Floor`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Surfaces for pictures: pixels of Pillow, or the text of an SVG file; colours, and placement of labels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

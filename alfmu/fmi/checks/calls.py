@@ -1,7 +1,5 @@
 """Checks of the status of calls with illegal arguments, in the wrong order, and repeated many times."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

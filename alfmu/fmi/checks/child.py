@@ -4,8 +4,6 @@
 check. If the system can fork, each check runs in a copy of this process, so that checks are independent.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Checks of steps, states, resets and derivatives: whether an FMU behaves as described, and repeatably."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

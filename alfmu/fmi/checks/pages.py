@@ -1,7 +1,5 @@
 """Reports of checks as text, HTML, Markdown, SVG and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from html import escape

@@ -1,7 +1,5 @@
 """The checks by their ids, and the exceptions by which a check reports its result."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Validate an FMU: static checks first, then records of runs and calls in a separate process."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

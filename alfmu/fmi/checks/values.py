@@ -1,7 +1,5 @@
 """Checks of start values, bounds, NaN and infinity, enumerations, and dependencies."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial
