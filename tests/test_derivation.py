@@ -665,25 +665,9 @@ def _itself(m: alfmu.Mechanism) -> None:
     m.revolute("J", body.at(), body.at(1.0))
 
 
-def _on_ground(m: alfmu.Mechanism) -> None:
-    m.revolute("J", m.body("body", mass=1.0).at(), m.ground.at())
-
-
-def _driven_weld(m: alfmu.Mechanism) -> None:
-    m.drive(m.weld("J", m.ground.at(), m.body("body", mass=1.0).at()), 1.0)
-
-
 def _both_placed(m: alfmu.Mechanism) -> None:
     body = m.body("body", mass=1.0, pose=(m.coordinate("x", "m"), 0.0, 0.0))
     m.revolute("J", m.ground.at(), body.at(), coordinate=m.coordinate("a"))
-
-
-def _unit(m: alfmu.Mechanism) -> None:
-    m.parameter("k", 1.0, "furlong")
-
-
-def _default(m: alfmu.Mechanism) -> None:
-    m.parameter("k", -1.0, "m", minimum=0.0)
 
 
 @pytest.mark.parametrize(
@@ -695,11 +679,11 @@ def _default(m: alfmu.Mechanism) -> None:
         (_gap, "guide leaves a gap"),
         (_twice, "'x' is a coordinate already"),
         (_itself, "connects body to itself"),
-        (_on_ground, "ends on the ground"),
-        (_driven_weld, "J is a weld"),
+        (lambda m: m.revolute("J", m.body("body", mass=1.0).at(), m.ground.at()), "ends on the ground"),
+        (lambda m: m.drive(m.weld("J", m.ground.at(), m.body("b", mass=1.0).at()), 1.0), "J is a weld"),
         (_both_placed, "are placed already"),
-        (_unit, "unknown unit 'furlong'"),
-        (_default, "outside"),
+        (lambda m: m.parameter("k", 1.0, "furlong"), "unknown unit 'furlong'"),
+        (lambda m: m.parameter("k", -1.0, "m", minimum=0.0), "outside"),
         (lambda m: None, "at least one coordinate"),
         (lambda m: m.rate(ca.SX.sym("z")), "not a coordinate"),
         (lambda m: m.coordinate("start.x", "m"), "alfmu uses itself"),

@@ -206,42 +206,7 @@ def biped_leg(n: Names) -> None:
 
 
 CHECKS: dict[str, Callable[[Names], None]] = {
-    check.__name__: check
-    for check in (
-        *(
-            windscreen_wiper,
-            coupler_curve,
-            jansen_leg,
-            peaucellier,
-            scissor_lift,
-            excavator,
-            planar_robot,
-            stewart_platform,
-        ),
-        *(
-            toggle_press,
-            crank_press,
-            quick_return,
-            valve_train,
-            planetary_gear,
-            four_cylinders,
-            pantograph,
-            landing_gear,
-        ),
-        *(
-            five_bar,
-            four_bar,
-            slider_crank,
-            bennett,
-            governor,
-            kapitza,
-            spatial_slider_crank,
-            gyroscope,
-            bricard,
-            swing_up,
-        ),
-        *(bar_clamp, delta, path_robot, gripper, biped_leg),
-    )
+    name: each for name, each in globals().items() if getattr(each, "__annotations__", {}).get("n") is Names
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""
 

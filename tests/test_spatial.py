@@ -248,10 +248,6 @@ def _plate(m: alfmu.Mechanism) -> spatial.SpatialBody:
     return m.spatial_body("plate", mass=1.0, inertia=INERTIA)
 
 
-def _mixed_spring(m: alfmu.Mechanism) -> None:
-    m.spring_damper((m.ground.at(), _plate(m).at()), stiffness=1.0)
-
-
 def _with_inertia(m: alfmu.Mechanism, inertia) -> None:
     m.spatial_body("plate", mass=1.0, inertia=inertia)
 
@@ -292,7 +288,10 @@ def _inertia(m: alfmu.Mechanism) -> None:
         ),
         (lambda m: m.spatial_revolute("J", m.spatial_ground.at(), _plate(m).at(), axis=(0, 0, 0)), "no direction"),
         (lambda m: m.drive(m.spherical("J", m.spatial_ground.at(), _plate(m).at()), 1.0), "J is a spherical"),
-        (_mixed_spring, "a point in the plane to one in space"),
+        (
+            lambda m: m.spring_damper((m.ground.at(), _plate(m).at()), stiffness=1.0),
+            "a point in the plane to one in space",
+        ),
         (lambda m: _with_inertia(m, [[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]]), r"not symmetric: 0.1 stands at \(1, 2\)"),
         (
             lambda m: _with_inertia(m, np.diag([1.0, 1.0, 2.5])),

@@ -282,7 +282,7 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
         kind["declaredType"] = v.name
     if v.type == "Real":
         kind["unit"] = v.unit
-        if display := _display(v.unit):
+        if display := {"rad": "deg", "rad/s": "deg/s"}.get(v.unit):
             kind["displayUnit"] = display
         if v.nominal is not None:
             kind["nominal"] = _number(v.nominal)
@@ -313,11 +313,6 @@ def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], outpu
         if (causality == "parameter" and v.name not in later)
         or (causality == "input" and (v.type == "Boolean" or v.name in moving or output.instant))
     ]
-
-
-def _display(unit_name: str) -> str | None:
-    """Return the display unit: degrees for angles."""
-    return {"rad": "deg", "rad/s": "deg/s"}.get(unit_name)
 
 
 def _number(value: float, kind: str = "Real") -> str:

@@ -155,9 +155,14 @@ def restarting(unit: Instance | Fmu) -> Callable[[], None]:
 
 def run(unit: Unit, restart: Callable[[], None], case: Case) -> Run:
     """Run a case, with repetitions if it is short, for an accurate time."""
-    found = _once(unit, restart, case)
+    return repeated(partial(_once, unit, restart, case), case)
+
+
+def repeated(once: Callable[[], Run], case: Case) -> Run:
+    """Return the result of a run, with the times of repetitions if it is short."""
+    found = once()
     while found.complete and not case.enough(found.seconds):
-        found.seconds += _once(unit, restart, case).seconds
+        found.seconds += once().seconds
     return found
 
 

@@ -322,16 +322,13 @@ class Study(cases.Study):
 
     def _film(self) -> None:
         """Film the motion of the mechanism with its defaults."""
+        length = FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
         try:
             with scratch() as folder:
-                animate(self.mechanism, simulate(self.mechanism, self._filmed(), FRAME), folder / "film.html")
+                animate(self.mechanism, simulate(self.mechanism, length, FRAME), folder / "film.html")
                 self.film = (folder / "film.html").read_text(encoding="utf-8")
         except AlfmuError as error:
             self._keep("skipped", {"code": "the film", "reason": str(error)})
-
-    def _filmed(self) -> float:
-        """Return the duration of a film [s], a whole number of frames."""
-        return FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
 
     def _keep(self, file: str, row: Row) -> None:
         self.files[file].append({"mechanism": self.name, **row})
@@ -564,7 +561,7 @@ class Study(cases.Study):
         for other in rows:
             if other["code"] == "alfmu" and other["formulation"] != OWN and other["default"]:
                 for mine in own:
-                    if _same(mine, other, ("method", "way", "value")):
+                    if all(mine[x] == other[x] for x in ("method", "way", "value")):
                         for quantity in (*QUANTITIES, TIME):
                             named = "run time" if quantity == TIME else quantity
                             what = {"what": f"{named} at equal step", "level or step": other["value"]}
@@ -647,10 +644,6 @@ def _line(row: Row) -> tuple:
 
 def _named(row: Row | None) -> str | None:
     return None if row is None else ", ".join(dict.fromkeys(map(str, _line(row))))
-
-
-def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
-    return all(a[name] == b[name] for name in names)
 
 
 def _fastest(rows: Sequence[Row], level: float) -> Row | None:

@@ -19,7 +19,7 @@ from ..equations import Equations
 from ..model.settings import Settings
 from ..simulation.oracle import Instance
 from . import peers
-from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
+from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run, repeated
 from .trees import Simulation, by_exudyn, by_mujoco
 
 PYTHON, COMPILED = "Python", "compiled code"
@@ -47,11 +47,7 @@ class Rival:
 
     def run(self, equations: Equations, value: float, case: Case) -> Run:
         """Run a case, with repetitions if it is short, for an accurate time."""
-        once = self.build(equations, value, case)
-        found = once()
-        while found.complete and not case.enough(found.seconds):
-            found.seconds += once().seconds
-        return found
+        return repeated(self.build(equations, value, case), case)
 
 
 def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> Callable[[], Run]:

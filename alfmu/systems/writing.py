@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 
 from ..analysis.start import rest_of
 from ..fmi.export import archive, export
+from ..fmi.markup import written
 from ..model.errors import ExportError, InputError
 from ..model.files import scratch
 from ..model.words import in_words
