@@ -7,13 +7,13 @@ from ..model.errors import InputError
 from ..systems.ssp import VERSIONS
 from .options import (
     EITHER_HELP,
-    STEP,
     Command,
     add_kernel,
     add_name,
     add_names,
     add_scene,
     add_start,
+    add_step,
     changed_by,
     file_name,
     file_of,
@@ -65,9 +65,7 @@ def add(command: Command) -> None:
     )
     add_kernel(sub)
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
-    sub.add_argument(
-        *STEP, dest="step", type=float, metavar="S", help="communication step of the default experiment in s"
-    )
+    add_step(sub, "communication step of the default experiment in s")
     add_start(sub)
     sub.add_argument(
         "--derivatives",

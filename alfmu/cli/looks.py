@@ -11,13 +11,13 @@ from ..model.errors import InputError
 from ..model.files import path_for
 from .options import (
     EITHER_HELP,
-    STEP,
     Command,
     add_each,
     add_name,
     add_option,
     add_scene,
     add_set,
+    add_step,
     chosen_recipe,
     equations_of,
     file_name,
@@ -101,9 +101,7 @@ def add(command: Command) -> None:
     sub.add_argument(
         "-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME_live.html here)"
     )
-    sub.add_argument(
-        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)"
-    )
+    add_step(sub, "communication step in s (default: the mechanism's own)")
     add_scene(sub)
 
 

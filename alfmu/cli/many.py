@@ -8,11 +8,11 @@ from ..kernel import KERNELS
 from ..model.errors import InputError
 from .options import (
     EITHER_HELP,
-    STEP,
     Command,
     add_each,
     add_name,
     add_scene,
+    add_step,
     chosen_recipe,
     file_name,
     inputs_of,
@@ -67,9 +67,7 @@ def add(command: Command) -> None:
         help="outputs kept at every communication point",
     )
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of each run in s (default: the unit's own)")
-    sub.add_argument(
-        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
-    )
+    add_step(sub, "communication step in s (default: the unit's own)")
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     sub.add_argument("-o", "--output", metavar="DIR", help="folder for the results (default: NAME-sweep here)")
     sub.add_argument(

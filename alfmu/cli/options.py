@@ -23,9 +23,6 @@ Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argpa
 """Adds a command: its name, the function that runs it and returns the exit code (None for 0), and a line of help."""
 
 
-STEP = ("--communication-step", "--step")
-"""Options for the communication step: the name in FMI, and a short one."""
-
 NAME_HELP = "a name of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
 EITHER_HELP = "a mechanism or recipe of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
@@ -51,6 +48,11 @@ def _files(prefix: str, suffixes: tuple[str, ...]) -> list[str]:
     base = prefix[: prefix.rfind("/") + 1]
     found = list(folder.iterdir()) if folder.is_dir() else []
     return [f"{base}{each.name}{'/' * each.is_dir()}" for each in found if each.is_dir() or each.suffix in suffixes]
+
+
+def add_step(sub: argparse.ArgumentParser, text: str) -> None:
+    """Add the option for the communication step: its name in FMI, and a short one."""
+    sub.add_argument("--communication-step", "--step", dest="step", type=float, metavar="S", help=text)
 
 
 def add_start(sub: argparse.ArgumentParser) -> None:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 from ..model.files import path_for
 from .options import (
     EITHER_HELP,
-    STEP,
     Command,
     add_kernel,
     add_name,
@@ -24,6 +23,7 @@ from .options import (
     add_scene,
     add_set,
     add_start,
+    add_step,
     chosen_recipe,
     equations_of,
     file_name,
@@ -43,9 +43,7 @@ def add(command: Command) -> None:
     sub.epilog = _SIMULATE
     add_name(sub, "unit", "NAME|FMU", f"{EITHER_HELP}, or an .fmu file", ".fmu")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
-    sub.add_argument(
-        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
-    )
+    add_step(sub, "communication step in s (default: the unit's own)")
     add_start(sub)
     sub.add_argument(
         "--check",

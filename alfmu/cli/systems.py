@@ -3,7 +3,7 @@
 import argparse
 
 from ..systems.masters import MASTERS
-from .options import STEP, Command, add_names, add_set, file_of
+from .options import Command, add_names, add_set, add_step, file_of
 from .runs import add_table, given_inputs, run_and_keep
 from .says import progress_bar, save_file
 
@@ -22,9 +22,7 @@ def add(command: Command) -> None:
     sub.epilog = _SYSTEM
     sub.add_argument("system", metavar="FILE.toml|FILE.ssp", help="description of the system")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the system's own)")
-    sub.add_argument(
-        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the system's)"
-    )
+    add_step(sub, "communication step in s (default: the system's)")
     sub.add_argument(
         "--master", choices=list(MASTERS), help="; ".join(f"{name}: {text}" for name, text in MASTERS.items())
     )

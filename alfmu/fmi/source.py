@@ -362,7 +362,7 @@ def _prefixed(text: str, fmi: int) -> str:
     for kind in re.findall(r"^\w*VALUES\((\w+)\b", text, re.MULTILINE):
         names |= {f"fmi{fmi}Get{kind}", f"fmi{fmi}Set{kind}"}
     [state] = re.findall(r"^SHARED_CALLS\(PASSED, (\w+),", text, re.MULTILINE)
-    passed = re.findall(r"\b(?:X|PASSED|NEVER_PENDING|NO_VARIABLE)\(([\w#]*[a-z][\w#]*),", text)
+    passed = re.findall(r"\b(?:X|PASSED|NEVER_PENDING|NO_VARIABLE)\((?![GS]et##TYPE)([\w#]*[a-z][\w#]*),", text)
     names |= {f"fmi{fmi}{each.replace('##', '').replace('STATE', state)}" for each in passed}
     lines = [f"#if defined({macro})", "#define JOINED(a, b) JOINED_(a, b)", "#define JOINED_(a, b) a##b"]
     lines += [f"#define {each} JOINED({macro}, {each})" for each in sorted(names)]

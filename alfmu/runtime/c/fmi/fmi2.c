@@ -101,16 +101,10 @@ PASSED(DeSerializeFMUstate, (void *c, const fmi2Byte bytes[], size_t size, fmi2F
 PASSED(GetDerivatives, (void *c, fmi2Real values[], size_t count), exchange_get, c, RATES, values, count)
 
 #define VALUES(TYPE, FORM) \
-    API fmi2Status fmi2Get##TYPE( \
-        fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2##TYPE values[]) \
-    { \
-        INSIDE(fmi2Status, component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE)); \
-    } \
-    API fmi2Status fmi2Set##TYPE( \
-        fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2##TYPE values[]) \
-    { \
-        INSIDE(fmi2Status, component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE)); \
-    }
+    PASSED(Get##TYPE, (void *c, REFERENCES, fmi2##TYPE values[]), component_get, c, references, count, values, count, \
+        FORM) \
+    PASSED(Set##TYPE, (void *c, REFERENCES, const fmi2##TYPE values[]), component_set, c, references, count, values, \
+        count, FORM)
 
 VALUES(Real, AS_DOUBLE)
 VALUES(Integer, AS_FMI2_INTEGER)

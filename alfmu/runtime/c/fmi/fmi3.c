@@ -151,34 +151,26 @@ PASSED(GetContinuousStateDerivatives, (void *c, fmi3Float64 x[], size_t count), 
 PASSED(GetNumberOfContinuousStates, (void *c, size_t *count), exchange_count, c, STATES, count)
 PASSED(GetNumberOfEventIndicators, (void *c, size_t *count), exchange_count, c, INDICATORS, count)
 
-#define GET(TYPE) API fmi3Status fmi3Get##TYPE(void *c, REFERENCES, fmi3##TYPE values[], size_t value_count)
-#define SET(TYPE) API fmi3Status fmi3Set##TYPE(void *c, REFERENCES, const fmi3##TYPE values[], size_t value_count)
-
+#define OF_TYPE(TYPE) (void *c, REFERENCES, TYPE values[], size_t value_count)
 #define VALUES(TYPE, FORM) \
-    GET(TYPE) \
-    { \
-        INSIDE(fmi3Status, component_get(c, references, count, values, value_count, FORM, "fmi3Get" #TYPE)); \
-    } \
-    SET(TYPE) \
-    { \
-        INSIDE(fmi3Status, component_set(c, references, count, values, value_count, FORM, "fmi3Set" #TYPE)); \
-    }
+    PASSED(Get##TYPE, OF_TYPE(fmi3##TYPE), component_get, c, references, count, values, value_count, FORM) \
+    PASSED(Set##TYPE, OF_TYPE(const fmi3##TYPE), component_set, c, references, count, values, value_count, FORM)
 
 VALUES(Float64, AS_DOUBLE)
 VALUES(Int32, AS_INT)
 VALUES(Int64, AS_INT64) /* choices */
 VALUES(Boolean, AS_BOOL)
 
+#define NO_VARIABLE(NAME, ARGUMENTS, COUNT, ...) \
+    API fmi3Status fmi3##NAME ARGUMENTS \
+    { \
+        return none(c, COUNT, "fmi3" #NAME, __VA_ARGS__); \
+    }
+
 /* Types that no variable has. */
 #define NO_VALUES(TYPE) \
-    GET(TYPE) \
-    { \
-        return none(c, count + value_count, "fmi3Get" #TYPE, references, values); \
-    } \
-    SET(TYPE) \
-    { \
-        return none(c, count + value_count, "fmi3Set" #TYPE, references, values); \
-    }
+    NO_VARIABLE(Get##TYPE, OF_TYPE(fmi3##TYPE), count + value_count, references, values) \
+    NO_VARIABLE(Set##TYPE, OF_TYPE(const fmi3##TYPE), count + value_count, references, values)
 
 NO_VALUES(Float32)
 NO_VALUES(Int8)
@@ -188,12 +180,6 @@ NO_VALUES(UInt16)
 NO_VALUES(UInt32)
 NO_VALUES(UInt64)
 NO_VALUES(String)
-
-#define NO_VARIABLE(NAME, ARGUMENTS, COUNT, ...) \
-    API fmi3Status fmi3##NAME ARGUMENTS \
-    { \
-        return none(c, COUNT, "fmi3" #NAME, __VA_ARGS__); \
-    }
 
 NO_VARIABLE(GetBinary, (void *c, REFERENCES, size_t sizes[], fmi3Binary values[], size_t value_count),
     count + value_count, references, sizes, values)
