@@ -1,7 +1,5 @@
 """Mechanisms by name or file: entry points of installed packages, or a user's own Python file."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import os

@@ -1,7 +1,5 @@
 """Functions of equations on NumPy arrays, evaluated by CasADi: for the oracle, studies and references."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol
 

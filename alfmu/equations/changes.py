@@ -1,7 +1,5 @@
 """Derivatives of the equations for analyses; no scene contains them."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from ..model.kept import once

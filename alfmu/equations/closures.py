@@ -1,7 +1,5 @@
 """Constraint rows: the directions of joints that they close, their order, and the rows that can be switched."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from ..model.errors import DeclarationError

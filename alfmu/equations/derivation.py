@@ -19,8 +19,6 @@ time. No force acts on that coordinate: its row of M, d, f and its column of C a
 M that keeps its acceleration at zero (`STEADY`).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

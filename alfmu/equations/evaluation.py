@@ -1,7 +1,5 @@
 """Functions of a mechanism combined for numerical evaluation: each result once, with shared subexpressions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate, pairwise

@@ -17,8 +17,6 @@ screw of radius r with p = lead/(2 pi), force W along the axis and friction T lo
     L = |W (r^2 + p^2) - T p| / r.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Variables that every scene has besides those of its mechanism: solver variables, monitors, impacts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace

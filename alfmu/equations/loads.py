@@ -1,7 +1,5 @@
 """Inertia, potential and efforts of parts declared in the plane."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from ..model.kinematics import Kinematics

@@ -1,7 +1,5 @@
 """Measures on request: the motion of joints, the elongation and the effort of springs."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import casadi as ca

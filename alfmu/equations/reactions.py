@@ -1,7 +1,5 @@
 """Reactions of joints, efforts of locks and motions, and loads that redundant constraints share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

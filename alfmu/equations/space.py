@@ -9,8 +9,6 @@ therefore grow linearly with the number of bodies, the mass matrix with the numb
 Body Dynamics Algorithms, chapters 5 and 6, in ground axes.)
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

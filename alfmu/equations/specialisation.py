@@ -1,7 +1,5 @@
 """Specialise a scene before it is traced: leave out outputs, freeze parameters, change the start."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase

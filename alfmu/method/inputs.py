@@ -3,8 +3,6 @@
 The rules run on numbers and on symbols: they branch by a `where` that the caller passes (see `stepping`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

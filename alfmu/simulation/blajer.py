@@ -5,8 +5,6 @@ S5, the treatment of singular positions. M (n, n), C (l, n), Phi and xi (l,), al
 (n,), lam (l,), u inputs and states. `oracle` adds the other parts of an instance to it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Drive runs of a unit from Python, for tests, reports and the command line."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -4,8 +4,6 @@ The runtime has the values by name, start, scales, ranks, switches, impacts, tim
 divides communication steps as the runtime does, evaluates outputs, and updates counters, messages and whole turns.
 """
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import math
