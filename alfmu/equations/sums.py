@@ -48,12 +48,19 @@ class _Sum:
         """Return the sum, which has no places, times a number."""
         return _Sum(None if self.rest is None else float(factor) * self.rest, factor * self.constant)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether this is an expression alone, with neither places nor a constant."""
+        return self.rest is not None and not self.places and not self.constant
+
     def is_short(self) -> bool:
         """Return whether other sums may contain the parts of this one."""
         return sum(map(abs, self.places.values())) <= _MOST_PLACES and abs(self.constant) < _LARGEST
 
     def value(self, entries: Sequence[Sequence[ca.SX]]) -> ca.SX:
         """Return the sum: places less others first, then the constant, then the rest."""
+        if not self.places and not self.constant:
+            return ca.SX(0) if self.rest is None else self.rest
         more, less = ([entries[i][j] for (i, j), k in self.places.items() for _ in range(sign * k)] for sign in (1, -1))
         both = min(len(more), len(less))
         parts = [a - b for a, b in zip(more, less, strict=False)]
@@ -61,10 +68,8 @@ class _Sum:
         if self.constant:
             left.append(ca.SX(float(self.constant)))
         parts += [sum(left[1:], left[0])] if left else []
-        found = sum(parts[1:], parts[0]) if parts else None
-        if self.rest is None:
-            return ca.SX(0) if found is None else found
-        return self.rest if found is None else found + self.rest
+        found = sum(parts[1:], parts[0])
+        return found if self.rest is None else found + self.rest
 
 
 def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collection[tuple[int, int]]) -> ca.SX:
@@ -90,7 +95,7 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
             mine = _Sum(None, Fraction(numbers[k])) if k in large else _Sum(ca.SX(numbers[k]))
         else:
             operands = [kept[i] for i in inputs]
-            combined = _combined(code, operands)
+            combined = None if all(x.is_plain for x in operands) else _combined(code, operands)
             if combined is None or not combined.is_short():
                 values = [x.value(entries) for x in operands]
                 combined = _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
