@@ -48,11 +48,6 @@ class _Sum:
         """Return the sum, which has no places, times a number."""
         return _Sum(None if self.rest is None else float(factor) * self.rest, factor * self.constant)
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether this is an expression alone, with neither places nor a constant."""
-        return self.rest is not None and not self.places and not self.constant
-
     def is_short(self) -> bool:
         """Return whether other sums may contain the parts of this one."""
         return sum(map(abs, self.places.values())) <= _MOST_PLACES and abs(self.constant) < _LARGEST
@@ -82,24 +77,24 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
     if not _may_cancel(steps, large, places):
         return value
     entries = [ca.vertsplit(ca.vec(x)) for x in arguments]
-    kept: dict[int, _Sum] = {}
+    kept: dict[int, ca.SX | _Sum] = {}
+    mine: ca.SX | _Sum | None
     found = [ca.SX(0)] * value.nnz()
     for k, (code, inputs, outputs) in enumerate(steps):
         if code == ca.OP_OUTPUT:
-            found[outputs[1]] = kept[inputs[0]].value(entries)
+            found[outputs[1]] = _value(kept[inputs[0]], entries)
             continue
         if code == ca.OP_INPUT:
             which, entry = inputs
-            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else _Sum(entries[which][entry])
+            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else entries[which][entry]
         elif code == ca.OP_CONST:
-            mine = _Sum(None, Fraction(numbers[k])) if k in large else _Sum(ca.SX(numbers[k]))
+            mine = _Sum(None, Fraction(numbers[k])) if k in large else ca.SX(numbers[k])
         else:
             operands = [kept[i] for i in inputs]
-            combined = None if all(x.is_plain for x in operands) else _combined(code, operands)
-            if combined is None or not combined.is_short():
-                values = [x.value(entries) for x in operands]
-                combined = _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
-            mine = combined
+            mine = _combined(code, operands) if any(isinstance(x, _Sum) for x in operands) else None
+            if mine is None or not mine.is_short():
+                values = [_value(x, entries) for x in operands]
+                mine = ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values)
         kept[outputs[0]] = mine
     return ca.SX(value.sparsity(), ca.vertcat(*found))
 
@@ -126,8 +121,13 @@ def _may_cancel(
     return False
 
 
-def _combined(code: int, operands: list[_Sum]) -> _Sum | None:
+def _value(x: ca.SX | _Sum, entries: Sequence[Sequence[ca.SX]]) -> ca.SX:
+    return x.value(entries) if isinstance(x, _Sum) else x
+
+
+def _combined(code: int, values: Sequence[ca.SX | _Sum]) -> _Sum | None:
     """Return a sum or difference of sums, or a sum times a number; None for the result of any other operation."""
+    operands = [x if isinstance(x, _Sum) else _Sum(x) for x in values]
     if code in (ca.OP_ADD, ca.OP_SUB):
         return operands[0].plus(operands[1], 1 if code == ca.OP_ADD else -1)
     if code == ca.OP_NEG:
