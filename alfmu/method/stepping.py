@@ -5,7 +5,6 @@ at the end do, by a `where` that the caller passes.
 """
 
 import math
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -251,7 +250,7 @@ def explicit(
     dt: Any,
     first: State | None = None,
     settle: Callable[[State], State] | None = None,
-    less: Callable[[State, State], State] = operator.sub,
+    less: Callable[[State, State], State] = lambda other, first: other - first,
 ) -> tuple[State, list[State], State | None]:
     """Return one step from y at t to t + dt: the new state, estimates of its error, and the rate there if known.
 
