@@ -54,6 +54,8 @@ class _Sum:
 
     def value(self, entries: Sequence[Sequence[ca.SX]]) -> ca.SX:
         """Return the sum: places less others first, then the constant, then the rest."""
+        if not self.places and not self.constant:
+            return ca.SX(0) if self.rest is None else self.rest
         more, less = ([entries[i][j] for (i, j), k in self.places.items() for _ in range(sign * k)] for sign in (1, -1))
         both = min(len(more), len(less))
         parts = [a - b for a, b in zip(more, less, strict=False)]
@@ -61,10 +63,8 @@ class _Sum:
         if self.constant:
             left.append(ca.SX(float(self.constant)))
         parts += [sum(left[1:], left[0])] if left else []
-        found = sum(parts[1:], parts[0]) if parts else None
-        if self.rest is None:
-            return ca.SX(0) if found is None else found
-        return self.rest if found is None else found + self.rest
+        found = sum(parts[1:], parts[0])
+        return found if self.rest is None else found + self.rest
 
 
 def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collection[tuple[int, int]]) -> ca.SX:
@@ -77,24 +77,24 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
     if not _may_cancel(steps, large, places):
         return value
     entries = [ca.vertsplit(ca.vec(x)) for x in arguments]
-    kept: dict[int, _Sum] = {}
+    kept: dict[int, ca.SX | _Sum] = {}
+    mine: ca.SX | _Sum | None
     found = [ca.SX(0)] * value.nnz()
     for k, (code, inputs, outputs) in enumerate(steps):
         if code == ca.OP_OUTPUT:
-            found[outputs[1]] = kept[inputs[0]].value(entries)
+            found[outputs[1]] = _value(kept[inputs[0]], entries)
             continue
         if code == ca.OP_INPUT:
             which, entry = inputs
-            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else _Sum(entries[which][entry])
+            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else entries[which][entry]
         elif code == ca.OP_CONST:
-            mine = _Sum(None, Fraction(numbers[k])) if k in large else _Sum(ca.SX(numbers[k]))
+            mine = _Sum(None, Fraction(numbers[k])) if k in large else ca.SX(numbers[k])
         else:
             operands = [kept[i] for i in inputs]
-            combined = _combined(code, operands)
-            if combined is None or not combined.is_short():
-                values = [x.value(entries) for x in operands]
-                combined = _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
-            mine = combined
+            mine = _combined(code, operands) if any(isinstance(x, _Sum) for x in operands) else None
+            if mine is None or not mine.is_short():
+                values = [_value(x, entries) for x in operands]
+                mine = ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values)
         kept[outputs[0]] = mine
     return ca.SX(value.sparsity(), ca.vertcat(*found))
 
@@ -121,8 +121,13 @@ def _may_cancel(
     return False
 
 
-def _combined(code: int, operands: list[_Sum]) -> _Sum | None:
+def _value(x: ca.SX | _Sum, entries: Sequence[Sequence[ca.SX]]) -> ca.SX:
+    return x.value(entries) if isinstance(x, _Sum) else x
+
+
+def _combined(code: int, values: Sequence[ca.SX | _Sum]) -> _Sum | None:
     """Return a sum or difference of sums, or a sum times a number; None for the result of any other operation."""
+    operands = [x if isinstance(x, _Sum) else _Sum(x) for x in values]
     if code in (ca.OP_ADD, ca.OP_SUB):
         return operands[0].plus(operands[1], 1 if code == ca.OP_ADD else -1)
     if code == ca.OP_NEG:

@@ -248,8 +248,14 @@ class _Explicit(_Step):
             settled.extend(names)
             return ca.vertcat(*map(scene.symbol, settled))
 
+        def less(*_: SX) -> SX:
+            i = len(rates)
+            calls("less", f"rate{i} rate1", f"difference{i}", lambda rate, first: rate - first)
+            rates[-1] = f"difference{i}"
+            return scene.symbol(rates[-1])
+
         rate = self.tracer.rate(calls, f"{self.mark}_stage", rates, settled, "step")
-        _, [error], _ = explicit(rule, rate, z[layout.time], self.tracer.begun(z), dt, None, settle)
+        _, [error], _ = explicit(rule, rate, z[layout.time], self.tracer.begun(z), dt, None, settle, less)
         for i in range(len(rates) * self.by_constraints):
             calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
 
@@ -263,11 +269,11 @@ class _Explicit(_Step):
 
         off = "off_q", "off_v", *("off_x" for _ in self.tracer.states)
         worked = ["off_work"] * self.tracer.supplies
+        powers = [f"power{i + 1}" for i in range(len(rates) * len(worked))]
 
         def parted(*_: SX) -> tuple[SX, ...]:
             found = judged(error)
-            powers = [x[2 * n] for x in map(scene.symbol, rates)]
-            work = (scene.work_size(z, dt, found[2 * n], powers) for _ in worked)
+            work = (scene.work_size(z, dt, found[2 * n], list(map(scene.symbol, powers))) for _ in worked)
             return found[:n], found[n : 2 * n], *(found[2 * n + 1 :] for _ in off[2:]), *work
 
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
@@ -280,7 +286,8 @@ class _Explicit(_Step):
                 size = ca.fmax(size, scene.symbol(name))
             return size, floor
 
-        calls(f"{self.name}_off", spaced("z step", rates, ["control"] * len(worked), "k"), spaced(off, worked), parted)
+        known = spaced("z step", rates, powers, ["control"] * len(worked), "k")
+        calls(f"{self.name}_off", known, spaced(off, worked), parted)
         # The second time off_v lies along the motion already: no other function is needed.
         for change in ("off_q", *["round_off_along"] * rounds):
             self.tracer.along(calls, change, "off_v")

@@ -103,7 +103,7 @@ def lengths_of(equations: Configuration) -> dict[str, int]:
         "past": memory_size(inputs),
         "soft": found["k"],
         "slopes": 1 + inputs,
-        "rate": 2 * n + 1 + len(e.states),
+        "rate difference": 2 * n + 1 + len(e.states),
         "x xdot off_x": len(e.states),
         "given known": e.driven,
         "H Q": (n + len(e.states)) ** 2,

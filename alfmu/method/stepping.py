@@ -250,23 +250,24 @@ def explicit(
     dt: Any,
     first: State | None = None,
     settle: Callable[[State], State] | None = None,
+    less: Callable[[State, State], State] = lambda other, first: other - first,
 ) -> tuple[State, list[State], State | None]:
     """Return one step from y at t to t + dt: the new state, estimates of its error, and the rate there if known.
 
     `first` is the rate at y if known. `settle` projects the new state onto the constraints; an FSAL method evaluates
-    its last rate there, since the next step begins there.
+    its last rate there, since the next step begins there. `less` subtracts the first rate from another one.
     """
     first = rate(t, y) if first is None else first
     others: list[State] = []  # differences from the first rate, so that large weights of opposite sign lose no digits
     for node, weights in zip(method.nodes[1:], method.stages, strict=True):
         place = combined(weights[1:], others, node * first)
-        others.append(rate(t + node * dt, y + dt * place) - first)
+        others.append(less(rate(t + node * dt, y + dt * place), first))
     y = y + dt * combined(method.weights[1:], others, first)
     if settle is not None:
         y = settle(y)
     last = rate(t + dt, y) if method.reuses else None
     if last is not None:
-        others.append(last - first)
+        others.append(less(last, first))
     return y, [dt * combined(weights[1:], others) for weights in method.errors], last
 
 
