@@ -767,6 +767,15 @@ def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog
         instance.set("start.th_rate", 1.0)
 
 
+def test_nothing_is_forgotten_where_bodies_in_space_start_at_their_positions(caplog):
+    m = Mechanism("flier")
+    body = m.spatial_body("body", mass=1.0, inertia=(1.0, 1.0, 1.0), position=(1.0, 2.0, 3.0))
+    m.spatial_revolute("A", m.spatial_ground.at(1.0, 2.5, 3.0), body.at(0.0, 0.5, 0.0), axis=(0, 0, 1))
+    m.gravity(0, -9.81)
+    alfmu.simulate(m, 0.02)
+    assert not caplog.messages
+
+
 @pytest.mark.parametrize(
     ("line", "meant"),
     [

@@ -365,8 +365,14 @@ class Instance:
         return [c.name for c, part in zip(e.coordinates[:n], moves, strict=True) if part > _FREE]
 
     def forgotten(self) -> str:
-        """Return a message that names the `undetermined` coordinates; empty if there are none."""
-        if not (free := self.undetermined()):
+        """Return a message that names the `undetermined` coordinates; empty if there are none.
+
+        Those of bodies in space are left out: their position and attitude are where they start.
+        """
+        e = self.equations
+        bodies = [e.rows[i].name.removesuffix(".attitude") for i in e.lengths]
+        own = {f"{body}_{each}" for body in bodies for each in ("x", "y", "z", "e0", "e1", "e2", "e3")}
+        if not (free := [name for name in self.undetermined() if name not in own]):
             return ""
         named = free if len(free) <= _NAMED + 1 else [*free[:_NAMED], f"{len(free) - _NAMED} more"]
         return (
