@@ -246,9 +246,9 @@ class Joints(Quantities):
         self._join_in_space(joint)
         if joint.coordinates is not None:
             given = [self._by_symbol.get(key_of(x)) for x in joint.coordinates]
-            if isinstance(first := given[0], Coordinate) and not any(getattr(c, "guessed", True) for c in given):
+            if isinstance(scalar := given[0], Coordinate) and not any(getattr(c, "guessed", True) for c in given):
                 listed = Declaration.coordinates.of(self)
-                listed[listed.index(first)] = self._by_symbol[key_of(first.q)] = replace(first, guess=1.0)
+                listed[listed.index(scalar)] = self._by_symbol[key_of(scalar.q)] = replace(scalar, guess=1.0)
             self.constraint(joint.unit_length, (ca.sumsqr(stack(joint.coordinates)) - 1) / 2, "1")
         return joint
 

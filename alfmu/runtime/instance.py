@@ -347,7 +347,7 @@ class Instance:
         for body in self._flying:
             k = places[f"{body}_e0"]
             before, after = guess[k : k + 4], self._start[k : k + 4]
-            angles[body] = 2 * math.acos(min(1.0, abs(before @ after) / float(np.linalg.norm(before))))
+            angles[body] = 2 * math.acos(min(1.0, float(abs(before @ after) / np.linalg.norm(before))))
         return dict(sorted(angles.items(), key=lambda each: -abs(each[1])))
 
     @property
