@@ -213,7 +213,7 @@ void settings_count_turns(Instance *i)
             (size_t)s->counted * sizeof(double));
 }
 
-/* Update the angles whose whole turns are counted, by a step of length zero. */
+/* Update the angles that places tell up to whole turns, by a step of length zero. */
 void settings_follow_turns(Instance *i)
 {
     const Scene *s = i->scene;
