@@ -767,6 +767,50 @@ def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog
         instance.set("start.th_rate", 1.0)
 
 
+def test_gravity_out_of_the_plane_is_told(caplog):
+    m = Mechanism("flat")
+    rod = m.bar("rod", mass=1.0, length=1.0)
+    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m.gravity(0, 0, -9.81)
+    alfmu.simulate(m, 0.02)
+    assert caplog.messages == [
+        "flat: gravity acts along z, out of the plane of all bodies; declare it by gravity(0, -9.81)"
+    ]
+
+
+def test_a_ball_joint_without_a_start_begins_without_a_turn(caplog):
+    """It falls like a bar on a hinge that begins level."""
+    m = Mechanism("top")
+    body = m.spatial_body("body", mass=2.0, inertia=(0.1, 0.1, 0.1), center=(0.3, 0, 0), relative=True)
+    e = [m.coordinate(f"e{k}", "1") for k in range(4)]
+    m.spherical("S", m.spatial_ground.at(), body.at(), coordinates=e)
+    m.gravity(0, 0, -9.81)
+    run = alfmu.simulate(m, 0.02)
+    assert run["body.z"][0] == 0.0
+    assert run["body.az"][0] == pytest.approx(-9.81 * 2 * 0.3**2 / (0.1 + 2 * 0.3**2), rel=1e-12)
+
+
+def test_the_way_that_an_attitude_turned_in_the_assembly_is_known():
+    """A hinge along z between frames whose z axes are at right angles."""
+    m = Mechanism("askew")
+    half = math.sqrt(0.5)
+    body = m.spatial_body("body", mass=1.0, inertia=(1.0, 1.0, 1.0), attitude=(half, half, 0.0, 0.0))
+    m.spatial_revolute("A", m.spatial_ground.at(), body.at(), axis=(0, 0, 1))
+    m.gravity(0, -9.81)
+    i = alfmu.Instance(m)
+    i.initialize()
+    assert i.turned["body"] == pytest.approx(math.pi / 2)
+
+
+def test_nothing_is_forgotten_where_bodies_in_space_start_at_their_positions(caplog):
+    m = Mechanism("flier")
+    body = m.spatial_body("body", mass=1.0, inertia=(1.0, 1.0, 1.0), position=(1.0, 2.0, 3.0))
+    m.spatial_revolute("A", m.spatial_ground.at(1.0, 2.5, 3.0), body.at(0.0, 0.5, 0.0), axis=(0, 0, 1))
+    m.gravity(0, -9.81)
+    alfmu.simulate(m, 0.02)
+    assert not caplog.messages
+
+
 @pytest.mark.parametrize(
     ("line", "meant"),
     [

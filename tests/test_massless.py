@@ -118,3 +118,16 @@ def test_a_massless_last_link_of_an_open_chain_is_refused_by_name():
     i.set("tip", 0.0)
     with pytest.raises(alfmu.AssemblyError, match=r"arm: the motion along b has no mass.* last body of an open chain"):
         i.initialize()
+
+
+def test_a_loop_whose_links_are_all_massless_is_refused_by_name():
+    """Two constraints cannot hold three coordinates, although each coordinate is in a constraint."""
+    m = alfmu.Mechanism("loop")
+    a, b, c = (m.coordinate(name, "rad", start=value) for name, value in (("a", 1.0), ("b", -0.5), ("c", 1.2)))
+    crank, coupler, rocker = (m.bar(name, mass=0.0, length=x) for name, x in (("p", 0.3), ("q", 0.8), ("r", 0.6)))
+    m.revolute("A", m.ground.at(0.0, 0.0), crank.start, coordinate=a)
+    m.revolute("B", crank.end, coupler.start, coordinate=b)
+    m.revolute("C", m.ground.at(0.7, 0.0), rocker.start, coordinate=c)
+    m.revolute("D", coupler.end, rocker.end)
+    with pytest.raises(alfmu.AssemblyError, match="loop: the motion along a, b, c has no mass and no constraint"):
+        alfmu.simulate(m, 0.1, 0.02)

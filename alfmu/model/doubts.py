@@ -73,9 +73,14 @@ def perhaps_grams(name: str, found: Mapping[str, float]) -> dict[str, str]:
 
 
 def no_gravity(m: Mechanism) -> str:
-    """Return a warning about a mechanism with masses whose declaration does not mention gravity; empty if there is
+    """Return a warning about masses in a declaration without gravity, or with one out of the plane; empty if there is
     none."""
-    if m._weighs or m.potential or not any(masses(m).values()):
+    if not any(masses(m).values()):
+        return ""
+    x, y, z = evaluated(m, list(m.gravity_vector))
+    if z and not (x or y or m.spatial_bodies):
+        return f"{m.name}: gravity acts along z, out of the plane of all bodies; declare it by gravity(0, -9.81)"
+    if m._weighs or m.potential:
         return ""
     return (
         f"{m.name}: bodies have masses and no gravity acts; declare it by gravity(0, -9.81), or none by gravity(0, 0)"

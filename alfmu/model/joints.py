@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import overload
 
 import casadi as ca
@@ -20,11 +21,13 @@ from .parts import (
     AnyMarker,
     Body,
     Constraint,
+    Coordinate,
     Joint,
     Marker,
     Point,
     Rigidity,
     Scalar,
+    key_of,
     stack,
 )
 from .quantities import Quantities
@@ -235,13 +238,17 @@ class Joints(Quantities):
         """Add a ball joint in space: the two markers coincide.
 
         `coordinates` are the four Euler parameters of the second body in the axes of the first; a constraint keeps them
-        at unit length. A joint without them closes a loop.
+        at unit length. If none has a guess, they begin without a turn. A joint without them closes a loop.
         """
         joint = SpatialJoint(
             name, "spherical", first, second, coordinates=self._placing(name, "spherical", coordinates)
         )
         self._join_in_space(joint)
         if joint.coordinates is not None:
+            given = [self._by_symbol.get(key_of(x)) for x in joint.coordinates]
+            if isinstance(scalar := given[0], Coordinate) and not any(getattr(c, "guessed", True) for c in given):
+                listed = Declaration.coordinates.of(self)
+                listed[listed.index(scalar)] = self._by_symbol[key_of(scalar.q)] = replace(scalar, guess=1.0)
             self.constraint(joint.unit_length, (ca.sumsqr(stack(joint.coordinates)) - 1) / 2, "1")
         return joint
 

@@ -338,10 +338,24 @@ class Instance:
 
     @property
     def turned(self) -> dict[str, float]:
-        """Change [rad] of each angle among the coordinates from its guess to the assembly, the largest first."""
-        changes = zip(self.equations.coordinates, self._start - self._guess(), strict=True)
-        angles = ((c.name, float(change)) for c, change in changes if c.unit == "rad")
-        return dict(sorted(angles, key=lambda each: -abs(each[1])))
+        """Change [rad] of each angle among the coordinates, and of the attitude of each body with Euler parameters of
+        its own, from the guess to the assembly, the largest first."""
+        guess, coordinates = self._guess(), self.equations.coordinates
+        changes = zip(coordinates, self._start - guess, strict=True)
+        angles = {c.name: float(change) for c, change in changes if c.unit == "rad"}
+        places = {c.name: k for k, c in enumerate(coordinates)}
+        for body in self._flying:
+            k = places[f"{body}_e0"]
+            before, after = guess[k : k + 4], self._start[k : k + 4]
+            angles[body] = 2 * math.acos(min(1.0, float(abs(before @ after) / np.linalg.norm(before))))
+        return dict(sorted(angles.items(), key=lambda each: -abs(each[1])))
+
+    @property
+    def _flying(self) -> list[str]:
+        """Names of the bodies with a place and Euler parameters of their own."""
+        e = self.equations
+        names, bodies = {c.name for c in e.coordinates}, [e.rows[i].name.removesuffix(".attitude") for i in e.lengths]
+        return [body for body in bodies if f"{body}_e0" in names]
 
     def undetermined(self) -> list[str]:
         """Return coordinates that neither constraints nor start values determine, so that they begin at their guess.
@@ -365,8 +379,12 @@ class Instance:
         return [c.name for c, part in zip(e.coordinates[:n], moves, strict=True) if part > _FREE]
 
     def forgotten(self) -> str:
-        """Return a message that names the `undetermined` coordinates; empty if there are none."""
-        if not (free := self.undetermined()):
+        """Return a message that names the `undetermined` coordinates; empty if there are none.
+
+        Those of bodies in space are left out: their position and attitude are where they start.
+        """
+        own = {f"{body}_{each}" for body in self._flying for each in ("x", "y", "z", "e0", "e1", "e2", "e3")}
+        if not (free := [name for name in self.undetermined() if name not in own]):
             return ""
         named = free if len(free) <= _NAMED + 1 else [*free[:_NAMED], f"{len(free) - _NAMED} more"]
         return (

@@ -153,7 +153,7 @@ static Outcome report_not_closed(Instance *i, Loops *loops, const double *guess,
             quantity_in_unit(start->unit, value, given));
     }
     arena_release(i, arena);
-    return instance_say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s%s", s->name,
+    return instance_say(i, FAILED, "%s: %s; corrections of the guess leave %s; %s%s", s->name,
         contradict ? "the start values contradict each other" : "the loops cannot be closed", label,
         s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values", hint);
 }

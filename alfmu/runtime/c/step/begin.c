@@ -180,6 +180,7 @@ static Outcome begin_run(Instance *i)
             s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
     settings_upload(i);
     way_begin(i, held, q, v);
+    settings_follow_turns(i); /* The first step may lead past half a turn. */
     for (int k = 0; k < s->switches; k++)
         if (i->requested[k] != i->active[k])
             return topology_take_effect(i);

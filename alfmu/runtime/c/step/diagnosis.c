@@ -12,6 +12,9 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
+/* Part of an internal step within which a force ends that no step crosses. */
+#define AHEAD 1e-4
+
 /* Return FAILED if the diagnostics of an evaluation (`watch`) show that the multiplier iteration with a given
    penalty ended too far from convergence for a valid acceleration. Count smaller remainders. */
 Outcome diagnose_convergence(Instance *i, const double *watch, double t)
@@ -63,6 +66,28 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
             s->name, t, settings_or_penalty(i));
     arena_release(i, arena);
     return outcome;
+}
+
+/* Return FAILED if the equations of motion are not finite just after the state, as where a root in a force ends. */
+Outcome diagnose_ahead(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const double *z = instance_field(i, s->z), *v = z + s->n;
+    double *q = arena_alloc(i, (size_t)s->n);
+    Outcome outcome = DONE;
+    for (double h = GIVEN_UP; outcome == DONE && h <= AHEAD * i->values[s->step_size]; h *= 10.0) {
+        for (int c = 0; c < s->n; c++)
+            q[c] = z[c] + h * v[c];
+        outcome = diagnose_failure(i, q, v, *instance_time(i) + h, 1.0);
+    }
+    arena_release(i, arena);
+    if (outcome == DONE)
+        return DONE;
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: the equations of motion are not finite from here on; check roots, logarithms and quotients in "
+        "forces",
+        s->name, *instance_time(i));
 }
 
 /* Return FAILED if a step from `start` ends at a state that is not finite, and name its first stage that failed. */

@@ -164,23 +164,6 @@ void exchange_nominals(const Instance *i, double *found)
         found[k] = k >= 2 * n ? s->nominals[k - 2 * n] : coordinate_is_length(s, k % n) ? *i->length : 1.0;
 }
 
-/* Update the angles whose whole turns are counted, by a step of length zero. */
-static void count_turns(Instance *i)
-{
-    const Scene *s = i->scene;
-    double *z = instance_field(i, s->z);
-    const double *after = instance_field(i, s->after);
-    if (!s->angles)
-        return;
-    i->m[s->dt] = 0.0;
-    memcpy(i->workspace + s->q, z, (size_t)s->n * sizeof *z);
-    memcpy(i->workspace + s->v, z + s->n, (size_t)s->n * sizeof *z);
-    program_run(i, s->l ? s->close : s->careful);
-    memcpy(z + 2 * s->n, after + 2 * s->n, (size_t)s->angles * sizeof *z);
-    settings_count_turns(i);
-    i->m[s->dt] = i->values[s->step_size];
-}
-
 Outcome exchange_accept(Instance *i, int *far)
 {
     const Scene *s = i->scene;
@@ -192,7 +175,7 @@ Outcome exchange_accept(Instance *i, int *far)
     *far = 0;
     if (outcome != DONE)
         return outcome;
-    count_turns(i);
+    settings_follow_turns(i);
     arena_reset(i);
     nominals = arena_alloc(i, (size_t)scene_exchanged(s));
     exchange_nominals(i, nominals);

@@ -222,6 +222,8 @@ static Outcome step_rk4_controlled(Instance *i, double end)
             "be kept; "
             "check forces, laws and constraints at this time%s",
             s->name, start, settings_or_penalty(i));
+    if (diagnose_ahead(i) != DONE)
+        return FAILED;
     return instance_say(i, FAILED,
         "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use smaller "
         "inputs%s",

@@ -23,6 +23,7 @@ int settings_continue(const Instance *i);
 int settings_method(const Instance *i);
 void settings_upload(Instance *i);
 void settings_count_turns(Instance *i);
+void settings_follow_turns(Instance *i);
 void settings_upload_parameters(Instance *i);
 void settings_in_force(const Instance *i, const double *on, unsigned char *held);
 int settings_usual(Instance *i);
