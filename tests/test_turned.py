@@ -35,7 +35,7 @@ def direction(seed: int) -> tuple[Rotation, tuple[float, ...]]:
 
 
 def simulated(linkage, *how, outputs=(), step=STEP, **parameters) -> alfmu.Result:
-    """A run of the linkage, with its bodies' places and some other outputs: scenes with all take twice as long to make."""
+    """A run of the linkage, with its bodies' places and some other outputs, as scenes with all take twice as long."""
     asked = [f"{each.name}.{axis}" for each in linkage.links for axis in "xyz"]
     return alfmu.simulate(linkage.declared(*how), STOP, step, parameters=parameters, outputs=[*asked, *outputs])
 
