@@ -77,26 +77,35 @@ def rearranged(arguments: list[ca.SX], value: ca.SX, far: float, places: Collect
     if not _may_cancel(steps, large, places):
         return value
     entries = [ca.vertsplit(ca.vec(x)) for x in arguments]
-    kept: dict[int, _Sum] = {}
+    given = ca.vertsplit(f.instructions_sx())
+    kept: dict[int, _Sum | ca.SX] = {}  # expressions that stay as they are, and sums
     found = [ca.SX(0)] * value.nnz()
     for k, (code, inputs, outputs) in enumerate(steps):
-        if code == ca.OP_OUTPUT:
-            found[outputs[1]] = kept[inputs[0]].value(entries)
-            continue
         if code == ca.OP_INPUT:
             which, entry = inputs
-            mine = _Sum(places={(which, entry): 1}) if (which, entry) in places else _Sum(entries[which][entry])
-        elif code == ca.OP_CONST:
-            mine = _Sum(None, Fraction(numbers[k])) if k in large else _Sum(ca.SX(numbers[k]))
-        else:
-            operands = [kept[i] for i in inputs]
+            place = (which, entry) in places
+            kept[outputs[0]] = _Sum(places={(which, entry): 1}) if place else entries[which][entry]
+            continue
+        if code == ca.OP_CONST:
+            kept[outputs[0]] = _Sum(None, Fraction(numbers[k])) if k in large else ca.SX(numbers[k])
+            continue
+        parts = [kept[i] for i in inputs]
+        if code == ca.OP_OUTPUT:
+            found[outputs[1]] = _summed(parts[0]).value(entries)
+        elif any(isinstance(x, _Sum) for x in parts):
+            operands = [_summed(x) for x in parts]
             combined = _combined(code, operands)
             if combined is None or not combined.is_short():
                 values = [x.value(entries) for x in operands]
                 combined = _Sum(ca.SX.binary(code, *values) if len(values) == 2 else ca.SX.unary(code, *values))
-            mine = combined
-        kept[outputs[0]] = mine
+            kept[outputs[0]] = combined
+        else:
+            kept[outputs[0]] = given[k]
     return ca.SX(value.sparsity(), ca.vertcat(*found))
+
+
+def _summed(value: _Sum | ca.SX) -> _Sum:
+    return value if isinstance(value, _Sum) else _Sum(value)
 
 
 def _may_cancel(
