@@ -34,10 +34,10 @@ def direction(seed: int) -> tuple[Rotation, tuple[float, ...]]:
     return Rotation.random(random_state=seed), tuple(map(float, random.uniform(-100, 100, 3)))
 
 
-def simulated(linkage, *how, outputs=(), step=STEP, **parameters) -> alfmu.Result:
-    """A run of the linkage, with its bodies' places and some other outputs, as scenes with all take twice as long."""
+def simulated(linkage, *how, outputs=(), **parameters) -> alfmu.Result:
+    """A run of the linkage, with its bodies' places and some other outputs, as scenes with all take longer to make."""
     asked = [f"{each.name}.{axis}" for each in linkage.links for axis in "xyz"]
-    return alfmu.simulate(linkage.declared(*how), STOP, step, parameters=parameters, outputs=[*asked, *outputs])
+    return alfmu.simulate(linkage.declared(*how), STOP, STEP, parameters=parameters, outputs=[*asked, *outputs])
 
 
 def motion(linkage, turn=None, offset=(0.0, 0.0, 0.0), absolute="", **how) -> tuple[np.ndarray, int]:
@@ -130,7 +130,7 @@ def test_bodies_with_coordinates_of_their_own_pass_a_singular_position_in_every_
     """In some directions pivots of Euler parameters are small that belong to no singular value."""
     turn, tight = Rotation.random(random_state=seed), {"solver.relative_tolerance": 1e-10}
     own, on_joints = (
-        simulated(parallelogram(-0.3), turn, (0.0, 0.0, 0.0), which, outputs=["J1.force.*"], step=5e-4, **tight)
+        alfmu.simulate(parallelogram(-0.3).declared(turn, absolute=which), STOP, 5e-4, parameters=tight)
         for which in ("lc", "")
     )
     assert swing_error(own, turn, -0.3) <= 1e-9
