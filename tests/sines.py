@@ -69,12 +69,16 @@ PLAIN: dict[int, Callable[..., float]] = {
 
 
 def by_instructions(f: ca.Function, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Nonzeros of the results of a function: each instruction by CasADi, but sums and products by Python, and sines and
-    cosines by the runtime."""
+    """Nonzeros of the results of a function by CasADi; of one with sines and cosines, which are the runtime's, each
+    instruction by CasADi, but sums and products by Python."""
+    operations = list(map(f.instruction_id, range(f.n_instructions())))
+    if not {ca.OP_SIN, ca.OP_COS} & {*operations}:
+        found = f.call([ca.DM(f.sparsity_in(i), each) for i, each in enumerate(x)])
+        return [np.array(each.nonzeros()) for each in found]
     x = [each.tolist() for each in x]
     numbers, results = [0.0] * f.sz_w(), [np.zeros(f.nnz_out(i)) for i in range(f.n_out())]
-    for k in range(f.n_instructions()):
-        operation, made, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+    for k, operation in enumerate(operations):
+        made, given = f.instruction_output(k), f.instruction_input(k)
         if operation == ca.OP_OUTPUT:
             results[made[0]][made[1]] = numbers[given[0]]
         elif operation == ca.OP_CONST:

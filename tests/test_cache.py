@@ -245,6 +245,21 @@ def test_the_cache_is_bounded_and_files_that_were_used_stay(folder, monkeypatch)
     assert other.exists()
 
 
+def test_files_are_counted_once_while_the_cache_is_far_from_its_limit_and_the_limit_is_kept(folder, monkeypatch):
+    """Counting thousands of files takes longer than writing one: 100 of 10 bytes, of which 60 are within the limit."""
+    monkeypatch.setattr(cache, "LIMIT", 600)
+    monkeypatch.setattr(cache, "LEAST", 0)
+    counts, entries = [], cache.entries
+    monkeypatch.setattr(cache, "entries", lambda: counts.append(0) or entries())
+    sizes = []
+    for i in range(100):
+        cache.keep(f"scene_{i:032x}", ".z", bytes(10))
+        sizes.append(sum(path.stat().st_size for path in folder.iterdir()))
+        if i == 5:
+            assert len(counts) == 1
+    assert sizes == [10 * min(i, 60) for i in range(1, 101)]
+
+
 def test_a_folder_that_cannot_be_written_does_no_harm(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(stored, "_WORTH", 0.0)
     (tmp_path / "file").write_text("")

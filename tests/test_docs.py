@@ -162,7 +162,7 @@ def texts() -> list[list[str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("message", QUOTED)
 def test_a_quoted_message_is_one_of_the_package(message, texts):
-    assert sum(said(message, pieces) for pieces in texts) >= 1
+    assert any(said(message, pieces) for pieces in texts)
 
 
 # The site ------------------------------------------------------------------------------------------------------------

@@ -86,7 +86,7 @@ def sources_of(path: Path) -> dict[str, str]:
         return {Path(n).name: archive.read(n).decode() for n in names}
 
 
-def compiled(files: dict[str, str], library: Path, level: str = "-O1") -> None:
+def compiled(files: dict[str, str], library: Path, level: str = "-Og") -> None:
     """The library of these sources, which have no warnings; some take an optimisation to be found."""
     folder = library.with_suffix(".sources")
     folder.mkdir(parents=True)

@@ -218,6 +218,7 @@ def chains(request) -> list[Equations]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
     """Against CasADi and against straight-line code, to the last bit."""
     e = scene(*(chains[0].functions[name] for name in LONG))

@@ -435,10 +435,24 @@ def chains(request) -> list[Equations]:
     return [prepared(derived("n_four_bar", loops=n, coordinates=request.param), "vm") for n in (60, 120)]
 
 
-@pytest.mark.slow
-def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypatch):
+@pytest.fixture
+def looped(monkeypatch) -> None:
+    """Functions of 3000 operations are searched for what repeats."""
     monkeypatch.setattr(passes, "LONG", 3000)
-    loaded = host.load(tables.packed(complete(chains[0])))
+
+
+@pytest.fixture(scope="module")
+def chain_scene(chains) -> bytes:
+    """The scene of the shorter chain, with loops in functions of 3000 operations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(passes, "LONG", 3000)
+        return tables.packed(complete(chains[0]))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("looped")
+def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, chain_scene):
+    loaded = host.load(chain_scene)
     own = complete(chains[0])
     long = [file.code(f, "chain") for f in own.functions.values() if f.n_instructions() > 2 * passes.LONG]
     assert len(long) >= 7
@@ -470,9 +484,9 @@ def test_all_functions_of_a_scene_give_the_bits_of_casadi(host, short, name):
 
 
 @pytest.mark.slow
-def test_the_same_equations_give_the_same_bytes(chains):
-    one, two = (tables.packed(complete(replace(chains[0]))) for _ in range(2))
-    assert one == two
+@pytest.mark.usefixtures("looped")
+def test_the_same_equations_give_the_same_bytes(chains, chain_scene):
+    assert tables.packed(complete(replace(chains[0]))) == chain_scene
 
 
 # In lanes -------------------------------------------------------------------------------------------------------------
@@ -509,6 +523,7 @@ def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 40})])
 def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, options):
     e = prepared(derived(name, **options), "vm")

@@ -362,4 +362,4 @@ def archive(path: Path, files: Mapping[str, bytes]) -> None:
         for name in sorted(files):
             info = zipfile.ZipInfo(name, _PINNED)
             info.external_attr = 0o644 << 16
-            packed_files.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
+            packed_files.writestr(info, files[name], zipfile.ZIP_DEFLATED, 8)

@@ -29,6 +29,13 @@ LIMIT = 500_000_000
 LEAST = 50_000
 """Size [bytes] that a file counts for at least, so that there are at most LIMIT / LEAST of them."""
 
+_WRITERS = 10
+"""Number of processes that may write to the cache at once without exceeding the limit."""
+
+_COUNTED: dict[Path, int] = {}
+"""Largest possible size of each folder [bytes]: its size when counted, and what `_WRITERS` processes have written since
+if each wrote as much as this one."""
+
 _OFF = ("off", "0")
 
 _LOGGER = logging.getLogger("alfmu")
@@ -62,7 +69,10 @@ def _own_folder() -> Path:
 
 def kept(name: str, suffix: str) -> Path | None:
     """Return the file of this name, or None; a damaged file is removed."""
-    for path in sorted(folder().glob(f"{name}_*{suffix}")):
+    names: list[str] = []
+    with suppress(OSError):
+        names = [each for each in os.listdir(folder()) if each.startswith(f"{name}_") and each.endswith(suffix)]
+    for path in map(folder().joinpath, sorted(names)):
         if whole(path) is not None:
             with suppress(OSError):
                 os.utime(path)  # the time of its last use
@@ -86,7 +96,7 @@ def keep(name: str, suffix: str, content: bytes) -> Path:
     """Write a file of this name and return its path; raise WriteError if that is not possible."""
     path = folder() / f"{name}_{_hash(content)}{suffix}"
     write(path, content)
-    _bounded(path)
+    _bounded(path, len(content))
     return path
 
 
@@ -116,17 +126,23 @@ def clear() -> None:
             path.unlink()
 
 
-def _bounded(last: Path) -> None:
-    """Remove the least recently used files until the rest is within the limit; the file `last` stays."""
+def _bounded(last: Path, size: int) -> None:
+    """Remove the least recently used files until the rest is within the limit; the file `last`, of this size, stays.
+
+    Files are counted again only if they may exceed the limit, as counting takes time in proportion to their number.
+    """
+    place = last.parent
+    _COUNTED[place] = _COUNTED.get(place, LIMIT) + _WRITERS * max(size, LEAST)
+    if _COUNTED[place] <= LIMIT:
+        return
     known = [(path, max(about.st_size, LEAST)) for path, about in entries()]
     excess = sum(size for _, size in known) - LIMIT
     for path, size in known:
-        if excess <= 0:
-            return
-        if path != last:
+        if excess > 0 and path != last:
             with suppress(OSError):  # on Windows, a library that is in use
                 path.unlink()
                 excess -= size
+    _COUNTED[place] = LIMIT + excess
 
 
 def _hash(content: bytes) -> str:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from ..equations import Configuration, Equations, Mobility
-from ..equations.evaluation import ARGUMENTS, EVALUATED
+from ..equations.evaluation import ARGUMENTS
 from ..equations.types import Decision, Survey
 from ..kernel.form import Plan, Program, Traced
 from ..model.cache import is_off, kept, remember
@@ -159,7 +159,7 @@ def _unpacked(path: Path | None) -> bytes | None:
 def fingerprint(equations: Equations) -> str | None:
     """Return a digest of everything on which a scene of these equations depends; None if it cannot be serialised."""
     e = equations
-    known = [name for name in dict.fromkeys([*ARGUMENTS, *EVALUATED]) if name in e.functions and name != "tangents"]
+    known = [name for name in ARGUMENTS if name in e.functions]  # from which all others follow
     try:
         said = [_digest(getattr(e, name)) for name in _FIELDS if hasattr(e, name)]
         said += [f"{name} {_digest(e.functions[name])}" for name in known]
