@@ -669,17 +669,19 @@ def test_a_loop_takes_as_many_evaluations_however_near_its_change_point_it_rests
 
 
 @pytest.mark.parametrize("method", ["auto", "explicit", "rk4"])
-@pytest.mark.parametrize("beside", [1e-3, 1e-5, 9e-7, 1e-7, -1e-6])
-def test_a_start_at_rest_beside_a_singular_position(method, beside):
+@pytest.mark.parametrize(
+    ("beside", "axes"), [(1e-3, "xyt"), (1e-5, "xyt"), (9e-7, "xyt"), (1e-7, "xyt"), (-1e-6, "xyt"), (2.1487e-5, "txy")]
+)
+def test_a_start_at_rest_beside_a_singular_position(method, beside, axes):
     """A parallelogram (bars of 1, 2, 1 m and kg) in absolute coordinates under a torque: 5/3 th'' = 4."""
     m = alfmu.Mechanism("beside")
     th = m.start("angle", 0.0, "rad")
     x, y = ca.cos(th), ca.sin(th)
 
     def bar(name: str, length: float, place: tuple, angle: ca.SX) -> alfmu.Body:
-        units = zip("xyt", ("m", "m", "rad"), (*place, angle), strict=True)
-        pose = tuple(m.coordinate(f"{name}_{axis}", unit, start=start) for axis, unit, start in units)
-        return m.bar(name, mass=1.0, length=length, pose=pose)
+        of = {"x": ("m", place[0]), "y": ("m", place[1]), "t": ("rad", angle)}
+        made = {axis: m.coordinate(f"{name}_{axis}", of[axis][0], start=of[axis][1]) for axis in axes}
+        return m.bar(name, mass=1.0, length=length, pose=tuple(made[axis] for axis in "xyt"))
 
     crank, coupler = bar("crank", 1.0, (x / 2, y / 2), th), bar("coupler", 2.0, (x + 1, y), ca.SX(0))
     rocker = bar("rocker", 1.0, (2 + x / 2, y / 2), th)
@@ -691,6 +693,7 @@ def test_a_start_at_rest_beside_a_singular_position(method, beside):
     given = {"start.angle": beside, "solver.method": method}
     found = alfmu.simulate(m, 1.0, 0.01, parameters=given, inputs={"A.torque": 4.0}, outputs=["crank.angle"])
     assert np.abs(found["crank.angle"] - beside - 1.2 * found["time"] ** 2).max() < 1e-8
+    assert found.counters.evaluations < 10_000
 
 
 @pytest.mark.parametrize("method", ["auto", "rk4"])
