@@ -119,7 +119,9 @@ void start_find_way(Instance *i, const unsigned char *held, const double *q, int
     double *y[] = {guess, way};
     Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
-        rates[k] = equal == 2 ? 0.0 : equal ? strcmp(s->variables[s->own + k].unit, "1") != 0 : loops_starts(i)[s->starts + k];
+        rates[k] = equal == 2 ? 0.0
+            : equal         ? strcmp(s->variables[s->own + k].unit, "1") != 0
+                            : loops_starts(i)[s->starts + k];
     if (equal != 2)
         function_call(i, s->guesses, x, y);
     if (s->timed)
