@@ -865,3 +865,19 @@ def test_the_first_of_two_hinges_about_one_axis_slides_at_its_limit():
     exact = rate * np.maximum(run.time - 0.1 / rate, 0.0) ** 3 / 6 / sum(inertias)
     for name in "ab":
         np.testing.assert_allclose(run[f"{name}.angle"], exact, atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "told"), [(3, False), (12, True)])
+def test_shares_of_joints_at_rest_that_do_not_settle_are_told(count, told, caplog):
+    """Each of these hinges about one axis holds 0.3 N.m alone; 200 rounds are too few for shares of twelve."""
+    m, before = Mechanism("coaxial"), None
+    for k in range(count):
+        body = m.body(f"b{k}", mass=1.0, inertia=0.1)
+        angle = m.coordinate(f"q{k}", "rad", independent=True)
+        hinge = m.revolute(f"J{k}", (before or m.ground).at(), body.at(), coordinate=angle)
+        m.friction(hinge, coulomb=1.0 + 0.1 * k, load=1.0)
+        before = body
+    m.torque(before, 0.3)
+    m.gravity(0.0, 0.0)
+    assert np.abs(alfmu.simulate(m, 0.1, 0.05, outputs=["b0.angle"])["b0.angle"]).max() < 1e-12
+    assert ("shares of friction at rest change by" in caplog.text) == told

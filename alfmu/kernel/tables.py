@@ -153,7 +153,9 @@ NUMBERS: dict[str, Number] = {
     "exchange": lambda t: t.places[ACCELERATIONS][0] if ACCELERATIONS in t.places and not obstacle(t.e) else -1,
     # Values that no program passes on share the start of the workspace, which must be long enough for them.
     "workspace": lambda t: max(
-        t.workspace, t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1
+        t.workspace,
+        t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1,
+        3 * len(t.e.frictions) + 2,
     ),
     **{name: partial(lambda key, t: t.places.get(key, (0, 0))[0], key) for name, key in HANDED.items()},
     **{name: partial(lambda key, t: t.number.get(key, -1), key) for name, key in FUNCTIONS.items()},

@@ -143,7 +143,8 @@ enum {
     WARNED_OF_REST = 1024,
     WARNED_OF_IMPORTER = 2048,
     WARNED_OF_REACH = 4096,
-    EVERY_WARNING = 8191
+    WARNED_OF_SHARES = 8192,
+    EVERY_WARNING = 16383
 };
 
 /* The arena: numbers are allocated in order, and released together back to a mark. */

@@ -34,7 +34,7 @@ static double round_coarsely(double x)
 }
 
 /* S1: logarithms of products of pivots at a position, the largest mass over its scale, and the number of pivots below
-   BRANCH_MARGIN. */
+   SMALL_PIVOT. */
 typedef struct {
     double smallest, small, all, heaviest;
     int few;
@@ -58,7 +58,7 @@ static Pivots multiply_pivots(Instance *i, const double *q, int smallest)
         found.smallest += c < smallest ? part : 0.0;
         found.small += c < smallest || pivots[c] < SMALL_PIVOT ? part : 0.0;
         found.all += part;
-        found.few += pivots[c] < BRANCH_MARGIN;
+        found.few += pivots[c] < SMALL_PIVOT;
     }
     arena_release(i, arena);
     return found;

@@ -107,7 +107,8 @@ Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
 }
 
 /* Find the direction of motion at fixed time for the start rates or, with `equal`, for equal rates of all start values
-   except Euler parameters, which cannot all grow; zero if there is none. */
+   except Euler parameters, which cannot all grow; zero if there is none. With `equal` = 2 it is the part of the given
+   direction for which all start values rest. */
 void start_find_way(Instance *i, const unsigned char *held, const double *q, int equal, double *way)
 {
     const Scene *s = i->scene;
@@ -118,13 +119,17 @@ void start_find_way(Instance *i, const unsigned char *held, const double *q, int
     double *y[] = {guess, way};
     Loops loops = loops_new(i, held, *i->length);
     for (int k = 0; k < s->starts; k++)
-        rates[k] = equal ? strcmp(s->variables[s->own + k].unit, "1") != 0 : loops_starts(i)[s->starts + k];
-    function_call(i, s->guesses, x, y);
+        rates[k] = equal == 2 ? 0.0
+            : equal         ? strcmp(s->variables[s->own + k].unit, "1") != 0
+                            : loops_starts(i)[s->starts + k];
+    if (equal != 2)
+        function_call(i, s->guesses, x, y);
     if (s->timed)
         way[s->n - 1] = 0.0;
     solve_rates(i, &loops, q, rates, way, loops.residue);
     size = linear_largest(way, s->n);
-    if (!(size > 0.0 && linear_largest(loops.residue, loops.count) <= ROUGH * size))
+    /* Closer than the root of LOOSE to a singular position, the row that vanishes there is left open by as much. */
+    if (!(size > 0.0 && linear_largest(loops.residue, loops.count) <= sqrt(LOOSE) * size))
         memset(way, 0, n * sizeof *way);
     tape_pause(i, paused);
     arena_release(i, arena);

@@ -316,7 +316,8 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
     memcpy(began, rests, (size_t)count);
     for (int again = 0; again <= SLIDING_ROUNDS * count; again++) {
         double idle = IDLE * pow(find_pace(i), 2);
-        int moves = 1, any = 0;
+        double most = 1.0;
+        int any = 0;
         for (int k = 0; k < count; k++)
             if (rests[k]) {
                 *friction_slip(i, k) = SHARED;
@@ -331,23 +332,28 @@ static Outcome decide_sticking(Instance *i, unsigned char *rests)
         for (int k = 0; k < count; k++)
             idle = fmax(idle, IDLE * fabs((i->workspace + s->grip)[2 * count + k]));
         memset(steps, 0, (size_t)count * sizeof *steps);
-        for (int pass = 0; any && moves && pass < SHARING_ROUNDS; pass++) {
+        for (int pass = 0; any && most > STEADY_SHARE && pass < SHARING_ROUNDS; pass++) {
             double alike = 0.0, squares = 0.0;
-            moves = 0;
+            most = 0.0;
             for (int k = 0; k < count; k++)
                 if (rests[k]) {
                     const double before = i->discrete[s->friction[k].value],
                                  share = find_holding_share(i, k, before, idle);
-                    moves |= fabs(share - before) > STEADY_SHARE;
+                    most = fmax(most, fabs(share - before));
                     i->discrete[s->friction[k].value] = share;
                     alike += (share - before) * steps[k];
                     squares += steps[k] * steps[k];
                     steps[k] = share - before;
                 }
-            if (pass % EXTRAPOLATED == EXTRAPOLATED - 1 && moves && alike > 0.0 && alike < squares)
+            if (pass % EXTRAPOLATED == EXTRAPOLATED - 1 && most > STEADY_SHARE && alike > 0.0 && alike < squares)
                 extrapolate_shares(i, rests, steps, alike / (squares - alike));
             settings_upload_parameters(i);
         }
+        if (any && most > STEADY_SHARE)
+            instance_warn(i, WARNED_OF_SHARES,
+                "%s, t = %.6g s: shares of friction at rest change by %.1e > %.0e of their limits after %d rounds, so "
+                "that joints may stick or slide wrongly; give joints with friction other limits, or fewer of them",
+                s->name, *instance_time(i), most, STEADY_SHARE, SHARING_ROUNDS);
         settled = IDLER * idle;
         if (!let_one_slide(i, rests, idle) && !bring_one_to_rest(i, rests, began, idle))
             break;

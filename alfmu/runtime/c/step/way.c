@@ -10,6 +10,7 @@
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"
+#include "linear.h"
 #include "message.h"
 #include "record.h"
 #include "scene.h"
@@ -79,8 +80,9 @@ static double slope_beside(Instance *i, const double *q, const double *way, doub
     return (margins[1] - margins[0]) / (4.0 * LITTLE * sqrt(margin));
 }
 
-/* Replace a direction from a singular position q by that of one of the motions that cross there. */
-static void follow_branch(Instance *i, const double *q, double *way)
+/* Replace a direction from a singular position q by that of one of the motions that cross there, and compute what
+   `changed`. Return whether the direction was already that motion. */
+static int follow_branch(Instance *i, const double *q, double *way, double *changed)
 {
     const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
     double *there = arena_alloc(i, n), *zeros = arena_alloc(i, n), *sides[2] = {arena_alloc(i, n), arena_alloc(i, n)};
@@ -94,9 +96,28 @@ static void follow_branch(Instance *i, const double *q, double *way)
     }
     for (size_t c = 0; c < n; c++)
         there[c] = sides[1][c] - sides[0][c];
+    set_unit_way(i, there, there);
+    for (size_t c = 0; c < n; c++)
+        changed[c] = there[c] - way[c];
     if (closed)
-        set_unit_way(i, there, way);
+        memcpy(way, there, n * sizeof *way);
     arena_release(i, arena);
+    return closed && instance_largest(i, changed) < BESIDE;
+}
+
+/* Replace a direction from a singular position q, as the start values have it, by that of a motion. Return whether they
+   select that motion: a mixture of two does so only if they all rest in the other one. */
+static int select_branch(Instance *i, const unsigned char *held, const double *q, double *way)
+{
+    const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
+    double *other = arena_alloc(i, n), *changed = arena_alloc(i, n);
+    int selected = follow_branch(i, q, way, other);
+    if (!selected) {
+        start_find_way(i, held, q, 2, other);
+        selected = linear_largest(other, i->scene->n) > 0.0 && follow_branch(i, q, other, changed);
+    }
+    arena_release(i, arena);
+    return selected;
 }
 
 /* Compute the part of a small displacement of q that is possible while time stands still. */
@@ -180,15 +201,13 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
         start_find_way(i, held, q, equal, way);
         *along = !(slope_away(i, q, way, margin) > least);
     }
-    if (*along == 0.0)
-        follow_branch(i, q, way);
-    else {
+    if (*along > 0.0 ? least == 0.0 : !select_branch(i, held, q, way))
+        instance_warn(i, WARNED_OF_REST,
+            "%s: it starts at rest in a singular position, and no start value selects one of the motions that cross "
+            "there; give a start value or rate, or start beside it",
+            s->name);
+    if (*along > 0.0) {
         set_along(i);
-        if (least == 0.0)
-            instance_warn(i, WARNED_OF_REST,
-                "%s: it starts at rest in a singular position, and no start value selects one of the motions that "
-                "cross there; give a start value or rate, or start beside it",
-                s->name);
         if (margin < BRANCH_MARGIN && s->timed && least >= SERVES && !has_single_motion(i)) {
             set_unit_way(i, v, there);
             for (size_t c = 0; c < n; c++)
