@@ -21,7 +21,6 @@
 #include "variables.h"
 #include "whole_run.h"
 
-#define PLACES 32 /* most members that run at a time: enough for LANES of them to wait for the same program */
 #define NOTHING (-1)
 
 typedef struct Batch Batch;
@@ -48,7 +47,7 @@ struct Batch {
     double *numbers, *lent, *registers;
     Function *functions; /* the scene's; results of those in lanes share places in `code` */
     uint16_t *code;
-    Place places[PLACES], *end; /* end of the places in use */
+    Place places[MEMBERS], *end; /* end of the places in use */
     Group group;
     int *waiting; /* [programs and functions] scratch: number of members that wait for each */
     /* The current task, and its arguments. */
@@ -97,12 +96,12 @@ static void work_at_place(void *what)
     p->wanted = NOTHING;
 }
 
-/* Return the program or function for which most members wait, or the first one found that fills all lanes. */
+/* Return the program or function for which most members wait, the first of them. */
 static int wanted_most(const Batch *b)
 {
     int most = 0, wanted = NOTHING;
     const Place *p = b->places, *q = p;
-    for (; p < b->end && most < LANES; p++)
+    for (; p < b->end; p++)
         if (p->wanted != NOTHING && ++b->waiting[p->wanted] > most) {
             most = b->waiting[p->wanted];
             wanted = p->wanted;
@@ -116,20 +115,22 @@ static int wanted_most(const Batch *b)
 static void serve(Batch *b, int wanted)
 {
     const int programs = b->scene->program_count;
-    Place *those[LANES];
+    Place *those[MEMBERS];
+    const double *const *x[MEMBERS];
+    double *const *y[MEMBERS];
     Group *g = &b->group;
     g->count = 0;
-    for (Place *p = b->places; p < b->end && g->count < LANES; p++)
+    for (Place *p = b->places; p < b->end; p++)
         if (p->wanted == wanted) {
             g->instances[g->count] = p->instance;
-            g->x[g->count] = p->x;
-            g->y[g->count] = p->y;
+            x[g->count] = p->x;
+            y[g->count] = p->y;
             those[g->count++] = p;
         }
     if (wanted < programs)
         group_run_program(g, wanted);
     else
-        group_call_function(g, wanted - programs);
+        group_call_function(g, wanted - programs, x, y);
     for (int k = 0; k < g->count; k++)
         fiber_enter(those[k]->fiber);
 }
@@ -238,7 +239,7 @@ API Batch *alfmu_batch_new(const Scene *s, size_t count)
     b->scene = s;
     b->count = count;
     b->shares = !s->entries;
-    b->end = b->places + (count < PLACES ? count : PLACES);
+    b->end = b->places + (count < MEMBERS ? count : MEMBERS);
     if (!has_memory(b, kept, lent)) {
         alfmu_batch_free(b);
         return NULL;

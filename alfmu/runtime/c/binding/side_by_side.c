@@ -1,5 +1,8 @@
 #include "side_by_side.h"
 
+#include <limits.h>
+#include <string.h>
+
 #include "baseline.h"
 #include "interpret.h"
 #include "operations.h"
@@ -10,111 +13,132 @@
 /* Fewer interpreted calls than these are faster one after the other. */
 #define FEW 3
 
-/* Return whether these calls of a function can and should run in lanes. */
-static int serves(const Group *g, const Function *f)
+/* Return the fewest calls of a function that run in lanes. */
+static int fewest(const Function *f)
 {
     if (f->in_lanes || f->compiled)
-        return f->in_lanes && g->count > 1;
-    return f->narrow && g->count >= FEW;
+        return f->in_lanes ? 2 : INT_MAX;
+    return f->narrow ? FEW : INT_MAX;
 }
 
-/* Finds an argument or a result of a call, by lane and number. */
-typedef double *Place(const Group *g, const Function *f, const Word *places, int lane, int each);
+/* Calls of a function in lanes: places of their arguments and results in the memories of instances, or addresses. */
+typedef struct {
+    int count;
+    double *m[LANES];
+    const Word *places[LANES];
+    const double *const *x[LANES]; /* addresses */
+    double *const *y[LANES];
+} Calls;
 
-/* Copy argument j of calls from `first` on to rows of `lanes` numbers; lanes in excess repeat a call. */
-static inline void gather(const Group *g, const Function *f, const Word *places, Place place, int first, int j,
-    double *rows, int lanes)
+static inline double *number(const Calls *c, const Function *f, int at_places, int lane, int j)
+{
+    if (at_places)
+        return c->m[lane] + c->places[lane][j];
+    return j < f->inputs ? (double *)c->x[lane][j] : c->y[lane][j - f->inputs];
+}
+
+/* Copy argument j of calls to rows of `lanes` numbers; lanes in excess repeat a call. */
+static inline void gather(const Calls *c, const Function *f, int at_places, int j, double *rows, int lanes)
 {
     double *numbers[LANES];
     for (int lane = 0; lane < lanes; lane++)
-        numbers[lane] = place(g, f, places, first + lane < g->count ? first + lane : 0, j);
+        numbers[lane] = number(c, f, at_places, lane < c->count ? lane : 0, j);
     lanes_gather(rows, lanes, (const double *const *)numbers, f->lengths[j]);
 }
 
-/* Copy rows, or those in `from`, to result j of these calls. */
-static inline void scatter(const Group *g, const Function *f, const Word *places, Place place, int first, int j,
-    const double *rows, int lanes, const uint16_t *from)
+/* Copy rows, or those in `from`, to result j of calls. */
+static inline void scatter(
+    const Calls *c, const Function *f, int at_places, int j, const double *rows, int lanes, const uint16_t *from)
 {
-    const int count = g->count - first < lanes ? g->count - first : lanes;
     double *numbers[LANES];
-    for (int lane = 0; lane < count; lane++)
-        numbers[lane] = place(g, f, places, first + lane, j);
-    lanes_scatter(rows, lanes, from, numbers, f->lengths[j], count);
+    for (int lane = 0; lane < c->count; lane++)
+        numbers[lane] = number(c, f, at_places, lane, j);
+    lanes_scatter(rows, lanes, from, numbers, f->lengths[j], c->count);
 }
 
-static inline void interpret(const Group *g, const Function *f, const Word *places, Place place)
+static inline void interpret(const Group *g, const Calls *c, const Function *f, int at_places)
 {
     Lanes *d = g->registers + g->instances[0]->scene->constant_count;
     const uint16_t *from = f->narrow + f->words;
     for (int j = 0; j < f->inputs; d += f->lengths[j++])
-        gather(g, f, places, place, 0, j, d->lane, LANES);
+        gather(c, f, at_places, j, d->lane, LANES);
     lanes_evaluate(f, g->registers);
     for (int j = f->inputs; j < f->inputs + f->outputs; from += f->lengths[j++])
-        scatter(g, f, places, place, 0, j, g->registers->lane, LANES, from);
+        scatter(c, f, at_places, j, g->registers->lane, LANES, from);
 }
 
-static inline void run_compiled(const Group *g, const Function *f, const Word *places, Place place)
+static inline void run_compiled(const Group *g, const Calls *c, const Function *f, int at_places)
 {
     const int lanes = lanes_compiled();
     const double *x[MOST_ARGUMENTS];
-    double *y[MOST_ARGUMENTS];
-    for (int first = 0; first < g->count; first += lanes) {
-        double *rows = g->registers->lane;
-        for (int j = 0; j < f->inputs; rows += f->lengths[j++] * lanes) {
-            gather(g, f, places, place, first, j, rows, lanes);
-            x[j] = rows;
-        }
-        for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * lanes)
-            y[j] = rows;
-        f->in_lanes(x, y, rows);
-        for (int j = 0; j < f->outputs; j++)
-            scatter(g, f, places, place, first, f->inputs + j, y[j], lanes, NULL);
+    double *y[MOST_ARGUMENTS], *rows = g->registers->lane;
+    for (int j = 0; j < f->inputs; rows += f->lengths[j++] * lanes) {
+        gather(c, f, at_places, j, rows, lanes);
+        x[j] = rows;
     }
+    for (int j = 0; j < f->outputs; rows += f->lengths[f->inputs + j++] * lanes)
+        y[j] = rows;
+    f->in_lanes(x, y, rows);
+    for (int j = 0; j < f->outputs; j++)
+        scatter(c, f, at_places, f->inputs + j, y[j], lanes, NULL);
 }
 
-static inline void evaluate(const Group *g, const Function *f, const Word *places, Place place)
+static inline void evaluate(const Group *g, const Calls *c, const Function *f, int at_places)
 {
     if (f->in_lanes)
-        run_compiled(g, f, places, place);
+        run_compiled(g, c, f, at_places);
     else
-        interpret(g, f, places, place);
+        interpret(g, c, f, at_places);
 }
 
-static inline double *in_memory(const Group *g, const Function *f, const Word *places, int lane, int each)
+static int lanes_of(const Function *f)
 {
-    (void)f;
-    return g->instances[lane]->m + places[each];
+    return f->in_lanes ? lanes_compiled() : LANES;
 }
 
-/* Arguments are only read. */
-static inline double *in_arrays(const Group *g, const Function *f, const Word *places, int lane, int each)
-{
-    (void)places;
-    return each < f->inputs ? (double *)g->x[lane][each] : g->y[lane][each - f->inputs];
-}
-
-#else
-#define serves(g, f) 0
-#define evaluate(g, f, places, place) (void)0
 #endif
 
-static void call(const Group *g, const Function *f, const Word *at)
+/* Make `count` calls for each instance. */
+static void call(const Group *g, const Function *f, const Word *at, int count)
 {
-    if (serves(g, f))
-        evaluate(g, f, at, in_memory);
-    else
-        for (int lane = 0; lane < g->count; lane++)
-            function_call_at(g->instances[lane], g->instances[lane]->scene->functions + (f - g->functions), at);
+    const int each = f->inputs + f->outputs;
+    int member = 0, k = 0;
+#if defined(__GNUC__)
+    const int few = fewest(f), lanes = lanes_of(f);
+    Calls c;
+    for (int left = g->count * count; left >= few; left -= c.count) {
+        for (c.count = 0; c.count < lanes && member < g->count; c.count++) {
+            c.m[c.count] = g->instances[member]->m;
+            c.places[c.count] = at + k * each;
+            k = k + 1 < count ? k + 1 : 0;
+            member += !k;
+        }
+        evaluate(g, &c, f, 1);
+    }
+#endif
+    for (; member < g->count; member++, k = 0)
+        for (; k < count; k++) {
+            Instance *i = g->instances[member];
+            function_call_at(i, i->scene->functions + (f - g->functions), at + k * each);
+        }
 }
 
-void group_call_function(const Group *g, int function)
+void group_call_function(const Group *g, int function, const double *const **x, double *const **y)
 {
+    int member = 0;
+#if defined(__GNUC__)
     const Function *f = g->functions + function;
-    if (serves(g, f))
-        evaluate(g, f, NULL, in_arrays);
-    else
-        for (int lane = 0; lane < g->count; lane++)
-            function_call_alone(g->instances[lane], function, g->x[lane], g->y[lane]);
+    const int few = fewest(f), lanes = lanes_of(f);
+    Calls c;
+    for (; g->count - member >= few; member += c.count) {
+        c.count = g->count - member < lanes ? g->count - member : lanes;
+        memcpy(c.x, x + member, (size_t)c.count * sizeof *x);
+        memcpy(c.y, y + member, (size_t)c.count * sizeof *y);
+        evaluate(g, &c, f, 0);
+    }
+#endif
+    for (; member < g->count; member++)
+        function_call_alone(g->instances[member], function, x[member], y[member]);
 }
 
 /* Return the instances whose value of `number` is zero, or those for which it is not. */
@@ -128,39 +152,6 @@ static Group those(const Group *g, Word number, int zero)
         if ((g->instances[lane]->m[number] == 0.0) == zero)
             some.instances[some.count++] = g->instances[lane];
     return some;
-}
-
-#if defined(__GNUC__)
-
-/* Argument or result of one of several calls of an instance. */
-static inline double *of_call(const Group *g, const Function *f, const Word *places, int lane, int each)
-{
-    return (*g->instances)->m + places[lane * (f->inputs + f->outputs) + each];
-}
-
-/* Run an instance's calls in lanes by a function compiled in lanes; return the next word. */
-static const Word *run_lanes(const Group *g, int lane, const Word *at)
-{
-    const int count = at[1];
-    const Function *f = g->functions + at[2];
-    Group calls = {{g->instances[lane]}, {NULL}, {NULL}, 0, g->registers, g->functions};
-    at += 3;
-    for (int left = count; left > 0; left -= LANES, at += calls.count * (f->inputs + f->outputs)) {
-        calls.count = left < LANES ? left : LANES;
-        run_compiled(&calls, f, at, of_call);
-    }
-    return at;
-}
-
-#endif
-
-static const Word *run_routine(const Group *g, int lane, const Word *at)
-{
-#if defined(__GNUC__)
-    if (*at == LANES_CODE && g->functions[at[2]].in_lanes)
-        return run_lanes(g, lane, at);
-#endif
-    return routine_run(g->instances[lane], at);
 }
 
 static void run(const Group *g, const Word *at, const Word *end);
@@ -188,8 +179,14 @@ static void run(const Group *g, const Word *at, const Word *end)
         switch (*at) {
         case CALL_CODE: {
             const Function *f = g->functions + at[1];
-            call(g, f, at + 2);
+            call(g, f, at + 2, 1);
             at += 2 + f->inputs + f->outputs;
+            break;
+        }
+        case LANES_CODE: {
+            const Function *f = g->functions + at[2];
+            call(g, f, at + 3, at[1]);
+            at += 3 + at[1] * (f->inputs + f->outputs);
             break;
         }
         case CHOICE_CODE: {
@@ -209,7 +206,7 @@ static void run(const Group *g, const Word *at, const Word *end)
         default: {
             const Word *next = at;
             for (int lane = 0; lane < g->count; lane++)
-                next = run_routine(g, lane, at);
+                next = routine_run(g->instances[lane], at);
             at = next;
         }
         }

@@ -6,14 +6,18 @@
 #include "instance.h"
 #include "lanes.h"
 
+#define MEMBERS 64 /* most members of a group: after choices of programs, those of one way still fill lanes */
+
 typedef struct {
-    Instance *instances[LANES];
-    const double *const *x[LANES]; /* arguments and results of a function, by lane */
-    double *const *y[LANES];
+    Instance *instances[MEMBERS];
+    const double *const **x; /* arguments and results of a function, by member */
+    double *const **y;
     int count;
     Lanes *registers; /* with the scene's constants loaded */
     const Function *functions; /* the scene's, with code for lanes */
 } Group;
 
 void group_run_program(const Group *g, int program);
-void group_call_function(const Group *g, int function);
+
+/* Call a function with the arguments x[instance] and results y[instance]. */
+void group_call_function(const Group *g, int function, const double *const **x, double *const **y);

@@ -81,8 +81,7 @@ void linear_singular_values(int rows, int columns, double *a, double *v, double 
     }
 }
 
-/* Make a column orthogonal to others of length one. */
-static void orthogonalise_to(const double *others, int count, int rows, double *column)
+void linear_orthogonalise_to(const double *others, int count, int rows, double *column)
 {
     for (int j = 0; j < count; j++) {
         const double part = dot_product(others + j * rows, column, rows);
@@ -98,7 +97,7 @@ void linear_span(int rows, int columns, int rank, double *a, double *sizes)
         int top = k;
         for (int j = k; j < columns; j++) {
             if (k > 0)
-                orthogonalise_to(a + (k - 1) * rows, 1, rows, a + j * rows);
+                linear_orthogonalise_to(a + (k - 1) * rows, 1, rows, a + j * rows);
             sizes[j] = linear_norm(a + j * rows, rows);
             if (sizes[j] > sizes[top])
                 top = j;
@@ -107,7 +106,7 @@ void linear_span(int rows, int columns, int rank, double *a, double *sizes)
             swap_columns(a + k * rows, a + top * rows, rows);
             swap_columns(sizes + k, sizes + top, 1);
         }
-        orthogonalise_to(a, k, rows, a + k * rows); /* once more, against round-off */
+        linear_orthogonalise_to(a, k, rows, a + k * rows); /* once more, against round-off */
         size = linear_norm(a + k * rows, rows);
         for (int r = 0; r < rows; r++)
             a[k * rows + r] /= size > 0.0 ? size : 1.0;

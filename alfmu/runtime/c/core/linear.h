@@ -18,6 +18,9 @@ typedef struct {
    times s; v is columns x columns, or NULL. */
 void linear_singular_values(int rows, int columns, double *a, double *v, double *s);
 
+/* Make a column (rows) orthogonal to `count` others of length one. */
+void linear_orthogonalise_to(const double *others, int count, int rows, double *column);
+
 /* Replace the first `rank` columns of a matrix (rows, columns), stored by columns, by ones of length one that are
    orthogonal to each other and span it, the largest first; `sizes` (columns) are the lengths that they had after those
    before them were taken out (Gram and Schmidt, with pivots). */

@@ -171,20 +171,20 @@ int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, i
     return s->n - rank;
 }
 
-/* S5: find combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes. */
-static void combine_rows(Instance *i, const double *q, double *combinations, double *sizes)
+/* S5: find orthonormal columns (l x n) that span those of C at q, each row times the root of its penalty. */
+static void span_rows(Instance *i, const double *q, double *span, double *sizes)
 {
     const Scene *s = i->scene;
-    const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
     const Matrix C = matrix_new(i, &s->constraint);
-    double *turned = arena_alloc(i, l * n), *zeros = arena_alloc(i, n);
+    double *zeros = arena_alloc(i, n);
     memset(zeros, 0, n * sizeof *zeros);
-    memset(turned, 0, l * n * sizeof *turned);
+    memset(span, 0, n * (size_t)s->l * sizeof *span);
     constraints_evaluate(i, q, zeros, NULL, C.values, NULL, NULL);
     for (int c = 0; c < s->n; c++)
         for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
-            turned[C.pattern->indices[e] * s->n + c] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
-    linear_singular_values(s->n, s->l, turned, combinations, sizes);
+            span[c * s->l + C.pattern->indices[e]] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
+    linear_span(s->l, s->n, (int)*i->rank, span, sizes);
     arena_release(i, arena);
 }
 
@@ -196,20 +196,19 @@ static int rank_changes_along(Instance *i, const double *q, const double *way)
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
     const int rank = (int)*i->rank;
     const Matrix C = matrix_new(i, &s->constraint);
-    double *combinations = arena_alloc(i, l * l), *sizes = arena_alloc(i, l), *there = arena_alloc(i, n), found = 0.0;
-    combine_rows(i, q, combinations, sizes);
+    double *span = arena_alloc(i, l * n), *sizes = arena_alloc(i, n), *there = arena_alloc(i, n), found = 0.0;
+    double *column = arena_alloc(i, l);
+    span_rows(i, q, span, sizes);
     for (int c = 0; c < s->n; c++)
         there[c] = q[c] + side_places[SIDE_PLACES - 1] * way[c];
     constraints_evaluate(i, there, way, NULL, C.values, NULL, NULL);
-    for (int k = rank; k < s->l; k++)
-        for (int c = 0; c < s->n; c++) {
-            double sum = 0.0;
-            for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++) {
-                const int r = C.pattern->indices[e];
-                sum += combinations[k * s->l + r] * sqrt(i->penalty[r]) * C.values[e];
-            }
-            found = fmax(found, fabs(sum));
-        }
+    for (int c = 0; c < s->n; c++) {
+        memset(column, 0, l * sizeof *column);
+        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+            column[C.pattern->indices[e]] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
+        linear_orthogonalise_to(span, rank, s->l, column);
+        found = fmax(found, linear_norm(column, s->l));
+    }
     arena_release(i, arena);
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
 }
@@ -276,31 +275,22 @@ void rank_freeze(Instance *i)
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
     const int rank = (int)*i->rank;
-    double *zeros, *weighted, *sizes, *roots, *matrix = instance_field(i, s->k) + scene_matrix(s);
-    Matrix C;
+    double *span, *sizes, *roots, *matrix = instance_field(i, s->k) + scene_matrix(s);
     if (!s->brakes || rank < 1 || rank > s->l || rank > s->n || s->n > DENSE)
         return;
-    C = matrix_new(i, &s->constraint);
-    zeros = arena_alloc(i, n);
-    weighted = arena_alloc(i, n * l);
+    span = arena_alloc(i, n * l);
     sizes = arena_alloc(i, n);
     roots = arena_alloc(i, l);
     for (int r = 0; r < s->l; r++)
         roots[r] = sqrt(i->penalty[r]);
-    memset(zeros, 0, n * sizeof *zeros);
-    memset(weighted, 0, n * l * sizeof *weighted);
-    constraints_evaluate(i, instance_field(i, s->z), zeros, NULL, C.values, NULL, NULL);
-    for (int c = 0; c < s->n; c++)
-        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
-            weighted[c * s->l + C.pattern->indices[e]] = roots[C.pattern->indices[e]] * C.values[e];
-    linear_span(s->l, s->n, rank, weighted, sizes);
+    span_rows(i, instance_field(i, s->z), span, sizes);
     /* S5: at a singular position keep the combinations of the previous regular one. */
     if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
             for (int b = 0; b <= a; b++) { /* the sum is the same for both entries */
                 double sum = 0.0;
                 for (int k = 0; k < rank; k++)
-                    sum += weighted[k * s->l + a] * weighted[k * s->l + b];
+                    sum += span[k * s->l + a] * span[k * s->l + b];
                 matrix[a * s->l + b] = roots[a] * sum * roots[b] / *i->largest_penalty;
                 matrix[b * s->l + a] = roots[b] * sum * roots[a] / *i->largest_penalty;
             }
