@@ -102,9 +102,6 @@ class Loops:
         loose: bool = False,
     ):
         self._agree = _LOOSE if loose else _ROUGH
-        coordinates = list(mechanism.coordinates)
-        self.names = [c.name for c in coordinates]
-        self.driven = {name for name in driven if name in self.names}
         residuals, plain, lengths = [], [], []
         self._rows: list[tuple[str, str]] = []
         """Joints and directions of constraints; other constraints have no direction."""
@@ -120,12 +117,18 @@ class Loops:
                 residuals.append(closing.expression)
                 plain.append(closing.expression)
                 lengths.append(closing.unit == "m")
-        q, phi = ca.vertcat(*(c.q for c in coordinates)), ca.vertcat(*residuals)
+        phi = ca.SX(ca.vertcat(*residuals))
+        held = {symbol.name() for symbol in ca.symvar(ca.vertcat(phi, *plain))}
+        coordinates = [c for c in mechanism.coordinates if c.name in held]
+        self.names = [c.name for c in coordinates]
+        self.driven = {name for name in driven if name in held}
+        self.values = dict(values)
+        q = ca.SX(ca.vertcat(*(c.q for c in coordinates)))
         self._both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
         self._plain = ca.Function("gaps", [q], [ca.vertcat(*plain)])
         self._kept = np.ones(len(self._rows), dtype=bool)
         self.given = vector([values[name] for name in self.names])
-        metres = np.array([c.unit == "m" for c in coordinates])
+        metres = np.array([c.unit == "m" for c in coordinates], dtype=bool)
         rows = np.array(lengths, dtype=bool)
         gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
         arm = np.linalg.norm(matrix[np.ix_(rows, ~metres)], axis=0).max(initial=0.0)
@@ -290,7 +293,8 @@ class Loops:
             x, left = kept, opens
         if left > _NEARLY:
             left, x = float(np.abs(self.at(x)[0] * self._row_units[self._kept]).max()), start
-        values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
+        values = self.values | dict(zip(self.names, (x * self.units).tolist(), strict=True))
+        chosen |= values.keys() - self.names  # no loop holds them
         spare: dict[str, tuple[str, ...]] = {}
         for (name, direction), is_kept in zip(self._rows, self._kept, strict=True):
             if not is_kept:
