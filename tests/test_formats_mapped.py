@@ -530,6 +530,23 @@ def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_pa
     assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
 
 
+@pytest.mark.parametrize("ends", ["0.2 0.2", "0.3 0.2"])
+def test_equal_or_reversed_ranges_limit_nothing_unless_they_must(ends: str, tmp_path: Path):
+    """MuJoCo does the same: `limited="auto"` is true only where the first end is below the second."""
+    path = tmp_path / "r.xml"
+    text = "<mujoco><worldbody><body><joint name='j' range='{0}'{1}/><geom size='1'/></body></worldbody><actuator>"
+    text += "<motor joint='j' ctrlrange='{0}'/></actuator></mujoco>"
+    path.write_text(text.format(ends, ""))
+    found = alfmu.imported(path)
+    assert not found.mechanism.end_stops
+    assert [each.split(" (")[0] for each in found.warnings] == [
+        "ranges whose ends are equal or reversed, which are no limits in MuJoCo"
+    ]
+    path.write_text(text.format(ends, " limited='true'"))
+    with pytest.raises(alfmu.InputError, match="give a first number below the second"):
+        alfmu.imported(path)
+
+
 def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(

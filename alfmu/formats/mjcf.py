@@ -825,10 +825,12 @@ class File:
         """Return a range, None if it is not in force; `point`: its ends may be equal, as for a ball joint."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
-        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
+        if limited == "auto" and self.settings.autolimits and low >= high and (low or high):
+            self.linkage.warn("ranges whose ends are equal or reversed, which are no limits in MuJoCo", given.node)
+        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and low < high)):
             return None
         if not (low < high or (point and low == high)):
-            given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
+            given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give a first number below the second")
         return low, high
 
     # Contacts ---------------------------------------------------------------------------------------------------
