@@ -249,6 +249,15 @@ def test_tendons_and_motors_of_ball_joints_are_left_out(tmp_path: Path):
     assert not found.mechanism.inputs
 
 
+@pytest.mark.parametrize("kind", ['gaintype="user"', 'biastype="muscle"', 'dyntype="user"'])
+def test_actuators_by_programs_are_left_out(kind: str, tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(after=f'<actuator><general joint="jb" {kind}/><motor name="u" joint="ja"/></actuator>'))
+    with pytest.raises(alfmu.InputError, match=r"does not map; .*leave=actuators leaves it out"):
+        alfmu.imported(path)
+    assert [each.name for each in alfmu.imported(path, leave="actuators").mechanism.inputs] == ["u"]
+
+
 def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
     path = tmp_path / "m.sdf"
     screw = "<joint name='l' type='screw'><parent>world</parent><child>l</child><axis><xyz>0 0 1</xyz></axis>{}</joint>"

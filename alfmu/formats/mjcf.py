@@ -751,8 +751,11 @@ class File:
             constant, length, rate = given.numbers("bias", 3, (0.0, 0.0, 0.0))
             motor.bias, motor.unit = (constant, length, rate), "1"
         elif kind == "general":
-            affine = given.choice("gaintype", ("fixed", "affine"), "fixed") == "affine"
-            bias = given.choice("biastype", ("none", "affine"), "none")
+            for each, taken in (("gaintype", ("fixed", "affine")), ("biastype", ("none", "affine"))):
+                if (said := given.text(each, taken[0])) not in taken:
+                    what = f"{each} {shown(said[:40])} does not map; alfmu takes {' and '.join(taken)}"
+                    self.linkage.skip("actuators", node, what)
+            affine, bias = given.text("gaintype", "fixed") == "affine", given.text("biastype", "none")
             motor.gain, motor.bias = gain[0], (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
             motor.unit = motor.unit if bias == "none" and not affine else "1"
             if affine:
