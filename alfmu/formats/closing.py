@@ -102,6 +102,9 @@ class Loops:
         loose: bool = False,
     ):
         self._agree = _LOOSE if loose else _ROUGH
+        coordinates = list(mechanism.coordinates)
+        self.names = [c.name for c in coordinates]
+        self.driven = {name for name in driven if name in self.names}
         residuals, plain, lengths = [], [], []
         self._rows: list[tuple[str, str]] = []
         """Joints and directions of constraints; other constraints have no direction."""
@@ -117,18 +120,12 @@ class Loops:
                 residuals.append(closing.expression)
                 plain.append(closing.expression)
                 lengths.append(closing.unit == "m")
-        phi = ca.SX(ca.vertcat(*residuals))
-        held = {symbol.name() for symbol in ca.symvar(ca.vertcat(phi, *plain))}
-        coordinates = [c for c in mechanism.coordinates if c.name in held]
-        self.names = [c.name for c in coordinates]
-        self.driven = {name for name in driven if name in held}
-        self.values = dict(values)
-        q = ca.SX(ca.vertcat(*(c.q for c in coordinates)))
+        q, phi = ca.vertcat(*(c.q for c in coordinates)), ca.vertcat(*residuals)
         self._both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
         self._plain = ca.Function("gaps", [q], [ca.vertcat(*plain)])
         self._kept = np.ones(len(self._rows), dtype=bool)
         self.given = vector([values[name] for name in self.names])
-        metres = np.array([c.unit == "m" for c in coordinates], dtype=bool)
+        metres = np.array([c.unit == "m" for c in coordinates])
         rows = np.array(lengths, dtype=bool)
         gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
         arm = np.linalg.norm(matrix[np.ix_(rows, ~metres)], axis=0).max(initial=0.0)
@@ -293,8 +290,7 @@ class Loops:
             x, left = kept, opens
         if left > _NEARLY:
             left, x = float(np.abs(self.at(x)[0] * self._row_units[self._kept]).max()), start
-        values = self.values | dict(zip(self.names, (x * self.units).tolist(), strict=True))
-        chosen |= values.keys() - self.names  # no loop holds them
+        values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
         spare: dict[str, tuple[str, ...]] = {}
         for (name, direction), is_kept in zip(self._rows, self._kept, strict=True):
             if not is_kept:
@@ -305,20 +301,23 @@ class Loops:
     def _independent(self, x: Array) -> set[str]:
         """Return coordinates whose values determine all others, driven ones preferred."""
         q = x * self.units
-        motions = _motions(np.array(self._both(q)[1])[self._kept])
+        rows = np.array(self._both(q)[1])[self._kept]
+        motions = _motions(rows)
         # At a singular position, a position near it determines how many coordinates are independent.
         beside = q + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
         for _ in range(_CORRECTIONS):
             left, matrix = (np.array(found)[self._kept] for found in self._both(beside))
             beside = beside - np.linalg.lstsq(matrix, left.ravel(), rcond=_RANK)[0]
         if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - q) < 10 * _BESIDE:
-            motions = _motions(matrix)
-        chosen: set[str] = set()
-        for _ in range(motions.shape[1]):
+            rows, motions = matrix, _motions(matrix)
+        held = np.flatnonzero(rows.any(axis=0)).tolist()
+        names, motions = [self.names[i] for i in held], motions[held]
+        chosen = set(self.names) - set(names)  # nothing holds them
+        for _ in range(motions.shape[1] - len(chosen)):
             size = np.linalg.norm(motions, axis=1)
-            first = [i for i, name in enumerate(self.names) if name in self.driven and size[i] > _GOOD * size.max()]
+            first = [i for i, name in enumerate(names) if name in self.driven and size[i] > _GOOD * size.max()]
             i = (first or np.flatnonzero(size > _HALF * size.max()).tolist())[0]
-            chosen.add(self.names[i])
+            chosen.add(names[i])
             along = motions[i] / size[i]
             motions = motions - np.outer(motions @ along, along)
         return chosen
