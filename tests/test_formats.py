@@ -12,6 +12,8 @@ from oracles.linkages import by_mujoco, moving
 
 import alfmu
 from alfmu.cli import main
+from alfmu.formats import urdf
+from alfmu.formats.markup import parsed
 
 HERE = Path(__file__).parent / "linkages"
 STORED = HERE / "accelerations.json"
@@ -452,3 +454,20 @@ if __name__ == "__main__":
         nearest = {name: float(reference[np.abs(found - a[names.index(name)]).argmin()]) for name in scalar}
         values[each] = {"q": q.tolist(), "v": v.tolist(), "mujoco": nearest}
     STORED.write_text(json.dumps(values, indent=1) + "\n")
+
+
+def test_a_long_chain_has_the_mass_matrix_of_its_sums(tmp_path: Path):
+    """Equal links along x that turn about y: each pair of joints moves all links after both."""
+    count, mass, inertia = 600, 0.1, 1e-4
+    body = f'<inertial><mass value="{mass}"/><origin xyz="0.1 0 0"/><inertia ixx="1e-4" iyy="{inertia}" izz="1e-4" '
+    body += 'ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="l{k}">{body * (k > 0)}</link>' for k in range(count + 1))
+    hinge = '<joint name="j{0}" type="continuous"><parent link="l{0}"/><child link="l{1}"/><origin xyz="{2} 0 0"/>'
+    joints = "".join(f'{hinge.format(k, k + 1, 0.2 * (k > 0))}<axis xyz="0 1 0"/></joint>' for k in range(count))
+    path = tmp_path / "chain.urdf"
+    path.write_text(f'<robot name="chain">{links}{joints}</robot>')
+    M, momenta, _ = urdf.File(parsed(path)).linkage.masses
+    arms = 0.2 * np.arange(count) + 0.1 - 0.2 * np.arange(count)[:, None]  # of each link about each joint
+    moved = np.where(arms > 0, arms, 0.0)
+    np.testing.assert_allclose(M, mass * moved @ moved.T + inertia * np.minimum.outer(*[np.arange(count, 0, -1)] * 2))
+    np.testing.assert_allclose(momenta[2], -mass * moved.sum(axis=1))

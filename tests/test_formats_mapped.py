@@ -249,6 +249,15 @@ def test_tendons_and_motors_of_ball_joints_are_left_out(tmp_path: Path):
     assert not found.mechanism.inputs
 
 
+@pytest.mark.parametrize("kind", ['gaintype="user"', 'biastype="muscle"', 'dyntype="user"'])
+def test_actuators_by_programs_are_left_out(kind: str, tmp_path: Path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm(after=f'<actuator><general joint="jb" {kind}/><motor name="u" joint="ja"/></actuator>'))
+    with pytest.raises(alfmu.InputError, match=r"does not map; .*leave=actuators leaves it out"):
+        alfmu.imported(path)
+    assert [each.name for each in alfmu.imported(path, leave="actuators").mechanism.inputs] == ["u"]
+
+
 def test_screws_of_old_files_have_the_lead_of_new_ones(tmp_path: Path):
     path = tmp_path / "m.sdf"
     screw = "<joint name='l' type='screw'><parent>world</parent><child>l</child><axis><xyz>0 0 1</xyz></axis>{}</joint>"
@@ -528,6 +537,23 @@ def test_what_is_not_known_is_told_at_once_and_can_be_left_out(kind: str, tmp_pa
     found = alfmu.imported(path, leave="unknown")
     assert "unknown elements and attributes, left out by option" in found.warnings[0]
     assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+
+
+@pytest.mark.parametrize("ends", ["0.2 0.2", "0.3 0.2"])
+def test_equal_or_reversed_ranges_limit_nothing_unless_they_must(ends: str, tmp_path: Path):
+    """MuJoCo does the same: `limited="auto"` is true only where the first end is below the second."""
+    path = tmp_path / "r.xml"
+    text = "<mujoco><worldbody><body><joint name='j' range='{0}'{1}/><geom size='1'/></body></worldbody><actuator>"
+    text += "<motor joint='j' ctrlrange='{0}'/></actuator></mujoco>"
+    path.write_text(text.format(ends, ""))
+    found = alfmu.imported(path)
+    assert not found.mechanism.end_stops
+    assert [each.split(" (")[0] for each in found.warnings] == [
+        "ranges whose ends are equal or reversed, which are no limits in MuJoCo"
+    ]
+    path.write_text(text.format(ends, " limited='true'"))
+    with pytest.raises(alfmu.InputError, match="give a first number below the second"):
+        alfmu.imported(path)
 
 
 def test_a_ball_joint_whose_range_is_a_point_is_read_with_a_warning(tmp_path: Path):

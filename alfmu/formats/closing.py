@@ -301,20 +301,23 @@ class Loops:
     def _independent(self, x: Array) -> set[str]:
         """Return coordinates whose values determine all others, driven ones preferred."""
         q = x * self.units
-        motions = _motions(np.array(self._both(q)[1])[self._kept])
+        rows = np.array(self._both(q)[1])[self._kept]
+        motions = _motions(rows)
         # At a singular position, a position near it determines how many coordinates are independent.
         beside = q + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
         for _ in range(_CORRECTIONS):
             left, matrix = (np.array(found)[self._kept] for found in self._both(beside))
             beside = beside - np.linalg.lstsq(matrix, left.ravel(), rcond=_RANK)[0]
         if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - q) < 10 * _BESIDE:
-            motions = _motions(matrix)
-        chosen: set[str] = set()
-        for _ in range(motions.shape[1]):
+            rows, motions = matrix, _motions(matrix)
+        held = np.flatnonzero(rows.any(axis=0)).tolist()
+        names, motions = [self.names[i] for i in held], motions[held]
+        chosen = set(self.names) - set(names)  # nothing holds them
+        for _ in range(motions.shape[1] - len(chosen)):
             size = np.linalg.norm(motions, axis=1)
-            first = [i for i, name in enumerate(self.names) if name in self.driven and size[i] > _GOOD * size.max()]
+            first = [i for i, name in enumerate(names) if name in self.driven and size[i] > _GOOD * size.max()]
             i = (first or np.flatnonzero(size > _HALF * size.max()).tolist())[0]
-            chosen.add(self.names[i])
+            chosen.add(names[i])
             along = motions[i] / size[i]
             motions = motions - np.outer(motions @ along, along)
         return chosen

@@ -751,8 +751,11 @@ class File:
             constant, length, rate = given.numbers("bias", 3, (0.0, 0.0, 0.0))
             motor.bias, motor.unit = (constant, length, rate), "1"
         elif kind == "general":
-            affine = given.choice("gaintype", ("fixed", "affine"), "fixed") == "affine"
-            bias = given.choice("biastype", ("none", "affine"), "none")
+            for each, taken in (("gaintype", ("fixed", "affine")), ("biastype", ("none", "affine"))):
+                if (said := given.text(each, taken[0])) not in taken:
+                    what = f"{each} {shown(said[:40])} does not map; alfmu takes {' and '.join(taken)}"
+                    self.linkage.skip("actuators", node, what)
+            affine, bias = given.text("gaintype", "fixed") == "affine", given.text("biastype", "none")
             motor.gain, motor.bias = gain[0], (prm[0], prm[1], prm[2]) if bias == "affine" else (0.0, 0.0, 0.0)
             motor.unit = motor.unit if bias == "none" and not affine else "1"
             if affine:
@@ -825,10 +828,12 @@ class File:
         """Return a range, None if it is not in force; `point`: its ends may be equal, as for a ball joint."""
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
-        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
+        if limited == "auto" and self.settings.autolimits and low >= high and (low or high):
+            self.linkage.warn("ranges whose ends are equal or reversed, which are no limits in MuJoCo", given.node)
+        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and low < high)):
             return None
         if not (low < high or (point and low == high)):
-            given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
+            given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give a first number below the second")
         return low, high
 
     # Contacts ---------------------------------------------------------------------------------------------------
