@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -550,14 +550,10 @@ class Scene:
         if self.e.turns:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
-        count = ca.sum1(small)
-        if few:
-            # Coordinates can share a small pivot. Eigenvalues they share not: as many are below a limit as pivots are
-            # negative once the limit is subtracted.
-            count = ca.fmin(count, ca.sum1(self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))[0] < 0))
-        more = count - self.settings.freedom
-        if self.e.turns:
-            more = ca.fmin(more, loops(self.e))
+        # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the limit
+        # has negative pivots.
+        less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
+        more = ca.fmin(ca.sum1(small), ca.sum1(less < 0)) - self.settings.freedom
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))

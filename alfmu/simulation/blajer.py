@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import runtime
 from ..equations import Equations
 from ..equations.arrays import ArrayFunction, ArrayFunctions
-from ..equations.evaluation import DENSE, elimination_order, loops, telling
+from ..equations.evaluation import elimination_order, telling
 from ..equations.interface import Counters
 from ..kernel.memory import GROSS, SETTINGS, TURN
 from ..kernel.thresholds import PATIENT, REGULAR, TORN
@@ -308,11 +308,8 @@ class Method(runtime.Instance):
         if self.equations.turns and np.log(ratios).sum() >= self.regular:
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
-        more = len(small) - self.freedom
-        if len(q) <= DENSE:  # coordinates can share a small pivot
-            more = min(more, (np.linalg.eigvalsh(self._scaled(q)) < branch.SMALL_PIVOT).sum() - self.freedom)
-        if self.equations.turns:
-            more = min(more, loops(self.equations))
+        # Coordinates share small pivots, but not eigenvalues.
+        more = min(len(small), (np.linalg.eigvalsh(self._scaled(q)) < branch.SMALL_PIVOT).sum()) - self.freedom
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
