@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -254,9 +254,10 @@ class Scene:
 
     def begun(self, terms: Sequence[SX]) -> list[SX]:
         """Return the results of `evaluated` for given M, C, F, xi, without power."""
-        D, L = self.factors(self.augmented_mass(*terms[:2]))
+        H = self.augmented_mass(*terms[:2])
+        D, L = self.factors(H)
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
-        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(D))
+        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(H, D))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
@@ -290,9 +291,10 @@ class Scene:
     def nearest(self, plan: Plan, t: SX, q: SX, v: SX, u: SX, a: SX) -> tuple[SX, SX]:
         """Return the accelerations nearest to a in the metric of M that satisfy the constraints, and their watch."""
         M, C, _, xi = self.terms(t, q, v, u)
-        D, L = self.factors(self.augmented_mass(M, C))
+        H = self.augmented_mass(M, C)
+        D, L = self.factors(H)
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
-        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(D)).vector()
+        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(H, D)).vector()
 
     def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
         """Return the number of failed convergence checks; `limit` is the error allowed after few iterations, by default
@@ -538,7 +540,7 @@ class Scene:
 
     # Singular positions --------------------------------------------------------------------------------------------
 
-    def margin(self, pivots: SX) -> tuple[SX, SX]:
+    def margin(self, H: SX, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
@@ -548,9 +550,10 @@ class Scene:
         if self.e.turns:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
-        more = ca.sum1(small) - self.settings.freedom
-        if self.e.turns:
-            more = ca.fmin(more, loops(self.e))
+        # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the limit
+        # has negative pivots.
+        less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
+        more = ca.fmin(ca.sum1(small), ca.sum1(less < 0)) - self.settings.freedom
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
@@ -587,8 +590,8 @@ class Scene:
 
     def margin_at(self, q: SX) -> SX:
         """S2: return the margin at a position."""
-        D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
-        return self.margin(D)[1]
+        H = self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p))
+        return self.margin(H, self.factors(H)[0])[1]
 
     def directed(self, v: SX) -> SX:
         """S4: return the direction along which limits are taken."""
