@@ -660,6 +660,7 @@ def masses(*given: float, inertia: float | None = 0.0) -> Mechanism:
     [
         ((500.0, 0.2, 0.05), "disc0 is 500 kg, 2500 times that of any other body; if grams were meant, give 0.5"),
         ((0.3, 250.0), "disc1 is 250 kg, 833 times that of any other body; if grams were meant, give 0.25"),
+        ((500.0, 0.002), "disc0 is 500 kg, 250000 times that of any other body; if grams were meant, give 0.5"),
         ((500.0, 200.0, 50.0), ""),  # a machine
         ((1000.0, 10.0, 1e-3), ""),  # a flywheel, a ram and a light rod
         ((5.0, 1e-3), ""),  # no more than what a hand lifts

@@ -19,10 +19,8 @@ _HEAVY = 20.0
 """Mass [kg] above which the user may have meant grams."""
 
 _APART = 300.0
-"""Ratio of masses [1]: a body heavier than all others by more than this may be given in grams (a ratio of 1000)."""
-
-_NEAR = 30.0
-"""Largest ratio [1] of the presumably intended mass to the masses of the other bodies."""
+"""Ratio of masses [1]: a body heavier than all others by more than this may be given in grams (a ratio of 1000), unless
+it would be so in grams, too."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -61,10 +59,8 @@ def perhaps_grams(name: str, found: Mapping[str, float]) -> dict[str, str]:
     """Return a warning, by body name, about a mass [kg] that looks like grams."""
     *others, heaviest = sorted(found, key=found.__getitem__) if found else [""]
     rest = [found[x] for x in others if found[x] > 0]
-    if not rest or found[heaviest] < max(_HEAVY, _APART * rest[-1]):
-        return {}
-    mass = found[heaviest]
-    if not min(rest) / _NEAR <= mass / 1000 <= max(rest) * _NEAR:
+    mass = found.get(heaviest, 0.0)
+    if not rest or not max(_HEAVY, _APART * rest[-1]) <= mass <= 1000 * _APART * rest[-1]:
         return {}
     times = f"{mass / rest[-1]:.0f} times that of any other body"
     return {
