@@ -9,8 +9,12 @@
 #include "least_squares.h"
 #include "linear.h"
 #include "message.h"
+#include "projection.h"
 #include "rank.h"
 #include "scene.h"
+
+/* Ratio of what redundant constraints leave open along the motion to what they do at the start [1], at most. */
+#define VARIES 4.0
 
 /* Compute the residues (l) that first-order corrections leave in the constraints in force. */
 static void find_uncorrectable(Instance *i, const Rows *J, const double *r, double *left)
@@ -76,7 +80,8 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
 }
 
 /* Return DONE, or report which constraints contradict each other, judged by the residue |Phi|, or |Phi-dot| at
-   velocities v, that first-order corrections leave at a regular position. */
+   velocities v, that first-order corrections leave at a regular position. Set what the rows leave
+   together, in units of each, which no step can close. */
 Outcome agreement_check(
     Instance *i, const unsigned char *held, const double *q, const double *v, const double *open)
 {
@@ -85,6 +90,7 @@ Outcome agreement_check(
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     double *weights = arena_alloc(i, (size_t)s->l), *residue = arena_alloc(i, count), *left = arena_alloc(i, count),
            *limits = arena_alloc(i, (size_t)s->l);
+    double together = 0.0;
     int row = 0;
     char names[300] = "";
     Outcome outcome = DONE;
@@ -98,11 +104,14 @@ Outcome agreement_check(
     if (is_regular_place(i, held, q)) {
         find_uncorrectable(i, &J, residue, left);
         constraints_limits(i, J.constraints.values, q, v, limits);
-        for (int r = 1; r < s->l; r++)
-            if (fabs(left[r]) / limits[r] > fabs(left[row]) / limits[row])
-                row = r;
+        for (int r = 0; r < s->l; r++) {
+            together = hypot(together, left[r] / i->units[r]);
+            row = fabs(left[r]) / limits[r] > fabs(left[row]) / limits[row] ? r : row;
+        }
+        if (!v)
+            *i->agreed = VARIES * together;
         list_joints(s, left, names, sizeof names);
-        if (fabs(left[row]) > limits[row])
+        if (fabs(left[row]) > limits[row] && !projection_is_closed(i, residue, J.constraints.values, q, v))
             outcome = instance_say(i, FAILED,
                 "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
                 "make their lengths, offsets and laws agree, or leave one of them out",
