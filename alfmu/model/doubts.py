@@ -12,7 +12,7 @@ import casadi as ca
 
 from .checks import hint
 from .mechanism import Mechanism
-from .parts import Body, stack
+from .parts import Body, Joint, Marker, Spring, stack, symbolic
 from .spatial import SpatialBody
 
 _HEAVY = 20.0
@@ -40,6 +40,25 @@ def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
                 "mass, or inertia=0.0 for a point mass",
                 m._lines[body.name],
             )
+
+    for spring in m.springs:
+        if joint := next((j for j in m.joints if _pulls_at(spring, j)), None):
+            hint(
+                f"{m.name}: a spring with a length at rest joins two points that {joint.name} keeps together, so that "
+                f"it has no direction; for a spring that turns give the joint: spring_damper({joint.name}, ...)"
+            )
+
+
+def _pulls_at(spring: Spring, joint: Joint) -> bool:
+    """Return whether a spring that is not relaxed at length 0 joins the points of a hinge."""
+    if joint.kind != "revolute" or not isinstance(spring.between, tuple | list) or symbolic(spring.rest).is_zero():
+        return False
+    ends, pins = ([x for x in pair if isinstance(x, Marker)] for pair in (spring.between, (joint.first, joint.second)))
+    return len(ends) == 2 and all(any(_are_same(end, pin) for end in ends) for pin in pins)
+
+
+def _are_same(a: Marker, b: Marker) -> bool:
+    return a.body is b.body and ca.is_equal(stack([a.x, a.y]), stack([b.x, b.y]))
 
 
 def masses(m: Mechanism, values: Mapping[str, float] | None = None) -> dict[str, float]:
