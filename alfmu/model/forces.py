@@ -132,9 +132,7 @@ class Forces(Couplings):
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
         for which, value, does in (("stiffness", stiffness, "pushes away from rest"), ("damping", damping, "drives")):
             if self._is_constant(value) and (found := self._at_defaults(f"the {which} of {what}", value)) < 0:
-                hint(
-                    f"{self.name}: the {which} of {what} is {found:g}, so that it {does}; leave out the sign if not meant"
-                )
+                hint(f"{self.name}: the {which} of {what} is {found:g}, so it {does}; leave out the sign if unwanted")
         if name:
             self._claim(name, "1", "a spring")
         Declaration.springs.of(self).append(Spring(between, stiffness, damping, rest, name))
