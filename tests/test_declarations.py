@@ -368,7 +368,7 @@ def test_a_mass_is_not_negative_later_either():
     mass = m.parameter("mass", 1.0, "kg")
     x = m.coordinate("x", "m", independent=True)
     m.body("b", mass=mass, pose=(x, 0.0, 0.0))
-    with pytest.raises(alfmu.InputError, match=r"mass = -1 kg is outside \[0, inf\]"):
+    with pytest.raises(alfmu.InputError, match=r"mass = -1 kg is outside \[0.0, inf\]"):
         alfmu.simulate(m, 0.1, 0.1, parameters={"mass": -1.0})
 
 
@@ -841,7 +841,7 @@ def test_nothing_is_forgotten_where_bodies_in_space_start_at_their_positions(cap
         ("m.revolut('B')", "Mechanism odd has no attribute 'revolut'; did you mean revolute or spatial_revolute?"),
         ("rod.ends", "Body rod has no attribute 'ends'; did you mean end?"),
         ("rod.begin", "Body rod has no attribute 'begin'; did you mean start?"),
-        ("m.parameter('d', 5.0, minimum=6.0)", "odd: the default 5.0 of d is outside [6, inf]"),
+        ("m.parameter('d', 5.0, minimum=6.0)", "odd: the default 5.0 of d is outside [6.0, inf]"),
         ("m.gravity = (0, -9.81)", "odd: gravity is a method; call it, as m.gravity(...), and do not set it"),
     ],
 )

@@ -133,7 +133,7 @@ def angle(value: float, digits: int = 3) -> str:
 
 def interval(low: float | None, high: float | None) -> str:
     """Return the range between two inclusive limits, None where there is none."""
-    return f"[{-math.inf if low is None else low:g}, {math.inf if high is None else high:g}]"
+    return f"[{-math.inf if low is None else low}, {math.inf if high is None else high}]"
 
 
 def in_words(names: Collection[str]) -> str:
