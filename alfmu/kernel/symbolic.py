@@ -540,6 +540,8 @@ class Scene:
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
+            return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
