@@ -245,10 +245,11 @@ def test_what_has_none_carries_nothing():
     ],
     ids=["time", "angle"],
 )
-@pytest.mark.parametrize("method", ["auto", "stiff"])
+@pytest.mark.parametrize("method", ["auto", "stiff", "rk4"])
 def test_a_force_that_ends_in_the_midst_of_a_run_is_named_instead_of_the_tolerance(law, end, method):
     """A root of less than zero: no tolerance helps."""
     m = bar(lambda m: 1e-6 * law(m))
     with pytest.raises(StepError, match="are not finite from here on; check roots, logarithms") as caught:
         alfmu.simulate(m, 0.5, 0.02, parameters={"start.th_rate": 2.0, "solver.method": method})
-    assert float(str(caught.value).split("t = ")[1].split(" s")[0]) == pytest.approx(end, abs=1e-4)
+    away = 0.0101 if method == "rk4" else 1e-4  # a step
+    assert float(str(caught.value).split("t = ")[1].split(" s")[0]) == pytest.approx(end, abs=away)

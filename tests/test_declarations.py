@@ -660,6 +660,7 @@ def masses(*given: float, inertia: float | None = 0.0) -> Mechanism:
     [
         ((500.0, 0.2, 0.05), "disc0 is 500 kg, 2500 times that of any other body; if grams were meant, give 0.5"),
         ((0.3, 250.0), "disc1 is 250 kg, 833 times that of any other body; if grams were meant, give 0.25"),
+        ((500.0, 0.002), "disc0 is 500 kg, 250000 times that of any other body; if grams were meant, give 0.5"),
         ((500.0, 200.0, 50.0), ""),  # a machine
         ((1000.0, 10.0, 1e-3), ""),  # a flywheel, a ram and a light rod
         ((5.0, 1e-3), ""),  # no more than what a hand lifts
@@ -688,6 +689,27 @@ def test_a_body_that_turns_without_an_inertia_is_doubted(recwarn):
     m.gravity(0, 0)
     alfmu.derive(m)
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"stiffness": 5.0, "rest": 0.1}, "joins two points that A keeps together, so that it has no direction"),
+        ({"stiffness": 5.0}, ""),
+        ({"stiffness": -5.0}, "the stiffness of the spring between two points is -5, so it pushes away from rest"),
+        ({"damping": -1.0}, "the damping of the spring between two points is -1, so it drives"),
+    ],
+)
+def test_springs_that_do_what_nobody_expects_are_doubted(given, said, recwarn):
+    m = Mechanism("sprung")
+    rod = m.bar("rod", mass=1.0, length=1.0)
+    A = m.revolute("A", m.ground.at(0, 0), rod.end, coordinate=m.coordinate("th", independent=True))
+    m.spring_damper((rod.end, m.ground.at(0, 0)), **given)
+    m.spring_damper(A, stiffness=5.0, damping=1.0, rest=0.1)
+    m.gravity(0, -9.81)
+    alfmu.derive(m)
+    assert len(recwarn) == bool(said)
+    assert all(said in str(each.message) for each in recwarn)
 
 
 def test_a_length_is_doubted_once(recwarn):
@@ -818,6 +840,8 @@ def test_nothing_is_forgotten_where_bodies_in_space_start_at_their_positions(cap
         ("m.hinge('B')", "Mechanism odd has no attribute 'hinge'; did you mean revolute?"),
         ("m.revolut('B')", "Mechanism odd has no attribute 'revolut'; did you mean revolute or spatial_revolute?"),
         ("rod.ends", "Body rod has no attribute 'ends'; did you mean end?"),
+        ("rod.begin", "Body rod has no attribute 'begin'; did you mean start?"),
+        ("m.parameter('d', 5.0, minimum=6.0)", "odd: the default 5.0 of d is outside [6.0, inf]"),
         ("m.gravity = (0, -9.81)", "odd: gravity is a method; call it, as m.gravity(...), and do not set it"),
     ],
 )

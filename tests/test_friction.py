@@ -881,3 +881,20 @@ def test_shares_of_joints_at_rest_that_do_not_settle_are_told(count, told, caplo
     m.gravity(0.0, 0.0)
     assert np.abs(alfmu.simulate(m, 0.1, 0.05, outputs=["b0.angle"])["b0.angle"]).max() < 1e-12
     assert ("shares of friction at rest change by" in caplog.text) == told
+
+
+def test_a_coaxial_chain_that_sticks_is_in_no_singular_position(caplog):
+    """Uneven inertias: the last disc slides under T - c = 0.1 N.m, 1 rad/s2, and the others stay."""
+    m = Mechanism("coaxial")
+    before = m.ground
+    for k, (inertia, coulomb) in enumerate(((1e-7, 1.0), (1e-4, 1.1), (0.1, 0.2))):
+        disc = m.body(f"b{k}", mass=1.0, inertia=inertia)
+        angle = m.coordinate(f"q{k}", "rad", independent=True)
+        m.friction(m.revolute(f"J{k}", before.at(), disc.at(), coordinate=angle), coulomb=coulomb, load=1.0)
+        before = disc
+    m.torque(before, 0.3)
+    m.gravity(0.0, 0.0)
+    found = alfmu.simulate(m, 0.1, 0.05)
+    assert found["b2.angle"] == pytest.approx(np.array(found["time"]) ** 2 / 2, abs=1e-9)
+    assert abs(np.array(found["b1.angle"])).max() <= 1e-12
+    assert not caplog.messages

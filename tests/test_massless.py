@@ -131,3 +131,31 @@ def test_a_loop_whose_links_are_all_massless_is_refused_by_name():
     m.revolute("D", coupler.end, rocker.end)
     with pytest.raises(alfmu.AssemblyError, match="loop: the motion along a, b, c has no mass and no constraint"):
         alfmu.simulate(m, 0.1, 0.02)
+
+
+@pytest.mark.parametrize("method", ["auto", "rk4", "stiff"])
+def test_a_prescribed_linkage_without_any_mass_is_statics(method, caplog):
+    """The torque of the crank does the work that the load takes: T = -F dx/dq of the loaded point, by differences."""
+    m = alfmu.Mechanism("statics")
+    q, turn, swing = (m.coordinate(name, start=x) for name, x in (("q", 1.0), ("b", -0.5), ("r", 1.2)))
+    crank, coupler, rocker = (m.bar(name, mass=0.0, length=x) for name, x in (("a", 0.3), ("c", 0.8), ("d", 0.6)))
+    A = m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=q)
+    m.revolute("B", crank.end, coupler.start, coordinate=turn)
+    m.revolute("C", m.ground.at(0.7, 0), rocker.start, coordinate=swing)
+    m.revolute("D", coupler.end, rocker.end)
+    m.motion(A, 1.0 + 0.5 * m.time)
+    m.force(rocker.end, 10.0, 0.0)
+    found = alfmu.simulate(m, 0.1, 0.02, parameters={"solver.method": method})
+
+    def loaded(angle: float) -> float:
+        """x of the rocker's end: the upper intersection of two circles."""
+        start, pivot = 0.3 * np.exp(1j * angle), 0.7
+        between = pivot - start
+        along = (0.8**2 - 0.6**2 + abs(between) ** 2) / (2 * abs(between))
+        up = np.sqrt(0.8**2 - along**2)
+        return (start + between / abs(between) * (along + 1j * up)).real
+
+    for t, torque in zip(found["time"], found["A.torque"], strict=True):
+        wanted = -10.0 * (loaded(1.0 + 0.5 * t + 1e-6) - loaded(1.0 + 0.5 * t - 1e-6)) / 2e-6
+        assert torque == pytest.approx(wanted, abs=1e-6)
+    assert not caplog.messages

@@ -224,7 +224,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
         file = _place(frames, mechanism) if named else str(mechanism)
         lines = [f.lineno for f in frames if f.filename == file]
         line = int(getattr(error, "lineno", None) or (lines[-1] if lines else None) or 0)
-        where = f"{file}, line {line or '?'}" if file else "its package does not load"
+        where = f"{file}, line {line}" if file and line else file or "its package does not load"
         if isinstance(error, DeclarationError):
             raise DeclarationError(f"{where}: {error}") from error
         where = f"{mechanism}: {where}" if named else where

@@ -10,7 +10,7 @@ import numpy as np
 from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
-from ..model.words import there_is
+from ..model.words import interval, there_is
 from .types import REACTION_ERROR, Configuration, Equations, Variable, configured
 
 assert isinstance(Settings.penalty, float)  # a single penalty for all rows is the default
@@ -293,5 +293,4 @@ def checked(name: str, v: Variable, value: object) -> None:
     if v.type == "Integer" and value != int(value):
         raise InputError(f"{name}: {v.name} is {value:g}; it must be a whole number")
     if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
-        low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
-        raise InputError(f"{name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")
+        raise InputError(f"{name}: {v.name} = {value:g} {v.unit} is outside {interval(v.minimum, v.maximum)}")

@@ -26,7 +26,8 @@ class SceneSettings(NamedTuple, Generic[Number]):
     branch there (`method.singular`); tolerances of a step with error control, the second also for lengths; one over the
     length of the mechanism, and over the size of its smallest loop; and tolerances over that of the integrator: of a
     short step, of an explicit step on the branch that replaces an implicit one, and of an implicit step that replaces
-    an explicit one; 1 if limits are taken along the motion, 0 if along the direction stored after the scales.
+    an explicit one; 1 if limits are taken along the motion, 0 if along the direction stored after the scales; size to
+    which redundant constraints agree.
     """
 
     alpha: Number
@@ -46,6 +47,7 @@ class SceneSettings(NamedTuple, Generic[Number]):
     beside: Number
     stiff: Number
     along: Number
+    agreed: Number
 
 
 SETTINGS = SceneSettings._fields

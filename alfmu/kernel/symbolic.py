@@ -542,6 +542,8 @@ class Scene:
 
     def margin(self, H: SX, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
+            return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
         near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
@@ -964,11 +966,12 @@ class Scene:
         return self._within(left[0], q) * self._within(left[1], q, v, lost)
 
     def _within(self, residue: SX, q: SX, v: SX | None = None, larger: SX | float = 1.0) -> SX:
-        """Return whether a residual (squared) of q, or of v at q, is within the tolerance, or within `larger` times
-        round-off of x and of places."""
+        """Return whether a residual (squared) of q, or of v at q, is within the tolerance, within `larger` times
+        round-off of x and of places, or within what redundant constraints leave open."""
         far = self._far(q) ** 2
         size = ca.fmax(far, self.squares(q)) if v is None else ca.fmax(far, 1) * self.squares(v)
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * size)
+        agreed = self.settings.agreed**2 * (1 if v is None else self.squares(v))
+        return residue <= ca.fmax(ca.fmax(self.settings.tolerance**2, agreed), ROUND_OFF**2 * larger * size)
 
     def _far(self, q: SX) -> SX:
         """Return the largest coordinate of a place, over the size of the smallest loop: redundant constraints agree to

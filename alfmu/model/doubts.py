@@ -12,17 +12,15 @@ import casadi as ca
 
 from .checks import hint
 from .mechanism import Mechanism
-from .parts import Body, stack
+from .parts import Body, Joint, Marker, Spring, stack, symbolic
 from .spatial import SpatialBody
 
 _HEAVY = 20.0
 """Mass [kg] above which the user may have meant grams."""
 
 _APART = 300.0
-"""Ratio of masses [1]: a body heavier than all others by more than this may be given in grams (a ratio of 1000)."""
-
-_NEAR = 30.0
-"""Largest ratio [1] of the presumably intended mass to the masses of the other bodies."""
+"""Ratio of masses [1]: a body heavier than all others by more than this may be given in grams (a ratio of 1000), unless
+it would be so in grams, too."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -43,6 +41,25 @@ def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
                 m._lines[body.name],
             )
 
+    for spring in m.springs:
+        if joint := next((j for j in m.joints if _pulls_at(spring, j)), None):
+            hint(
+                f"{m.name}: a spring with a length at rest joins two points that {joint.name} keeps together, so that "
+                f"it has no direction; for a spring that turns give the joint: spring_damper({joint.name}, ...)"
+            )
+
+
+def _pulls_at(spring: Spring, joint: Joint) -> bool:
+    """Return whether a spring that is not relaxed at length 0 joins the points of a hinge."""
+    if joint.kind != "revolute" or not isinstance(spring.between, tuple | list) or symbolic(spring.rest).is_zero():
+        return False
+    ends, pins = ([x for x in pair if isinstance(x, Marker)] for pair in (spring.between, (joint.first, joint.second)))
+    return len(ends) == 2 and all(any(_are_same(end, pin) for end in ends) for pin in pins)
+
+
+def _are_same(a: Marker, b: Marker) -> bool:
+    return a.body is b.body and ca.is_equal(stack([a.x, a.y]), stack([b.x, b.y]))
+
 
 def masses(m: Mechanism, values: Mapping[str, float] | None = None) -> dict[str, float]:
     """Return the masses [kg] of the bodies by name, at values of parameters."""
@@ -61,10 +78,8 @@ def perhaps_grams(name: str, found: Mapping[str, float]) -> dict[str, str]:
     """Return a warning, by body name, about a mass [kg] that looks like grams."""
     *others, heaviest = sorted(found, key=found.__getitem__) if found else [""]
     rest = [found[x] for x in others if found[x] > 0]
-    if not rest or found[heaviest] < max(_HEAVY, _APART * rest[-1]):
-        return {}
-    mass = found[heaviest]
-    if not min(rest) / _NEAR <= mass / 1000 <= max(rest) * _NEAR:
+    mass = found.get(heaviest, 0.0)
+    if not rest or not max(_HEAVY, _APART * rest[-1]) <= mass <= 1000 * _APART * rest[-1]:
         return {}
     times = f"{mass / rest[-1]:.0f} times that of any other body"
     return {

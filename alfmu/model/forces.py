@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from .calls import declares
-from .checks import symbols_in
+from .checks import hint, symbols_in
 from .couplings import Couplings
 from .declaration import Declaration
 from .errors import DeclarationError
@@ -130,6 +130,9 @@ class Forces(Couplings):
         stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
         damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
+        for which, value, does in (("stiffness", stiffness, "pushes away from rest"), ("damping", damping, "drives")):
+            if self._is_constant(value) and (found := self._at_defaults(f"the {which} of {what}", value)) < 0:
+                hint(f"{self.name}: the {which} of {what} is {found:g}, so it {does}; leave out the sign if unwanted")
         if name:
             self._claim(name, "1", "a spring")
         Declaration.springs.of(self).append(Spring(between, stiffness, damping, rest, name))
@@ -284,10 +287,14 @@ class Forces(Couplings):
         negative."""
         what = f"the {which} of friction of {joint.name}"
         value = self._quantity(what, value, unit, EFFORT)
-        if all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(value)):
+        if self._is_constant(value):
             self._not_negative(what, value, unit)
             return value
         return ca.fmax(value, 0)
+
+    def _is_constant(self, value: Scalar) -> bool:
+        """Return whether a quantity is a number, or depends on parameters alone."""
+        return all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(value))
 
     def _slides_one_way(self, joint: AnyJoint) -> None:
         """Raise DeclarationError if the joint has no signed sliding direction, which dry friction requires."""

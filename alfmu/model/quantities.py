@@ -32,7 +32,7 @@ from .parts import (
     symbolic,
 )
 from .units import is_rate, rate_of
-from .words import shown, text, there_is
+from .words import interval, shown, text, there_is
 
 
 @declares
@@ -64,7 +64,7 @@ class Quantities(Declaration):
         if low is not None and high is not None and low > high:
             raise DeclarationError(f"{self.name}: the minimum {low:g} of {name} is above its maximum {high:g}")
         if (low is not None and default < low) or (high is not None and default > high):
-            raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
+            raise DeclarationError(f"{self.name}: the default {default} of {name} is outside {interval(low, high)}")
         if unit == "m":
             self._perhaps_millimetres(f"the default of {name}", default)
         elif unit == "rad":

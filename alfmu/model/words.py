@@ -22,6 +22,13 @@ _WIDEST = 60
 
 _VOWELS = "aeiouAEIOU"
 
+_MEANT = {
+    **dict.fromkeys(("begin", "first"), "start"),
+    **dict.fromkeys(("finish", "last", "tip"), "end"),
+    "com": "center",
+}
+"""Names that other programs use for attributes, and the corresponding one."""
+
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -89,7 +96,9 @@ def no_attribute(of: object, name: str, meant: str | None = None) -> str:
     said = f"{type(of).__name__} {vars(of).get('name', '')}".strip() + f" has no attribute {name!r}"
     if name.startswith("_"):
         return said
-    found = [meant] if meant else nearest(name, [each for each in dir(of) if not each.startswith("_")])
+    there = [each for each in dir(of) if not each.startswith("_")]
+    meant = meant or _MEANT.get(name)
+    found = [meant] if meant in there else nearest(name, there)
     return said + (f"; did you mean {in_words(found)}?" if found else "")
 
 
@@ -120,6 +129,11 @@ def some_like(pattern: str, names: Collection[str]) -> str:
 def angle(value: float, digits: int = 3) -> str:
     """Return an angle [rad] as text, in radians and degrees."""
     return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """Return the range between two inclusive limits, None where there is none."""
+    return f"[{-math.inf if low is None else low}, {math.inf if high is None else high}]"
 
 
 def in_words(names: Collection[str]) -> str:

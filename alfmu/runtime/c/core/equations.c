@@ -135,4 +135,6 @@ void constraints_limits(const Instance *i, const double *C, const double *q, con
             limits[p->indices[e]] += fabs(C[e] * x[c]);
     for (int r = 0; r < s->l; r++)
         limits[r] = fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * fmax(far * i->units[r], limits[r]));
+    for (int r = 0; v && r < s->l; r++)
+        limits[r] = fmax(limits[r], *i->agreed * instance_largest(i, v) * i->units[r]);
 }

@@ -85,7 +85,7 @@ typedef struct Instance {
     /* Parts of `numbers`. */
     double *values, *requested, *active, *discrete, *input_history, *impulses, *dissipated, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
-    double *freedom, *masses, *least_margin, *regular, *rank, *largest_penalty, *length, *loop;
+    double *freedom, *masses, *least_margin, *regular, *rank, *largest_penalty, *length, *loop, *agreed;
     /* largest magnitudes within the last communication step, and the samples from which they are found */
     double *peaks;
     double *jacobian;      /* interface Jacobian of the last communication step */

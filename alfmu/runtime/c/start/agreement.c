@@ -12,6 +12,9 @@
 #include "rank.h"
 #include "scene.h"
 
+/* Ratio of what redundant constraints leave open along the motion to what they do at the start [1], at most. */
+#define VARIES 4.0
+
 /* Compute the residues (l) that first-order corrections leave in the constraints in force. */
 static void find_uncorrectable(Instance *i, const Rows *J, const double *r, double *left)
 {
@@ -76,7 +79,8 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
 }
 
 /* Return DONE, or report which constraints contradict each other, judged by the residue |Phi|, or |Phi-dot| at
-   velocities v, that first-order corrections leave at a regular position. */
+   velocities v, that first-order corrections leave at a regular position. Set what the rows leave
+   together, in units of each, which no step can close. */
 Outcome agreement_check(
     Instance *i, const unsigned char *held, const double *q, const double *v, const double *open)
 {
@@ -85,7 +89,8 @@ Outcome agreement_check(
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     double *weights = arena_alloc(i, (size_t)s->l), *residue = arena_alloc(i, count), *left = arena_alloc(i, count),
            *limits = arena_alloc(i, (size_t)s->l);
-    int row = 0;
+    double together = 0.0;
+    int row = 0, gaps = 0;
     char names[300] = "";
     Outcome outcome = DONE;
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
@@ -98,11 +103,15 @@ Outcome agreement_check(
     if (is_regular_place(i, held, q)) {
         find_uncorrectable(i, &J, residue, left);
         constraints_limits(i, J.constraints.values, q, v, limits);
-        for (int r = 1; r < s->l; r++)
-            if (fabs(left[r]) / limits[r] > fabs(left[row]) / limits[row])
-                row = r;
+        for (int r = 0; r < s->l; r++) {
+            gaps |= fabs(residue[r]) > limits[r];
+            together = hypot(together, left[r] / i->units[r]);
+            row = fabs(left[r]) / limits[r] > fabs(left[row]) / limits[row] ? r : row;
+        }
+        if (!v)
+            *i->agreed = VARIES * together;
         list_joints(s, left, names, sizeof names);
-        if (fabs(left[row]) > limits[row])
+        if (fabs(left[row]) > limits[row] && gaps)
             outcome = instance_say(i, FAILED,
                 "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
                 "make their lengths, offsets and laws agree, or leave one of them out",

@@ -113,11 +113,12 @@ void penalties_default(Instance *i, const double *q, double *penalties)
                 const double size = coordinate_is_length(s, c) ? 1 / *i->length : held[c];
                 heaviest = fmax(heaviest, M[e] / (size * size));
             }
+    heaviest = heaviest > 0.0 ? heaviest : 1 / PENALTY_RATIO; /* Statics without mass holds by any penalty. */
     /* Divide the penalty of a constraint by the number of its copies, so that together they hold as one. */
     count_copies(i, q, written);
     for (int r = 0; r < s->l; r++) {
         units[r] *= sqrt(written[r]);
-        penalties[r] = PENALTY_RATIO * fmax(heaviest, 1e-300) / (units[r] * units[r]);
+        penalties[r] = PENALTY_RATIO * heaviest / (units[r] * units[r]);
     }
     arena_release(i, arena);
 }

@@ -58,7 +58,7 @@ void instance_balance(Instance *i)
         return;
     found = energy_evaluate(i, z + s->n, &kinetic);
     off = found - c[ENERGY_START] - work - c[AT_REST];
-    if (is_at_rest(i, kinetic)) {
+    if (is_at_rest(i, kinetic) || (kinetic == 0.0 && found == c[ENERGY_START])) { /* as in statics without mass */
         c[AT_REST] += off - c[BALANCE];
         off = c[BALANCE];
     }

@@ -54,10 +54,9 @@ static Outcome check_agreed(Instance *i, const unsigned char *held, const double
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i), l = (size_t)s->l;
     double *C = arena_alloc(i, (size_t)s->constraint.entries), *phi = arena_alloc(i, l), *cv = arena_alloc(i, l);
-    Outcome outcome = DONE;
+    Outcome outcome;
     constraints_evaluate(i, q, v, NULL, C, phi, cv);
-    if (!projection_is_closed(i, phi, C, q, NULL))
-        outcome = agreement_check(i, held, q, NULL, phi);
+    outcome = agreement_check(i, held, q, NULL, phi);
     if (outcome == DONE && !projection_is_closed(i, cv, C, q, v))
         outcome = agreement_check(i, held, q, v, cv);
     arena_release(i, arena);
@@ -155,6 +154,7 @@ static Outcome begin_run(Instance *i)
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;
     settings_set_penalties(i);
+    *i->agreed = 0.0;
     if (s->l && settings_project(i))
         outcome = projection_apply(i, q, v);
     if (outcome == DONE)

@@ -12,9 +12,6 @@
 #include "scene_sizes.h"
 #include "settings.h"
 
-/* Part of an internal step within which a force ends that no step crosses. */
-#define AHEAD 1e-4
-
 /* Return FAILED if the diagnostics of an evaluation (`watch`) show that the multiplier iteration with a given
    penalty ended too far from convergence for a valid acceleration. Count smaller remainders. */
 Outcome diagnose_convergence(Instance *i, const double *watch, double t)
@@ -56,8 +53,8 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
     function_call(i, s->dynamics, x, y);
     if (!isfinite(linear_largest(M, s->mass.entries)) || !isfinite(linear_largest(F, s->n))
         || !isfinite(linear_largest(xi, s->l)))
-        outcome = instance_say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s", s->name, t,
-            settings_or_shorter(i));
+        outcome = instance_say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s%s", s->name, t,
+            settings_moving(i) ? "check roots, logarithms and quotients in forces, or " : "", settings_or_shorter(i));
     else if (!(pivot > 0.0))
         outcome = instance_say(i, FAILED,
             "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
@@ -68,15 +65,16 @@ Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t
     return outcome;
 }
 
-/* Return FAILED if the equations of motion are not finite just after the state, as where a root in a force ends. */
-Outcome diagnose_ahead(Instance *i)
+/* Return FAILED if the equations of motion are not finite within a time after the state, as where a root in a force
+   ends. */
+Outcome diagnose_ahead(Instance *i, double within)
 {
     const Scene *s = i->scene;
     const size_t arena = arena_mark(i);
     const double *z = instance_field(i, s->z), *v = z + s->n;
     double *q = arena_alloc(i, (size_t)s->n);
     Outcome outcome = DONE;
-    for (double h = GIVEN_UP; outcome == DONE && h <= AHEAD * i->values[s->step_size]; h *= 10.0) {
+    for (double h = GIVEN_UP; outcome == DONE && h <= within; h = h < within ? fmin(10.0 * h, within) : INFINITY) {
         for (int c = 0; c < s->n; c++)
             q[c] = z[c] + h * v[c];
         outcome = diagnose_failure(i, q, v, *instance_time(i) + h, 1.0);

@@ -9,7 +9,7 @@
 
 Outcome diagnose_convergence(Instance *i, const double *watch, double t);
 Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t, double pivot);
-Outcome diagnose_ahead(Instance *i);
+Outcome diagnose_ahead(Instance *i, double within);
 Outcome diagnose_state(Instance *i, double start, double dt);
 Outcome diagnose_length(Instance *i, double t);
 Outcome diagnose_laws(Instance *i, double end);

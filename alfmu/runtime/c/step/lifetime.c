@@ -46,6 +46,7 @@ static size_t layout_parts(Instance *i, double *numbers)
         {&i->largest_penalty, 1},
         {&i->length, 1},
         {&i->loop, 1},
+        {&i->agreed, 1},
         {&i->peaks, (int)scene_peaks_length(s)},
         {&i->jacobian, s->entries},
         {&i->exchange, scene_exchange_variables(s) + EXCHANGE_TIMES},

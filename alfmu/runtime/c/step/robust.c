@@ -22,6 +22,9 @@
 #include "text.h"
 #include "way.h"
 
+/* Part of an internal step within which a force ends that no step crosses. */
+#define AHEAD 1e-4
+
 /* S2 to S5: take one internal step by loops that stop on convergence; set `near` if it came near a singular
    position. */
 static Outcome step_patient(Instance *i, double start, double dt, int *near)
@@ -35,6 +38,9 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
     i->left -= PATIENT_STEP;
     if (i->left < 0)
         return diagnose_too_much(i);
+    instance_set_time(i, start);
+    if (s->move < 0 && !s->l && diagnose_ahead(i, dt) != DONE)
+        return FAILED;
     if (s->move < 0)
         return instance_say(i, FAILED,
             "%s, t = %.6g s: %s; reduce solver.step_size",
@@ -42,7 +48,6 @@ static Outcome step_patient(Instance *i, double start, double dt, int *near)
             s->l ? "a step needs more iterations than this scene contains"
                  : "the state is not finite, or turned by more than half a turn in one step");
     m[s->dt] = dt;
-    instance_set_time(i, start);
     if (i->flags.brakes)
         rank_freeze(i);
     program_run(i, s->move);
@@ -222,11 +227,11 @@ static Outcome step_rk4_controlled(Instance *i, double end)
             "be kept; "
             "check forces, laws and constraints at this time%s",
             s->name, start, settings_or_penalty(i));
-    if (diagnose_ahead(i) != DONE)
+    if (diagnose_ahead(i, AHEAD * i->values[s->step_size]) != DONE)
         return FAILED;
     return instance_say(i, FAILED,
-        "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use smaller "
-        "inputs%s",
+        "%s, t = %.6g s: no step however short meets the tolerance; check quotients and signs in forces, raise "
+        "solver.relative_tolerance, or use smaller inputs%s",
         s->name, start, settings_or_penalty(i));
 }
 

@@ -175,6 +175,7 @@ void settings_upload(Instance *i)
     double *k = instance_field(i, s->k), *rows = k + SETTINGS, *control = instance_field(i, s->control);
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     settings_set_penalties(i);
+    k[SETTINGS_AGREED] = *i->agreed;
     k[SETTINGS_FREEDOM] = *i->freedom;
     k[SETTINGS_MASSES] = *i->masses;
     k[SETTINGS_REGULAR] = *i->regular;
