@@ -643,7 +643,7 @@ def beside_a_rotor(rotor: str, spin: float, **start: float) -> alfmu.Mechanism:
 
 @pytest.mark.parametrize(("rotor", "spin"), [("top", 0.0), ("top", 1.0), ("top", 20.0), ("arm", 20.0)])
 @pytest.mark.parametrize("rests", ["at the start", "half a turn on"])
-def test_a_loop_rests_at_its_change_point_while_another_part_moves(rotor, spin, rests):
+def test_a_loop_rests_at_its_change_point_while_another_part_moves(rotor, spin, rests, caplog):
     """It turns back there; the reference is its equation of one angle: 1.7 th'' = -2 g cos th."""
     inertia, weight = 1.7, 2 * 9.81
     # Half a turn on: the rate with which it comes to rest at th = -pi.
@@ -659,6 +659,7 @@ def test_a_loop_rests_at_its_change_point_while_another_part_moves(rotor, spin, 
         atol=1e-12,
     )
     assert np.abs(found["A.angle"] - exact.y[0]).max() < 2e-8
+    assert ("a part of it, starts at rest in a singular position" in caplog.text) == (rests == "at the start")
 
 
 def test_a_loop_takes_as_many_evaluations_however_near_its_change_point_it_rests():

@@ -1,6 +1,5 @@
 #include "linear.h"
 
-
 #include "lanes.h"
 
 #define SWEEPS 60

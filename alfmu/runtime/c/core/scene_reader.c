@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-
 void reader_spoil(Reader *r, const char *format, ...)
 {
     va_list arguments;

@@ -2,7 +2,6 @@
 
 #include <stdarg.h>
 
-
 typedef struct {
     char *to;
     size_t left;

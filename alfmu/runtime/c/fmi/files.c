@@ -19,7 +19,6 @@
 #include <dlfcn.h>
 #endif
 
-
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility push(hidden) /* for importers that compile this file without options */
 #endif

@@ -203,8 +203,8 @@ void way_begin(Instance *i, const unsigned char *held, const double *q, const do
     }
     if (*along > 0.0 ? least == 0.0 : !select_branch(i, held, q, way))
         instance_warn(i, WARNED_OF_REST,
-            "%s: it starts at rest in a singular position, and no start value selects one of the motions that cross "
-            "there; give a start value or rate, or start beside it",
+            "%s: it, or a part of it, starts at rest in a singular position, and no start value selects one of the "
+            "motions that cross there; give a start value or rate, or start beside it",
             s->name);
     if (*along > 0.0) {
         set_along(i);
