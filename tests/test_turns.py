@@ -191,3 +191,27 @@ def test_what_needs_no_turns_carries_none():
     e = alfmu.derive(natural(lambda m, bar, hinge: m.drive(hinge, 1.0)))
     assert not e.counted
     assert not e.held
+
+
+@pytest.mark.parametrize("turned", [0.0, 3.0])
+def test_a_spring_between_two_bars_does_not_depend_on_how_both_are_turned(turned):
+    """Its torque was that of the difference of their angles, each within half a turn: off by a turn at 3.0 rad."""
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        first, second, w1, w2 = y
+        bend, c = STIFFNESS * (second - first), np.sin(second - first) / 2
+        M = np.array([[4 / 3, np.cos(second - first) / 2], [np.cos(second - first) / 2, 1 / 3]])
+        return np.concatenate([[w1, w2], np.linalg.solve(M, [bend + c * w2**2, -bend - c * w1**2])])
+
+    exact = solve_ivp(rate, (0, 1), [0.0, 0.3, 0.0, 0.0], "DOP853", TIMES[:11], rtol=1e-12, atol=1e-12).y
+    m = Mechanism("two")
+    m.gravity(0.0, 0.0)
+    ends, bars = [m.ground.at()], []
+    for k, angle in enumerate((turned, turned + 0.3)):
+        x, y = (sum(f(a) for a in (turned, turned + 0.3)[: k + 1]) for f in (np.cos, np.sin))
+        ends.append(m.point(m.coordinate(f"x{k}", "m", start=x), m.coordinate(f"y{k}", "m", start=y)))
+        bars.append(m.bar(f"bar{k}", mass=1.0, length=1.0, between=(ends[k], ends[k + 1])))
+    m.revolute("A", m.ground.at(), bars[0].start)
+    m.spring_damper(m.revolute("B", bars[0].end, bars[1].start), stiffness=STIFFNESS, name="spring")
+    r = alfmu.simulate(m, 1.0, 0.1, parameters=TIGHT)
+    assert r["spring.elongation"] == pytest.approx(exact[1] - exact[0], abs=1e-8)
