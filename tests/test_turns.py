@@ -137,6 +137,21 @@ def test_a_stop_and_a_law_beyond_pi():
     assert r["stop.penetration"].max() > 0.0
 
 
+@pytest.mark.parametrize("start", [START, np.pi, -np.pi])
+def test_a_law_and_an_output_of_the_angle_of_a_joint_in_space(start):
+    """Both jumped by a turn wherever the angle passed pi; at -pi, the spring had another angle than the hinge shows."""
+
+    def hinged(m: Mechanism, bar: SpatialBody, hinge: SpatialJoint) -> None:
+        m.spring_damper(hinge, stiffness=STIFFNESS, name="spring")
+        m.drive(hinge, -0.3 * hinge.free)
+        m.output("turned", hinge.free, "rad")
+
+    exact = moved(lambda angle, rate: -(STIFFNESS + 0.3) * angle, start)[:11]
+    r = alfmu.simulate(placed(start, hinged), 1.0, 0.1, parameters=TIGHT)
+    for name in ("A.angle", "turned", "spring.elongation"):
+        assert r[name] == pytest.approx(exact, abs=1e-8)
+
+
 def test_turns_begin_at_the_start_value_and_come_back_with_the_state():
     """A turn ahead the spring is wound up by it; a state that is restored has the turns of its time."""
     exact = moved(lambda angle, rate: -STIFFNESS * angle - 0.1 * rate, START + 2 * np.pi)

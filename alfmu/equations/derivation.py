@@ -263,7 +263,7 @@ def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Re
     for joint in m.spatial_joints:
         for which in joint.freedoms:
             if joint.is_wrapped(which):
-                read.wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.displacement(which))
+                read.wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.counted(which))
     read.add(*_watched(m, plain, at.q, at.v))
     measured_values, measured_outputs, angles = measures(m, plain, at.q, at.v, at.a)
     read.add(measured_values, measured_outputs)
@@ -527,7 +527,7 @@ def _counted(m: Mechanism, places: Kinematics, expressions: Sequence[ca.SX]) -> 
         known += [(f"{x.name}.angle", x.near, places.counted(x), places.free(x)) for x in hinges]
     for joint in m.spatial_joints:
         for x in (x for x in joint.freedoms if joint.is_wrapped(x)):
-            known += [(f"{joint.name}.{x}", joint.near(x), joint.counted(x), joint.displacement(x))]
+            known += [(f"{joint.name}.{x}", joint.near(x), joint.counted(x), joint.counted(x))]
     used = {key_of(symbol) for symbol in ca.symvar(ca.veccat(*expressions))} if known else set()
     return {name: (near, x, _tied_start(m, plain)) for name, near, x, plain in known if key_of(near) in used}
 
@@ -540,6 +540,7 @@ def _between_points(m: Mechanism) -> list[Body]:
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
     """Return an expression with its angles as they are before a run has counted turns."""
     nears = [body.near for body in _between_points(m)]
+    nears += [joint.near(which) for joint in m.spatial_joints for which in joint.freedoms if joint.is_wrapped(which)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 

@@ -181,7 +181,7 @@ class Kinematics:
     def free(self, joint: AnyJoint) -> ca.SX:
         """Return the free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
         if isinstance(joint, SpatialJoint | SpatialFreedom):
-            return joint.free
+            return joint.measured
         return self.displacement(joint, next(iter(joint.freedoms)))
 
     def displacement(self, joint: Joint, which: str) -> ca.SX:
@@ -194,13 +194,13 @@ class Kinematics:
 
     def counted(self, joint: AnyJoint) -> ca.SX:
         """Return the free displacement, with whole turns counted for an angle."""
-        if isinstance(joint, SpatialFreedom):
-            return joint.joint.counted(joint.which)
-        if isinstance(joint, SpatialJoint):
-            return joint.counted(next(iter(joint.freedoms)))
+        if isinstance(joint, SpatialJoint | SpatialFreedom):
+            return joint.free
         if joint.kind == "revolute":
             first, second = self.frame(joint.first.body), self.frame(joint.second.body)
-            if all(not x.wrapped or self._told.intersection(map(key_of, symbols_in(x.counted))) for x in (first, second)):
+            if all(
+                not x.wrapped or self._told.intersection(map(key_of, symbols_in(x.counted))) for x in (first, second)
+            ):
                 return second.counted - first.counted
             cross, dot = first.ex * second.ey - first.ey * second.ex, first.ex * second.ex + first.ey * second.ey
             return with_turns(cross, dot, joint.near)
@@ -233,7 +233,7 @@ class Kinematics:
         if isinstance(of, ca.SX):
             return of, False
         if isinstance(of, SpatialJoint | SpatialFreedom):
-            return of.free, of.wrapped
+            return of.measured, of.wrapped
         if isinstance(of, Joint):
             turns = of.kind == "revolute"
             bodies, value = (of.first.body, of.second.body), self.free(of)
