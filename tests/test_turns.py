@@ -7,6 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import alfmu
 from alfmu import Mechanism, parts
@@ -173,6 +174,22 @@ def test_turns_begin_at_the_start_value_and_come_back_with_the_state():
         assert unit.get("bar.angle") == at_end
 
 
+@pytest.mark.parametrize("made", [natural, spatial])
+def test_an_equilibrium_beyond_pi(made):
+    """The bar hangs on a wound spring; none was found, as its angle was counted from zero."""
+    balance = brentq(lambda angle: STIFFNESS * (angle - 3.3) + 9.81 / 2 * np.cos(angle), 3.14, 5.0)
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        m.gravity(0.0, -9.81)
+        m.spring_damper(hinge, stiffness=STIFFNESS, rest=3.3, name="spring")
+
+    given = {"start.a": 3.0, "start.a_rate": 0.0}
+    rest = alfmu.equilibrium(made(hinged), parameters=given).nearest
+    assert rest.outputs["spring.elongation"] == pytest.approx(balance - 3.3, abs=1e-8)
+    r = alfmu.simulate(made(hinged), 1.0, 0.1, parameters=given, start="equilibrium")
+    assert r["spring.elongation"] == pytest.approx(balance - 3.3, abs=1e-7)
+
+
 def test_derivatives_follow_the_turns():
     """In both directions, against a difference of exact motions."""
 
@@ -222,8 +239,8 @@ def test_a_spring_between_two_bars_does_not_depend_on_how_both_are_turned(turned
     m = Mechanism("two")
     m.gravity(0.0, 0.0)
     ends, bars = [m.ground.at()], []
-    for k, angle in enumerate((turned, turned + 0.3)):
-        x, y = (sum(f(a) for a in (turned, turned + 0.3)[: k + 1]) for f in (np.cos, np.sin))
+    for k in range(2):
+        x, y = (sum(f(turned + 0.3 * i) for i in range(k + 1)) for f in (np.cos, np.sin))
         ends.append(m.point(m.coordinate(f"x{k}", "m", start=x), m.coordinate(f"y{k}", "m", start=y)))
         bars.append(m.bar(f"bar{k}", mass=1.0, length=1.0, between=(ends[k], ends[k + 1])))
     m.revolute("A", m.ground.at(), bars[0].start)
