@@ -7,6 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import alfmu
 from alfmu import Mechanism, parts
@@ -137,6 +138,21 @@ def test_a_stop_and_a_law_beyond_pi():
     assert r["stop.penetration"].max() > 0.0
 
 
+@pytest.mark.parametrize("start", [START, np.pi, -np.pi])
+def test_a_law_and_an_output_of_the_angle_of_a_joint_in_space(start):
+    """Both jumped by a turn wherever the angle passed pi; at -pi, the spring had another angle than the hinge shows."""
+
+    def hinged(m: Mechanism, bar: SpatialBody, hinge: SpatialJoint) -> None:
+        m.spring_damper(hinge, stiffness=STIFFNESS, name="spring")
+        m.drive(hinge, -0.3 * hinge.free)
+        m.output("turned", hinge.free, "rad")
+
+    exact = moved(lambda angle, rate: -(STIFFNESS + 0.3) * angle, start)[:11]
+    r = alfmu.simulate(placed(start, hinged), 1.0, 0.1, parameters=TIGHT)
+    for name in ("A.angle", "turned", "spring.elongation"):
+        assert r[name] == pytest.approx(exact, abs=1e-8)
+
+
 def test_turns_begin_at_the_start_value_and_come_back_with_the_state():
     """A turn ahead the spring is wound up by it; a state that is restored has the turns of its time."""
     exact = moved(lambda angle, rate: -STIFFNESS * angle - 0.1 * rate, START + 2 * np.pi)
@@ -156,6 +172,22 @@ def test_turns_begin_at_the_start_value_and_come_back_with_the_state():
         for _ in range(20 - k):
             unit.step(0.1)
         assert unit.get("bar.angle") == at_end
+
+
+@pytest.mark.parametrize("made", [natural, spatial])
+def test_an_equilibrium_beyond_pi(made):
+    """The bar hangs on a wound spring; none was found, as its angle was counted from zero."""
+    balance = brentq(lambda angle: STIFFNESS * (angle - 3.3) + 9.81 / 2 * np.cos(angle), 3.14, 5.0)
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        m.gravity(0.0, -9.81)
+        m.spring_damper(hinge, stiffness=STIFFNESS, rest=3.3, name="spring")
+
+    given = {"start.a": 3.0, "start.a_rate": 0.0}
+    rest = alfmu.equilibrium(made(hinged), parameters=given).nearest
+    assert rest.outputs["spring.elongation"] == pytest.approx(balance - 3.3, abs=1e-8)
+    r = alfmu.simulate(made(hinged), 1.0, 0.1, parameters=given, start="equilibrium")
+    assert r["spring.elongation"] == pytest.approx(balance - 3.3, abs=1e-7)
 
 
 def test_derivatives_follow_the_turns():
@@ -191,3 +223,27 @@ def test_what_needs_no_turns_carries_none():
     e = alfmu.derive(natural(lambda m, bar, hinge: m.drive(hinge, 1.0)))
     assert not e.counted
     assert not e.held
+
+
+@pytest.mark.parametrize("turned", [0.0, 3.0])
+def test_a_spring_between_two_bars_does_not_depend_on_how_both_are_turned(turned):
+    """Its torque was that of the difference of their angles, each within half a turn: off by a turn at 3.0 rad."""
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        first, second, w1, w2 = y
+        bend, c = STIFFNESS * (second - first), np.sin(second - first) / 2
+        M = np.array([[4 / 3, np.cos(second - first) / 2], [np.cos(second - first) / 2, 1 / 3]])
+        return np.concatenate([[w1, w2], np.linalg.solve(M, [bend + c * w2**2, -bend - c * w1**2])])
+
+    exact = solve_ivp(rate, (0, 1), [0.0, 0.3, 0.0, 0.0], "DOP853", TIMES[:11], rtol=1e-12, atol=1e-12).y
+    m = Mechanism("two")
+    m.gravity(0.0, 0.0)
+    ends, bars = [m.ground.at()], []
+    for k in range(2):
+        x, y = (sum(f(turned + 0.3 * i) for i in range(k + 1)) for f in (np.cos, np.sin))
+        ends.append(m.point(m.coordinate(f"x{k}", "m", start=x), m.coordinate(f"y{k}", "m", start=y)))
+        bars.append(m.bar(f"bar{k}", mass=1.0, length=1.0, between=(ends[k], ends[k + 1])))
+    m.revolute("A", m.ground.at(), bars[0].start)
+    m.spring_damper(m.revolute("B", bars[0].end, bars[1].start), stiffness=STIFFNESS, name="spring")
+    r = alfmu.simulate(m, 1.0, 0.1, parameters=TIGHT)
+    assert r["spring.elongation"] == pytest.approx(exact[1] - exact[0], abs=1e-8)

@@ -21,7 +21,7 @@ from ..kernel.symbolic import ROUND_OFF
 from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.files import path_for, write
-from ..model.words import counted
+from ..model.words import counted, in_words
 from ..simulation.result import Signal
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
@@ -351,7 +351,9 @@ class _Search:
 
     def notes(self, found: Sequence[Equilibrium]) -> list[str]:
         """Return the limitations of the search, as sentences."""
-        notes = []
+        notes, where = [], self.loops.situation
+        if angles := list(where.equations.counted):
+            notes.append(f"{in_words(angles)} counted from the start: looked for within half a turn of it only")
         if self.largest == 0.0 and self.loops.freedom:
             notes.append("no load acts on any motion: every position is one of rest")
         elif any(not each.isolated for each in found):

@@ -263,7 +263,7 @@ def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Re
     for joint in m.spatial_joints:
         for which in joint.freedoms:
             if joint.is_wrapped(which):
-                read.wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.displacement(which))
+                read.wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.counted(which))
     read.add(*_watched(m, plain, at.q, at.v))
     measured_values, measured_outputs, angles = measures(m, plain, at.q, at.v, at.a)
     read.add(measured_values, measured_outputs)
@@ -335,8 +335,8 @@ class _Expressions:
     of: dict[str, ca.SX]
     symbols: dict[str, ca.SX]
     """Arguments of the functions."""
-    counted: dict[str, tuple[ca.SX, ca.SX]]
-    """Angles whose turns a run counts: their last value, and the angle."""
+    counted: dict[str, tuple[ca.SX, ca.SX, int]]
+    """Angles whose turns a run counts: their last value, the angle, and the start value near which it begins."""
     tied: list[int]
     """Start values that are tied."""
 
@@ -352,7 +352,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
     passive = ca.substitute(f_applied, at.u, ca.SX.zeros(at.u.shape)) if at.u.numel() else f_applied
     of_motion = [terms.M, terms.d, terms.f, closed.Phi, terms.C, terms.xi, terms.V, terms.T, _state_rates(m)]
     counted = _counted(m, plain, [y, *of_motion, *read.rubs.functions.values()])
-    nears = [near for near, _ in counted.values()]
+    nears = [near for near, _, _ in counted.values()]
     values = [x.value for x in at.locks if x.value is not None]
     remembered = [*values, *(x.slip for x in at.frictions), *nears, *(x for _, x in at.kept)]
     p = stack([x.symbol for x in m.parameters] + remembered)
@@ -368,11 +368,11 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
             [
                 *(plain.locked(lock)[0] for lock in at.locks),
                 *(x.slip for x in at.frictions),
-                *(angle for _, angle in counted.values()),
+                *(angle for _, angle, _ in counted.values()),
                 *(0.0 for _ in at.kept),
             ]
         ),
-        **({"counted": stack([angle for _, angle in counted.values()])} if counted else {}),
+        **({"counted": stack([angle for _, angle, _ in counted.values()])} if counted else {}),
         "gaps": gaps,
         "gaps_matrix": ca.horzcat(ca.jacobian(gaps, own[0]) + terms.slipping, ca.SX(gaps.numel(), int(m.moves))),
         "kinetic_energy": terms.T,
@@ -441,7 +441,7 @@ def _equations(
             *counted,
             *(name for name, _ in at.kept),
         ],
-        counted={name: _tied_start(m, angle) for name, (_, angle) in counted.items()},
+        counted={name: start for name, (_, _, start) in counted.items()},
         timed=m.moves,
         followed=_followed(m),
         leaps=_leaps(m, closures),
@@ -515,16 +515,21 @@ def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX,
     )
 
 
-def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
-    """Return the angles whose turns a run counts because something depends on them: by name, last value and angle."""
-    known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _between_points(m)}
+def _counted(m: Mechanism, places: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX, int]]:
+    """Return the angles whose turns a run counts because something depends on them: by name, last value, angle, and
+    start value near which it begins."""
+    known = [
+        (f"{body.name}.angle", body.near, (frame := places.frame(body)).counted, frame.angle)
+        for body in _between_points(m)
+    ]
+    if known:
+        hinges = (joint for joint in m.joints if joint.kind == "revolute")
+        known += [(f"{x.name}.angle", x.near, places.counted(x), places.free(x)) for x in hinges]
     for joint in m.spatial_joints:
-        for which in (x for x in joint.freedoms if joint.is_wrapped(x)):
-            known[f"{joint.name}.{which}"] = joint.near(which), joint.counted(which)
-    if not known:
-        return {}
-    used = {key_of(symbol) for symbol in ca.symvar(ca.veccat(*expressions))}
-    return {name: (near, angle) for name, (near, angle) in known.items() if key_of(near) in used}
+        for x in (x for x in joint.freedoms if joint.is_wrapped(x)):
+            known += [(f"{joint.name}.{x}", joint.near(x), joint.counted(x), joint.counted(x))]
+    used = {key_of(symbol) for symbol in ca.symvar(ca.veccat(*expressions))} if known else set()
+    return {name: (near, x, _tied_start(m, plain)) for name, near, x, plain in known if key_of(near) in used}
 
 
 def _between_points(m: Mechanism) -> list[Body]:
@@ -535,6 +540,7 @@ def _between_points(m: Mechanism) -> list[Body]:
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
     """Return an expression with its angles as they are before a run has counted turns."""
     nears = [body.near for body in _between_points(m)]
+    nears += [joint.near(which) for joint in m.spatial_joints for which in joint.freedoms if joint.is_wrapped(which)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 

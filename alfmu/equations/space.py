@@ -331,7 +331,7 @@ def applied(
         if isinstance(closure, SpatialJoint | SpatialRolling):
             multipliers.setdefault(closure, {})[direction] = x
         elif isinstance(closure, Lock | Motion) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
-            beside = closure.of.free - (0.0 if closure.value is None else closure.value)
+            beside = closure.of.measured - (0.0 if closure.value is None else closure.value)
             beside -= closure.law if isinstance(closure, Motion) else 0.0
             turned = closure.of.wrapped and not isinstance(closure, Friction)
             _effort(found, closure.of, -(ca.cos(beside) if turned else 1.0) * x)

@@ -946,7 +946,8 @@ class Scene:
         s, names = symbols(e), {o.name: i for i, o in enumerate(e.outputs)}
         readings = e.readings(q, s["v"], s["a"], s["lam"], s["u"], self.p, s["t"])
         raw = readings[[names[name] for name in e.wrapped]]
-        return raw + 2 * ca.pi * ca.floor((near[: len(e.wrapped)] - raw) / (2 * ca.pi) + 0.5)
+        beside = raw - near[: len(e.wrapped)]
+        return raw - (beside - ca.remainder(beside, 2 * ca.pi))
 
     # Residuals and factors -----------------------------------------------------------------------------------------
 

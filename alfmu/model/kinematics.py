@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 
+from .checks import symbols_in
 from .declaration import Declaration
 from .errors import DeclarationError
 from .parts import (
@@ -23,6 +25,7 @@ from .parts import (
     Point,
     Rigidity,
     Scalar,
+    key_of,
     symbolic,
 )
 from .relations import Relation
@@ -178,7 +181,7 @@ class Kinematics:
     def free(self, joint: AnyJoint) -> ca.SX:
         """Return the free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
         if isinstance(joint, SpatialJoint | SpatialFreedom):
-            return joint.free
+            return joint.measured
         return self.displacement(joint, next(iter(joint.freedoms)))
 
     def displacement(self, joint: Joint, which: str) -> ca.SX:
@@ -191,13 +194,24 @@ class Kinematics:
 
     def counted(self, joint: AnyJoint) -> ca.SX:
         """Return the free displacement, with whole turns counted for an angle."""
-        if isinstance(joint, SpatialFreedom):
-            return joint.joint.counted(joint.which)
-        if isinstance(joint, SpatialJoint):
-            return joint.counted(next(iter(joint.freedoms)))
+        if isinstance(joint, SpatialJoint | SpatialFreedom):
+            return joint.free
         if joint.kind == "revolute":
-            return self.frame(joint.second.body).counted - self.frame(joint.first.body).counted
+            first, second = self.frame(joint.first.body), self.frame(joint.second.body)
+            if all(
+                not x.wrapped or self._told.intersection(map(key_of, symbols_in(x.counted))) for x in (first, second)
+            ):
+                return second.counted - first.counted
+            cross, dot = first.ex * second.ey - first.ey * second.ex, first.ex * second.ex + first.ey * second.ey
+            return with_turns(cross, dot, joint.near)
         return self.free(joint)
+
+    @cached_property
+    def _told(self) -> set[int | None]:
+        """Bodies between two points whose turns at the start a tied start value tells, by the keys of their angles."""
+        nears = {key_of(body.near) for body in self.mechanism.bodies}
+        tied = [nears.intersection(map(key_of, symbols_in(expression))) for _, expression in self.mechanism.ties]
+        return {key for keys in tied if len(keys) == 1 for key in keys}
 
     def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
         in_space = [m.place for m in between if isinstance(m, SpatialMarker)]
@@ -219,7 +233,7 @@ class Kinematics:
         if isinstance(of, ca.SX):
             return of, False
         if isinstance(of, SpatialJoint | SpatialFreedom):
-            return of.free, of.wrapped
+            return of.measured, of.wrapped
         if isinstance(of, Joint):
             turns = of.kind == "revolute"
             bodies, value = (of.first.body, of.second.body), self.free(of)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import casadi as ca
@@ -252,6 +253,11 @@ class Joint(Brief):
     offset: Scalar = 0.0
     angle: Scalar = 0.0
     length: Scalar = 0.0
+
+    @cached_property
+    def near(self) -> ca.SX:
+        """Symbol of the last known angle, from which whole turns are counted if two points place one of the bodies."""
+        return ca.SX.sym(f"{self.name}.near")
 
     @property
     def directions(self) -> tuple[str, ...]:

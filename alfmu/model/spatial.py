@@ -469,7 +469,12 @@ class SpatialJoint(Brief):
 
     @property
     def free(self) -> ca.SX:
-        """The free displacement of a joint that has one, second body from first [rad or m]."""
+        """The free displacement of a joint that has one, second body from first [rad or m]. A run counts the turns."""
+        return self.counted(next(iter(self.freedoms)))
+
+    @property
+    def measured(self) -> ca.SX:
+        """The free displacement of a joint that has one; an angle is within one turn if constraints close the joint."""
         return self.displacement(next(iter(self.freedoms)))
 
     @property
@@ -496,7 +501,10 @@ class SpatialJoint(Brief):
         """Return one of the free displacements; an angle includes whole turns."""
         if not self.is_wrapped(which):
             return self.displacement(which)
-        return with_turns(*self._arms(which), self.near(which))
+        kept: dict[str, ca.SX] = self.__dict__.setdefault("_turning", {})
+        if which not in kept:
+            kept[which] = with_turns(*self._arms(which), self.near(which))
+        return kept[which]
 
     def _measured(self, which: str) -> ca.SX:
         """Return the (cached) displacement from the positions of both bodies; an angle is within one turn."""
@@ -653,7 +661,12 @@ class SpatialFreedom(Brief):
 
     @property
     def free(self) -> ca.SX:
-        """The free displacement, second body from first [rad or m]."""
+        """The free displacement, second body from first [rad or m]. A run counts the turns."""
+        return self.joint.counted(self.which)
+
+    @property
+    def measured(self) -> ca.SX:
+        """The free displacement; an angle is within one turn if constraints close the joint."""
         return self.joint.displacement(self.which)
 
     @property

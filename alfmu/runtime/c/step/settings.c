@@ -214,18 +214,20 @@ void settings_count_turns(Instance *i)
             (size_t)s->counted * sizeof(double));
 }
 
-/* Update the angles that places tell up to whole turns, by a step of length zero. */
+/* Update the angles that places tell up to whole turns, by a step of length zero. Scenes without steps keep those of
+   the start values, from which analyses count. */
 void settings_follow_turns(Instance *i)
 {
     const Scene *s = i->scene;
     double *z = instance_field(i, s->z);
     const double *after = instance_field(i, s->after);
-    if (!s->angles)
+    const int still = s->l ? s->close : s->careful;
+    if (!s->angles || !s->programs[still].words)
         return;
     i->m[s->dt] = 0.0;
     memcpy(i->workspace + s->q, z, (size_t)s->n * sizeof *z);
     memcpy(i->workspace + s->v, z + s->n, (size_t)s->n * sizeof *z);
-    program_run(i, s->l ? s->close : s->careful);
+    program_run(i, still);
     memcpy(z + 2 * s->n, after + 2 * s->n, (size_t)s->angles * sizeof *z);
     settings_count_turns(i);
     i->m[s->dt] = i->values[s->step_size];
