@@ -131,8 +131,8 @@ def test_instructions_are_read_once_and_the_oldest_are_dropped(monkeypatch):
         monkeypatch.setattr(stream, name, value)
     x = ca.SX.sym("x")
     functions = [ca.Function(f"f{k}", [x], [sum((ca.sin(x + k) for _ in range(1, 41)), ca.SX(0))]) for k in range(3)]
-    read, decoded = [], stream._serialised
-    monkeypatch.setattr(stream, "_serialised", lambda f: read.append(f.name()) or decoded(f))
+    read, decoded = [], stream._listed
+    monkeypatch.setattr(stream, "_listed", lambda f: read.append(f.name()) or decoded(f))
     for k in (0, 1, 1, 0, 2, 2, 1, 0):
         stream.Instructions.of(functions[k])
     assert read == ["f0", "f1", "f2", "f0"]

@@ -176,23 +176,37 @@ def test_headers_are_those_of_the_tables():
 
 
 def test_instructions_are_those_that_casadi_tells_one_by_one():
-    """As they stand in the serialised function, which is far faster to read."""
+    """As they stand in its listing, which is far faster to read."""
     f = random_function(np.random.default_rng(3), 500)
-    found = stream._serialised(f)
+    found = stream._listed(f)
     for read, told in zip(found, stream._one_by_one(f), strict=True):
         unary = told[0] in stream.UNARY
         assert read[: 3 if unary else 4].tolist() == told[: 3 if unary else 4].tolist()
 
 
-def test_instructions_are_told_one_by_one_where_the_serialised_form_is_another(monkeypatch):
+def test_instructions_are_told_one_by_one_where_the_listing_has_another_form(monkeypatch):
     f = random_function(np.random.default_rng(3), 500)
     one = Instructions.of(f)
-    monkeypatch.setattr(stream, "_decoded", lambda text: np.zeros((len(text) // stream._ATOM, 4), "<i4"))
-    assert stream._serialised(f) is None
+    told = ca.Function.str
+    for wrong in ("", "@0 = 1;", "@0 = @1 = @2 = @3;\n"):
+        monkeypatch.setattr(ca.Function, "str", lambda f, more, wrong=wrong: f"f\nAlgorithm:\n{wrong}")
+        assert stream._listed(f) is None
+    monkeypatch.setattr(ca.Function, "str", lambda f, more: told(f, more).replace("@", "$"))
     two = Instructions.of(f)
     for name in ("code", "operands", "place"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
     assert same_bits(one.constant, two.constant)
+
+
+def test_operations_that_look_alike_in_a_listing_are_told_apart(monkeypatch):
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    f = ca.Function("f", [x, y], [x - y, x + y, (x + y) * y, ca.sin(x), ca.cos(x * y), x**y, x**1.5])
+    told = ca.Function.str
+    monkeypatch.setattr(ca.Function, "str", lambda f, more: told(f, more).replace("+", "-").replace("sin", "cos"))
+    monkeypatch.setattr(stream, "_FORMS", {0: ca.OP_CONST})
+    stream._alike.cache_clear()
+    assert np.array_equal(stream._listed(f)[:, 0], [f.instruction_id(k) for k in range(f.n_instructions())])
+    stream._alike.cache_clear()
 
 
 def random_function(rng: np.random.Generator, count: int) -> ca.Function:

@@ -104,6 +104,7 @@ _SIGNATURES = {
     "arrange": (c_int, c_int, c_void_p, c_void_p, c_void_p, c_int, *[c_void_p] * 4),
     "in_runs": (c_int, c_int, c_int, *[c_void_p] * 7),
     "share_places": (c_int, c_void_p),
+    "listing": (c_int, ctypes.c_char_p, c_int, c_void_p, c_int, c_void_p),
     "instructions": (c_int, c_int, *[c_void_p] * 6),
     "straight": (c_int, c_int, *[c_void_p] * 7, c_int, c_void_p, c_int64, *[c_void_p] * 4),
 }

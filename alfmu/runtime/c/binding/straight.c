@@ -52,6 +52,45 @@ static int is_binary(int role)
     return role == BINARY_ROLE || role == COPYSIGN_ROLE;
 }
 
+/* Read CasADi's listing of a function, one instruction a line, into `atoms` of `alfmu_instructions`, without the values
+   of constants. The form of a line is a hash of all but its addresses and places, 0 for constants; `forms` has those
+   of `known` operations, and room for one more: where another form is found, write it there and return the number of
+   this instruction. Return `count` when all are read, -1 if the text is no such listing. */
+API int alfmu_listing(const char *text, int count, int (*atoms)[4], int known, uint64_t (*forms)[2])
+{
+    for (int k = 0; k < count; k++) {
+        const int writes = *text == 'o';
+        unsigned numbers[3] = {0};
+        int found = 0, which = 0;
+        uint64_t form = 14695981039346656037u;
+        for (; *text && *text != '\n'; text++) {
+            form = (form ^ (unsigned char)*text) * 1099511628211u;
+            if (*text != '@' && *text != '[')
+                continue;
+            if (found == 3)
+                return -1;
+            for (; text[1] >= '0' && text[1] <= '9'; text++)
+                numbers[found] = 10 * numbers[found] + (unsigned)(text[1] - '0');
+            found++;
+        }
+        if (!found)
+            return -1;
+        text += *text == '\n';
+        form = found == 1 ? 0 : form;
+        while (which < known && forms[which][0] != form)
+            which++;
+        if (which == known) {
+            forms[known][0] = form;
+            return k;
+        }
+        atoms[k][0] = (int)forms[which][1];
+        atoms[k][1] = (int)numbers[0];
+        atoms[k][2] = (int)numbers[writes ? 2 : 1];
+        atoms[k][3] = (int)numbers[writes ? 1 : 2];
+    }
+    return count;
+}
+
 /* Read the instructions of a function; leave out operations that repeat an earlier one on the same values. Each atom of
    CasADi has an operation and three numbers: addresses, places or a constant. `roles` has the roles of `OPERATIONS`
    operations. The arrays of two rows have `count` columns. Return the number of instructions; -1 if these numbers are
