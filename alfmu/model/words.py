@@ -122,10 +122,10 @@ def angle(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
 
 
-def in_words(names: Collection[str]) -> str:
+def in_words(names: Collection[str], word: str = "or") -> str:
     """Join names for a sentence: a, b or c."""
-    *most, last = names
-    return f"{', '.join(most)} or {last}" if most else last
+    *most, last = names or [""]
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> str:
