@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import by_rk4, derived
+from scenes import by_rk4, derived, refused
 
 import alfmu
 from alfmu.cli import main
@@ -519,10 +519,9 @@ def test_a_state_that_is_not_finite_reaches_nobody():
     i.set("start.angle", 0.4)
     i.initialize()
     i.step(0.02)
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match=r"five_bar: .* must be a finite number"):
+    with refused(i, alfmu.InputError, match=r"five_bar: .* must be a finite number"):
         i.set("A.torque", np.nan)
-    assert i.save() == before
+    before = i.save()
     i.memory["u"][0] = np.nan  # past every check
     with pytest.raises(alfmu.StepError, match=r"five_bar, t = 0.02 s: .* not finite"):
         i.step(0.02)

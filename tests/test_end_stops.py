@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scenes import readings, started
+from scenes import hinged, readings, started
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -66,10 +66,7 @@ def test_the_force_of_a_stop_is_that_of_its_law():
 
 
 def test_a_bumper_between_two_points_is_felt_by_the_bearing():
-    m = alfmu.Mechanism("bumper")
-    angle = m.coordinate("angle", start=-0.2, rate=1.5, independent=True)
-    bar = m.bar("bar", mass=2.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=angle)
+    m, bar, *_ = hinged("bumper", angle="angle", mass=2.0, weight=0.0, start=-0.2, rate=1.5, independent=True)
     m.end_stop("bumper", (m.ground.at(1.0, -0.5), bar.end), lower=0.4, stiffness=5e3, onset=0.01)
     m.gravity(0, -G)
     y = readings(started(alfmu.derive(m)))

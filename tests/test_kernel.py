@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scenes import by_rk4 as derived
-from scenes import initialized, made
+from scenes import hinged, initialized, made, refused
 
 import alfmu
 from alfmu.equations import Configuration, Mobility
@@ -284,10 +284,8 @@ def test_a_step_that_neither_can_take_keeps_the_state(kernel):
     i.set("start.angle", 0.4)
     i.initialize()
     i.set("A.torque", 1e6)
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match=r"four_bar, t = 5 s: .*reduce solver\.step_size"):
+    with refused(i, alfmu.StepError, match=r"four_bar, t = 5 s: .*reduce solver\.step_size"):
         i.step(5.0)
-    assert i.save() == before
 
 
 def test_only_what_the_scene_needs_is_traced():
@@ -296,11 +294,7 @@ def test_only_what_the_scene_needs_is_traced():
     surveys = (Survey(Mobility(1, redundant, 1)) for redundant in (1, 0))
     with_rows, without = (cost(traced(Configuration.of(five, survey=survey))).outputs for survey in surveys)
     assert with_rows > without
-    pendulum = alfmu.Mechanism("pendulum")
-    th = pendulum.coordinate("th", "rad", start=0.5, independent=True)
-    rod = pendulum.bar("rod", mass=1.0, length=1.0)
-    pendulum.revolute("A", pendulum.ground.at(), rod.start, coordinate=th)
-    pendulum.gravity(0.0, -9.81)
+    pendulum, *_ = hinged("pendulum", bar="rod", start=0.5, independent=True)
     equations = prepared(alfmu.derive(pendulum))
     assert cost(equations).step < 100
     by_rk4 = {"solver.method": "rk4"}

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from oracles.linkages import by_mujoco
 from oracles.newton_euler import NewtonEuler
+from scenes import hinged
 from scipy.spatial.transform import Rotation
 from turned import KINDS, Linkage
 
@@ -963,10 +964,7 @@ def test_axis_of_a_body_in_space_is_given_by_euler_parameters():
 
 def test_efforts_hold_against_violated_stops():
     """A pendulum beyond its limits: gravity, and the stop's stiffness times the penetration less half its onset."""
-    m = Mechanism("stopped")
-    th = m.coordinate("th", "rad", start=0.1, independent=True)
-    bar = m.bar("bar", mass=0.8, length=0.5)
-    pin = m.revolute("A", m.ground.at(), bar.start, coordinate=th)
+    m, _, pin, *_ = hinged("stopped", mass=0.8, length=0.5, weight=0.0, start=0.1, independent=True)
     m.end_stop("stop", pin, upper=0.3, lower=-0.2, stiffness=50.0, onset=0.02, dissipation=0.0)
     m.gravity(0, -9.81)
     k = kinematics(m, actuated=["A"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from scenes import derived
+from scenes import derived, hinged
 
 import alfmu
 from alfmu.cli import main
@@ -51,11 +51,7 @@ def five_bar() -> alfmu.Mechanism:
 
 def pendulum() -> alfmu.Mechanism:
     """A single body, of which no constraint is left."""
-    m = alfmu.Mechanism("pendulum")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=1.0))
-    m.gravity(0, -9.81)
-    return m
+    return hinged("pendulum", joint="hinge", start=1.0)[0]
 
 
 CASES = {

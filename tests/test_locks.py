@@ -8,7 +8,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from scenes import double_pendulum, initialized, made, readings
+from scenes import double_pendulum, initialized, made, readings, refused
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -238,10 +238,8 @@ def test_a_step_that_is_refused_undoes_its_event():
     i = initialized(alfmu.Instance(prepared(alfmu.derive(double_pendulum()))))
     i.step(0.2)
     i.set("elbow.locked", True)
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match="communication step of -1"):
+    with refused(i, alfmu.InputError, match="communication step of -1"):
         i.step(-1.0)
-    assert i.save() == before
     i.step(0.2)
     assert i.get("monitor.energy_lost") > 0.0
 

@@ -7,6 +7,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
+from scenes import hinged
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -20,11 +21,7 @@ ASKED = ["*", "A.force.peak"]
 
 def pendulum() -> Mechanism:
     """A bar of 1 kg and 1 m that begins horizontally at rest."""
-    m = Mechanism("pendulum")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
-    m.gravity(0, -WEIGHT)
-    return m
+    return hinged("pendulum", weight=WEIGHT, independent=True)[0]
 
 
 def carried(time: np.ndarray) -> np.ndarray:
@@ -161,9 +158,7 @@ def test_a_state_that_is_restored_has_the_same_peaks():
 @pytest.mark.slow
 def test_what_joints_with_dry_friction_carry():
     """A step that is taken back, as a joint stops within it, leaves nothing: against short communication steps."""
-    m = Mechanism("rubbing")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m, _, hinge, *_ = hinged("rubbing", weight=0.0, independent=True)
     m.friction(hinge, coulomb=0.3, radius=0.2)
     m.gravity(0, -WEIGHT)
     coarse = alfmu.simulate(m, 4.0, 0.5, outputs=ASKED)
