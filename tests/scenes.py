@@ -212,6 +212,11 @@ by_the_oracle = partial(started, kind=oracle.Instance)
 """What `started` gives, on NumPy arrays."""
 
 
+def multipliers(i: alfmu.Instance) -> np.ndarray:
+    """All multipliers, in the order of the rows."""
+    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
+
+
 @contextmanager
 def refused(unit: Any, error: type[alfmu.AlfmuError], match: str) -> Iterator[Any]:
     """A call of a unit that fails by an error, and changes nothing in its state."""

@@ -5,7 +5,6 @@ fmpy's CVode is BDF, whose error over a run is some hundred times its tolerance,
 
 from collections.abc import Callable
 from ctypes import POINTER, c_double
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,12 +27,6 @@ from alfmu.fmi.drive import Fmu
 
 STEP = 0.02
 TOLERANCE = 1e-7
-
-
-@pytest.fixture(scope="session")
-def built(fmu_of) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU."""
-    return partial(fmu_of, kind="native", reference=False)
 
 
 def exchanged(path: Path, stop: float, given: dict[str, Any], solver: str = "CVode", step: float = STEP, **more: Any):

@@ -236,8 +236,7 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
 def test_settings_beside_the_usual_ones_run_as_by_the_oracle(settings):
     both = [made(derived("five_bar"), kernel, settings) for kernel in ("vm", "oracle")]
     for i in both:
-        i.set("start.angle", 0.4)
-        i.initialize()
+        initialized(i, {"start.angle": 0.4})
         i.step(0.1)
     kept = [v.name not in ("monitor.iterations", "monitor.distance") for v in both[0].outputs]
     a, b = (i.read()[kept] for i in both)
@@ -265,8 +264,7 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
     settings = Settings(method="rk4", penalty=alpha)
     both = [made(derived("five_bar"), k, settings) for k in (kernel, "oracle")]
     for i in both:
-        i.set("start.angle", 0.4)
-        i.initialize()
+        initialized(i, {"start.angle": 0.4})
         for _ in range(20):
             i.step(0.01)
     assert both[0].counters.patient == 0

@@ -165,8 +165,7 @@ def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
     open_ = alfmu.Instance(equations)
     for name in ("E.released", "F.released"):
         open_.set(name, True)
-    open_.set("start.angle", 0.7)
-    open_.initialize()
+    initialized(open_, {"start.angle": 0.7})
     y, v = open_.q[6], open_.v[6]
     open_.step(0.2)
     assert open_.q[6] == pytest.approx(y + 0.2 * v - G * 0.02, abs=1e-12)  # link 4 falls

@@ -7,7 +7,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from scenes import hinged
+from scenes import hinged, initialized
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -53,9 +53,7 @@ def test_a_peak_is_that_within_each_step(step, method):
 @pytest.mark.parametrize("short", [1e-5, 1e-8, 1e-13])
 def test_a_step_far_shorter_than_the_next_one_leaves_its_peak(short, method):
     """A polynomial through both of its ends has their round-off times the square of the ratio."""
-    unit = alfmu.Instance(pendulum(), outputs=["A.force.peak"])
-    unit.set("solver.method", method)
-    unit.initialize()
+    unit = initialized(alfmu.Instance(pendulum(), outputs=["A.force.peak"]), {"solver.method": method})
     for _ in range(30):
         unit.step(short)
         begin = unit.time
@@ -222,8 +220,7 @@ def test_a_peak_of_a_hundredth_of_a_second_is_exact_to_one_percent():
     By fixed steps of 0.02 s, two in the peak, RK4 itself is 0.2 rad/s off after it: its peak is 3 % low.
     """
     e = alfmu.derive(watt())
-    i = alfmu.Instance(e)
-    i.initialize()
+    i = initialized(alfmu.Instance(e))
     p, n = i.memory["p"], e.n
 
     def solved(y: np.ndarray) -> np.ndarray:

@@ -329,8 +329,7 @@ def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_pat
         compiled(["-std=c99", "-Os", "-c", path.name, "-o", "five_bar.o"], tmp_path)
         assert sizes(tmp_path / "five_bar.o") < 64_000  # of code and tables
     plain, instance = Plain(path), alfmu.Instance("five_bar", outputs=SMALL["outputs"])
-    instance.set("solver.method", "rk4")
-    instance.initialize()
+    initialized(instance, {"solver.method": "rk4"})
     assert plain("start", 0.0) == 0
     for k in range(600):
         assert plain("step", 0.02) == 0
@@ -376,9 +375,7 @@ def test_programs_with_references_say_the_same():
 def test_a_refused_export_tells_why_steps_of_rk4_fail(tmp_path):
     """The reason is that of an instance, which has no limit of iterations."""
     leg = alfmu.load(str(Path(__file__).parent.parent / "docs" / "gallery" / "plot_jansen_leg.py"))
-    instance = alfmu.Instance(leg)
-    instance.set("solver.method", "rk4")
-    instance.initialize()
+    instance = initialized(alfmu.Instance(leg), {"solver.method": "rk4"})
     with pytest.raises(alfmu.StepError) as failed:
         run(instance, 1.0, instance.equations.interval)
     assert "more iterations" not in str(failed.value)
