@@ -143,6 +143,16 @@ def hinged(
     return m, hung, hinge, th
 
 
+def sliding(
+    name: str, *, body: str = "block", joint: str = "guide", place: str = "s", mass: Any = 1.0, **start: Any
+) -> tuple[alfmu.Mechanism, Any, Any, ca.SX]:
+    """A mechanism of a block in a guide through the origin, with a start; the block, the guide and the place."""
+    m = alfmu.Mechanism(name)
+    s = m.coordinate(place, "m", **start)
+    block = m.body(body, mass=mass)
+    return m, block, m.prismatic(joint, m.ground.at(0, 0), block.at(0, 0), coordinate=s), s
+
+
 @cache
 def derived(name: str, **options: str) -> alfmu.Equations:
     """Equations of a registered mechanism, derived once."""

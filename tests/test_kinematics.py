@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from oracles.linkages import by_mujoco
 from oracles.newton_euler import NewtonEuler
-from scenes import hinged
+from scenes import hinged, sliding
 from scipy.spatial.transform import Rotation
 from turned import KINDS, Linkage
 
@@ -748,9 +748,7 @@ def test_transmission_angle_of_a_slider_crank():
     np.testing.assert_allclose(cycle["transmission_angle"], np.arccos(np.abs(height)), atol=1e-9)
     assert len(cycle.facts["toggles"]["guide"]) == 2
     assert cycle.units["guide.advantage"] == "rad/m"
-    push = Mechanism("slider")
-    body = push.body("slide", mass=1.0)
-    push.prismatic("guide", push.ground.at(0, 0), body.at(0, 0), coordinate=push.coordinate("stroke", "m"))
+    push = sliding("slider", body="slide", place="stroke")[0]
     push.gravity(0, 0)
     with pytest.raises(InputError, match=r"slider: guide has no dead position up to .*give the range as span="):
         kinematics(push, ["guide"], ["slide"]).cycle()

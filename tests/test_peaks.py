@@ -7,7 +7,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from scenes import hinged, initialized
+from scenes import hinged, initialized, sliding
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -86,9 +86,7 @@ def test_a_linkage_far_from_the_origin_has_the_same_peaks():
 
 def test_a_pulse_between_points_has_a_peak():
     """A force of 10 ms on a slider that a spring holds."""
-    m = Mechanism("slider")
-    body = m.body("b", mass=1.0)
-    m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=m.coordinate("x", "m", independent=True))
+    m, body, *_ = sliding("slider", body="b", place="x", independent=True)
     m.force(body.at(0, 0), y=ca.if_else(ca.fabs(m.time - 0.55) < 0.005, 100.0 * (m.time - 0.5), 1.0))
     r = alfmu.simulate(m, 1.0, 0.1, outputs=["guide.force", "guide.force.peak"])
     assert np.abs(r["guide.force"]).max() == pytest.approx(1.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import initialized
+from scenes import initialized, sliding
 from test_left_out import WARNINGS, block, by_a_compiler, led
 
 import alfmu
@@ -164,9 +164,7 @@ def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
 
 def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
     """A stiff spring at fixed steps of 10 ms: m omega^2 = k with omega h = 1, so that RK4 loses energy."""
-    m = alfmu.Mechanism("spring")
-    s = m.coordinate("s", "m", start=0.1)
-    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("block", mass=1.0).at(0, 0), coordinate=s)
+    m, _, guide, s = sliding("spring", start=0.1)
     m.drive(guide, -1e4 * s)
     given = {"kind": "source", "parameters": {"solver.step_size": 0.01}}
     with caplog.at_level("WARNING", "alfmu"):
