@@ -269,7 +269,7 @@ def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
 @cache
 def _block(x: float, y: float, z: float) -> Mesh:
     """Return a box, with four by four corners on each side."""
-    grid = np.moveaxis(np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 4), indexing="ij"), 0, -1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 4), indexing="ij"), axis=-1).reshape(-1, 2)
     quads = np.add.outer(4 * np.arange(3), np.arange(3)).reshape(-1, 1) + np.array([0, 4, 5, 1])
     sides = [(k, side) for k in range(3) for side in (-1, 1)]
     corners = np.concatenate([np.roll(np.insert(grid, 0, side, axis=1), k, axis=1) for k, side in sides])
