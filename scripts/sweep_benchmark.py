@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import alfmu
-from alfmu.sweeps.sweep import cores
+from alfmu.runtime.batch import processors
 
 KEEP = ["final(link1.angle)", "peak(A.force.*)"]
 VARY = {"m2": "uniform(0.5,1.5)", "l": "uniform(0.9,1.1)"}
@@ -101,7 +101,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=3, help="times that each is measured (default: %(default)s)")
     parser.add_argument("--fmpy", type=int, default=100, help="runs by fmpy each time (default: %(default)s)")
     chosen = parser.parse_args()
-    count = cores()
+    count = processors()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         swept(2000, 1, folder)  # traces and compiles

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,13 @@ def shared_cache(shared_folder: Path) -> Iterator[None]:
     yield
     if before is None:
         del os.environ[VARIABLE]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture
@@ -166,3 +174,9 @@ def chromium(one_chromium: Any) -> Iterator[Any]:
     """The Chromium of all tests; afterwards it shows nothing, as a page that moves takes time from other tests."""
     yield one_chromium
     one_chromium.get("about:blank")
+
+
+@pytest.fixture(scope="session")
+def built(fmu_of: Callable[..., Path]) -> Callable[..., Path]:
+    """`built("five_bar", ...)`: the path of that native FMU, without reference results."""
+    return partial(fmu_of, kind="native", reference=False)

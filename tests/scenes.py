@@ -1,11 +1,13 @@
 """Small mechanisms that the tests declare themselves, and helpers that put one into any state."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
+import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 
@@ -127,6 +129,30 @@ def double_pendulum() -> alfmu.Mechanism:
     return m
 
 
+def hinged(
+    name: str, *, bar: str = "bar", joint: str = "A", angle: str = "th", mass: Any = 1.0, length: Any = 1.0,
+    weight: float = 9.81, **start: Any,
+) -> tuple[alfmu.Mechanism, Any, Any, ca.SX]:  # fmt: skip
+    """A mechanism of a bar on a hinge at the origin, which begins at an angle; the bar, the hinge and the angle."""
+    m = alfmu.Mechanism(name)
+    th = m.coordinate(angle, "rad", **start)
+    hung = m.bar(bar, mass=mass, length=length)
+    hinge = m.revolute(joint, m.ground.at(0, 0), hung.start, coordinate=th)
+    if weight:
+        m.gravity(0, -weight)
+    return m, hung, hinge, th
+
+
+def sliding(
+    name: str, *, body: str = "block", joint: str = "guide", place: str = "s", mass: Any = 1.0, **start: Any
+) -> tuple[alfmu.Mechanism, Any, Any, ca.SX]:
+    """A mechanism of a block in a guide through the origin, with a start; the block, the guide and the place."""
+    m = alfmu.Mechanism(name)
+    s = m.coordinate(place, "m", **start)
+    block = m.body(body, mass=mass)
+    return m, block, m.prismatic(joint, m.ground.at(0, 0), block.at(0, 0), coordinate=s), s
+
+
 @cache
 def derived(name: str, **options: str) -> alfmu.Equations:
     """Equations of a registered mechanism, derived once."""
@@ -194,6 +220,20 @@ def started(
 
 by_the_oracle = partial(started, kind=oracle.Instance)
 """What `started` gives, on NumPy arrays."""
+
+
+def multipliers(i: alfmu.Instance) -> np.ndarray:
+    """All multipliers, in the order of the rows."""
+    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
+
+
+@contextmanager
+def refused(unit: Any, error: type[alfmu.AlfmuError], match: str) -> Iterator[Any]:
+    """A call of a unit that fails by an error, and changes nothing in its state."""
+    before = unit.save()
+    with pytest.raises(error, match=match) as told:
+        yield told
+    assert unit.save() == before
 
 
 def readings(instance: alfmu.Instance) -> dict[str, float]:

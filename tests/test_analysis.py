@@ -11,6 +11,7 @@ import pytest
 import scenes
 from oracles.parallelogram import Parallelogram
 from PIL import Image
+from scenes import hinged
 from scipy.integrate import solve_ivp
 from scipy.io import loadmat
 from scipy.linalg import eigh
@@ -28,12 +29,7 @@ HOLD = 2 * G * 0.35 * 0.5
 
 def pendulum(damping: float = 0.05) -> alfmu.Mechanism:
     """A bar of 2 kg and 0.7 m with a torque at its hinge."""
-    m = alfmu.Mechanism("pendulum")
-    bar = m.bar("bar", mass=2.0, length=0.7)
-    hinge = m.revolute(
-        "A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=0.3, independent=True)
-    )
-    m.gravity(0.0, -G)
+    m, _, hinge, *_ = hinged("pendulum", mass=2.0, length=0.7, weight=G, start=0.3, independent=True)
     m.friction(hinge, damping)
     m.drive(hinge, m.input("A.torque", "N.m"))
     return m
@@ -231,9 +227,7 @@ def test_a_spring_that_loses_its_length_on_the_way_hides_no_position_and_makes_n
 
 
 def test_where_a_spring_has_no_length_nothing_is_linearised():
-    m = alfmu.Mechanism("flap")
-    bar = m.bar("bar", mass=1.0, length=0.5)
-    m.revolute("A", m.ground.at(), bar.start, coordinate=m.coordinate("th", start=0.0, independent=True))
+    m, bar, *_ = hinged("flap", length=0.5, weight=0.0, start=0.0, independent=True)
     m.spring_damper((m.ground.at(0.5, 0), bar.end), stiffness=100.0, rest=0.1)
     m.gravity(0, -G)
     with pytest.raises(alfmu.InputError, match="flap, t = 0 s: loads or their derivatives are not finite"):

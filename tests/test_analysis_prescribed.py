@@ -7,6 +7,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import scenes
+from scenes import hinged
 from scipy.optimize import brentq
 from scipy.signal import lsim
 from test_analysis import differences
@@ -189,10 +190,7 @@ MU, R = 0.25, 0.1
 
 def journal(angle: float = 0.0, rate: float = 0.0) -> alfmu.Mechanism:
     """A bar of 1 kg and 1 m in a journal that rubs."""
-    m = alfmu.Mechanism("journal")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    th = m.coordinate("th", "rad", start=angle, rate=rate, independent=True)
-    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+    m, _, A, *_ = hinged("journal", weight=0.0, start=angle, rate=rate, independent=True)
     m.friction(A, coulomb=MU, static=0.35, radius=R)
     m.drive(A, m.input("A.torque", "N.m"))
     m.gravity(0, -G)

@@ -143,8 +143,7 @@ def test_threads_change_nothing():
     found = []
     for threads in (1, 3):
         batch = Batch("four_bar", 3 * COUNT, threads=threads)
-        batch.set("start.angle", np.linspace(0.5, 0.9, batch.count))
-        batch.initialize()
+        initialized(batch, {"start.angle": np.linspace(0.5, 0.9, batch.count)})
         for _ in range(10):
             batch.step(0.02)
         found.append(batch.get("link1.angle", "A.force.x"))
@@ -435,8 +434,7 @@ def test_sanitizers_find_nothing_in_a_batch(tmp_path):
     done = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stderr.splitlines() if "fully support makecontext" not in line] == []
-    batch.set("start.angle", start + 0.005 * np.arange(COUNT))
-    batch.initialize()
+    initialized(batch, {"start.angle": start + 0.005 * np.arange(COUNT)})
     for _ in range(20):
         batch.step(0.05)
     lines = [f"0 {angle:.17g}" for angle in batch.get("crank.angle")]

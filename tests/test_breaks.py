@@ -6,6 +6,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from scenes import hinged
 from scipy.integrate import quad
 
 import alfmu
@@ -26,9 +27,7 @@ METHODS = [
 
 def bar(torque: Callable[[Mechanism], ca.SX]) -> Mechanism:
     """A bar on a hinge under a torque, without gravity: its rate is the impulse over the inertia."""
-    m = Mechanism("bar")
-    body = m.bar("b", mass=1.0, length=1.0)
-    hinge = m.revolute("A", m.ground.at(0, 0), body.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m, _, hinge, *_ = hinged("bar", bar="b", weight=0.0, independent=True)
     m.drive(hinge, torque(m))
     return m
 

@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 import pytest
+from scenes import hinged
 from scipy.special import ellipj, ellipk
 
 import alfmu
@@ -13,10 +14,7 @@ from alfmu.cli.__main__ import main
 
 def pendulum(damping: float = 0.0) -> Mechanism:
     """A bar that begins horizontally at rest."""
-    m = Mechanism("pendulum")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
-    m.gravity(0, -9.81)
+    m, _, hinge, *_ = hinged("pendulum", independent=True)
     if damping:
         m.spring_damper(hinge, damping=damping)
     return m

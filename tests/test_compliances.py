@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oracles import stiff_joints
-from scenes import by_the_oracle, initialized, made, parameters
+from scenes import by_the_oracle, initialized, made, multipliers, parameters
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -14,10 +14,6 @@ def with_compliances(name: str) -> alfmu.Equations:
     m = alfmu.load(name)
     m.compliances()
     return alfmu.derive(m)
-
-
-def multipliers(i: alfmu.Instance) -> np.ndarray:
-    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
 
 
 @pytest.mark.slow
@@ -53,8 +49,7 @@ def test_shares_are_those_of_a_weighted_pseudo_inverse(kernel, decades):
     i = made(e, kernel)
     for variable, x in zip(e.compliances, compliance, strict=True):
         i.set(variable.name, x)
-    i.set("start.angle", 0.7)
-    i.initialize()
+    initialized(i, {"start.angle": 0.7})
     shared_by_none = by_the_oracle(e, {"start.angle": 0.7})
     for _ in range(5):
         i.step(0.02)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from oracles.converted import BUILT, floating, robot, shaper
 from oracles.linkages import by_pinocchio, mujoco_accelerations
+from scenes import hinged
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -359,11 +360,7 @@ def test_the_inertia_of_a_welded_body_without_mass_goes_to_its_neighbour(suffix:
 
 def alone(what: str) -> Mechanism:
     """A pendulum with one part that no file holds."""
-    m = Mechanism("pendulum")
-    th = m.coordinate("th", "rad", start=0.3, independent=True)
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    pin = m.revolute("A", m.ground.at(), bar.start, coordinate=th)
-    m.gravity(0, -9.81)
+    m, bar, pin, th = hinged("pendulum", start=0.3, independent=True)
     if what == "world":
         m.revolute("B", m.ground.at(1, 0), m.body("world", mass=1.0, inertia=1.0).at(),
                    coordinate=m.coordinate("other", "rad", start=0.0, independent=True))  # fmt: skip

@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import initialized
 
 import alfmu
 from alfmu import Mechanism
@@ -555,8 +556,7 @@ def test_of_assemblies_that_no_start_value_tells_apart_there_is_no_other():
 
 @pytest.mark.slow
 def test_an_assembly_at_its_guess_says_nothing():
-    i = alfmu.Instance(hanging(-1.0))
-    i.initialize()
+    i = initialized(alfmu.Instance(hanging(-1.0)))
     assert i.moved == {"b": 0.0}
 
 
@@ -577,8 +577,7 @@ def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, ca
 @pytest.mark.parametrize("name", ["slider_crank", "four_bar", "five_bar", "n_four_bar", "particle_on_circle"])
 def test_mechanisms_with_starts_for_all_they_do_are_told_nothing(name):
     """At singular starts as well; their guesses are where they begin."""
-    i = alfmu.Instance(name)
-    i.initialize()
+    i = initialized(alfmu.Instance(name))
     assert i.undetermined() == []
     assert max(i.moved.values()) <= 1e-9
 
@@ -819,8 +818,7 @@ def test_the_way_that_an_attitude_turned_in_the_assembly_is_known():
     body = m.spatial_body("body", mass=1.0, inertia=(1.0, 1.0, 1.0), attitude=(half, half, 0.0, 0.0))
     m.spatial_revolute("A", m.spatial_ground.at(), body.at(), axis=(0, 0, 1))
     m.gravity(0, -9.81)
-    i = alfmu.Instance(m)
-    i.initialize()
+    i = initialized(alfmu.Instance(m))
     assert i.turned["body"] == pytest.approx(math.pi / 2)
 
 

@@ -9,7 +9,7 @@ from oracles.free_body import Balance, turn
 from oracles.lagrange import DIGITS, Description, slope
 from oracles.parallelogram import Parallelogram
 from oracles.pendulum import period
-from scenes import ARM, GLUE, QUICK_RETURN, SLIDE, arm, derived, evaluate, quick_return, readings, started
+from scenes import ARM, GLUE, QUICK_RETURN, SLIDE, arm, derived, evaluate, hinged, quick_return, readings, started
 
 import alfmu
 
@@ -426,9 +426,7 @@ def test_slider_on_an_inclined_guide(closed_by: str) -> None:
 def test_pin_in_a_slot_bears_half_a_bar() -> None:
     """A horizontal bar on a hinge, its end pinned in a slot at an angle b: the slot bears m g / (2 cos b)."""
     b = 0.3
-    m = alfmu.Mechanism("shelf")
-    bar = m.bar("bar", mass=MASS, length=LENGTH)
-    m.revolute("hinge", m.ground.at(), bar.start, coordinate=m.coordinate("th", "rad"))
+    m, bar, *_ = hinged("shelf", joint="hinge", mass=MASS, length=LENGTH, weight=0.0)
     m.point_on_line("slot", m.ground.at(LENGTH, 0.0), bar.end, axis=b)
     r = still(m)
     near([r["slot.force"]], [WEIGHT / 2 / np.cos(b)])
@@ -439,9 +437,7 @@ def test_pin_in_a_slot_bears_half_a_bar() -> None:
 
 def test_massless_rod_holds_a_boom() -> None:
     """A horizontal boom on a hinge, its end held by a stay at 45 degrees from above: tension m g / sqrt(2)."""
-    m = alfmu.Mechanism("boom")
-    boom = m.bar("boom", mass=MASS, length=LENGTH)
-    m.revolute("hinge", m.ground.at(), boom.start, coordinate=m.coordinate("th", "rad"))
+    m, boom, *_ = hinged("boom", bar="boom", joint="hinge", mass=MASS, length=LENGTH, weight=0.0)
     m.distance("stay", m.ground.at(0.0, LENGTH), boom.end, length=LENGTH * np.sqrt(2))
     r = still(m)
     near([r["stay.force"]], [-WEIGHT / np.sqrt(2)])

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from PIL import Image
+from scenes import hinged
 from scipy.spatial import ConvexHull
 
 from alfmu import DeclarationError, InputError, Mechanism, load
@@ -133,10 +134,7 @@ def test_a_notebook_shows_a_mechanism_and_nothing_where_there_is_nothing_to_show
     assert load("four_bar")._repr_svg_() == load("four_bar").draw().svg()
     assert load("four_bar")._repr_png_() is None
     assert Mechanism("empty")._repr_svg_() is None
-    m = Mechanism("torn")
-    th = m.coordinate("th", "rad", start=0.5, independent=True)
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0.0, 0.0), bar.start, coordinate=th)
+    m, bar, *_ = hinged("torn", weight=0.0, start=0.5, independent=True)
     m.distance("R", m.ground.at(9.0, 0.0), bar.end, length=1.0)
     assert m._repr_svg_() is None  # it cannot be closed
     many = load("n_four_bar")

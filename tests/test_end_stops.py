@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scenes import readings, started
+from scenes import hinged, readings, sliding, started
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -66,10 +66,7 @@ def test_the_force_of_a_stop_is_that_of_its_law():
 
 
 def test_a_bumper_between_two_points_is_felt_by_the_bearing():
-    m = alfmu.Mechanism("bumper")
-    angle = m.coordinate("angle", start=-0.2, rate=1.5, independent=True)
-    bar = m.bar("bar", mass=2.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=angle)
+    m, bar, *_ = hinged("bumper", angle="angle", mass=2.0, weight=0.0, start=-0.2, rate=1.5, independent=True)
     m.end_stop("bumper", (m.ground.at(1.0, -0.5), bar.end), lower=0.4, stiffness=5e3, onset=0.01)
     m.gravity(0, -G)
     y = readings(started(alfmu.derive(m)))
@@ -89,10 +86,7 @@ def test_a_bumper_between_two_points_is_felt_by_the_bearing():
 
 def test_a_guide_rubs_by_the_blow_of_a_stop():
     """A stop beside the guide, at half the distance of its edges, makes both carry as much as it pushes."""
-    m = alfmu.Mechanism("hit")
-    block = m.body("block", mass=1.0)
-    place = m.coordinate("x", "m", rate=-2.0, independent=True)
-    guide = m.prismatic("guide", m.ground.at(0, 0), block.at(0, 0), coordinate=place)
+    m, block, guide, *_ = sliding("hit", place="x", rate=-2.0, independent=True)
     m.friction(guide, coulomb=0.2, length=0.2)
     m.gravity(0, -G)
     beside = m.ground.at(-1.0, 0.1), block.at(0, 0.1)
@@ -117,8 +111,6 @@ def test_a_guide_rubs_by_the_blow_of_a_stop():
     ],
 )
 def test_a_stop_that_cannot_be_is_refused(given: dict, said: str):
-    m = alfmu.Mechanism("m")
-    body = m.body("body", mass=1.0)
-    joint = m.prismatic("fall", m.ground.at(0, 0), body.at(0, 0), coordinate=m.coordinate("h", "m"))
+    m, _, joint, *_ = sliding("m", body="body", joint="fall", place="h")
     with pytest.raises(alfmu.DeclarationError, match=said):
         m.end_stop("floor", **{"of": joint, "stiffness": 1e5, **given})

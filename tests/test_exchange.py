@@ -5,7 +5,6 @@ fmpy's CVode is BDF, whose error over a run is some hundred times its tolerance,
 
 from collections.abc import Callable
 from ctypes import POINTER, c_double
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +20,7 @@ from oracles.end_stop import EndStop
 from oracles.flyball import Governor
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
+from scenes import sliding
 
 import alfmu
 from alfmu.fmi.checks.validation import validate
@@ -28,12 +28,6 @@ from alfmu.fmi.drive import Fmu
 
 STEP = 0.02
 TOLERANCE = 1e-7
-
-
-@pytest.fixture(scope="session")
-def built(fmu_of) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU."""
-    return partial(fmu_of, kind="native", reference=False)
 
 
 def exchanged(path: Path, stop: float, given: dict[str, Any], solver: str = "CVode", step: float = STEP, **more: Any):
@@ -410,10 +404,7 @@ def test_both_interfaces_are_in_one_fmu(built, tmp_path):
 
 def block(force: Callable[[Any], Any]) -> alfmu.Mechanism:
     """A block of 2 kg that rubs on the ground under a force along it."""
-    m = alfmu.Mechanism("block")
-    s = m.coordinate("s", "m", start=0.0)
-    body = m.body("block", mass=2.0)
-    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    m, _, guide, *_ = sliding("block", mass=2.0, start=0.0)
     m.drive(guide, force(m.time))
     m.friction(guide, coulomb=0.3, static=0.4)
     m.gravity(0, -9.81)
@@ -550,10 +541,7 @@ def test_a_prescribed_motion_is_followed_through_a_jump_of_its_rate(built):
 
 def test_a_state_of_first_order_is_integrated_with_the_motion(built):
     """A force that fades, in closed form; its nominal value is the declared one."""
-    m = alfmu.Mechanism("lag")
-    s = m.coordinate("s", "m", start=0.0)
-    body = m.body("block", mass=2.0)
-    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    m, _, guide, *_ = sliding("lag", mass=2.0, start=0.0)
     lag = m.state("lag", "N", start=1.0, nominal=0.25)
     m.derivative(lag, -3.0 * lag)
     m.drive(guide, lag)
@@ -576,10 +564,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_exchanged_is_refused_by_name(tmp_path, case):
     outputs = None
-    m = alfmu.Mechanism("scene")
-    s = m.coordinate("s", "m", start=0.0)
-    body = m.body("block", mass=2.0)
-    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    m, _, guide, *_ = sliding("scene", mass=2.0, start=0.0)
     if case == "a force that jumps with an input":
         m.drive(guide, ca.if_else(m.input("push", "N") > 1.0, 3.0, 0.0))
     elif case == "outputs":

@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_the_oracle, cusp, derived, initialized, made
+from scenes import by_the_oracle, cusp, derived, initialized, made, refused
 
 import alfmu
 from alfmu import simulate
@@ -221,10 +221,8 @@ def test_a_motion_that_ends_is_said_to_be_locked_up():
             i.step(1.0)
         assert i.time == 0.0  # the whole communication step is undone
         i.step(0.79)
-        before = i.save()
-        with pytest.raises(alfmu.StepError, match="locked up") as said:
+        with refused(i, alfmu.StepError, match="locked up") as said:
             i.step(0.02)
-        assert i.save() == before
         assert float(str(said.value).split("t = ")[1].split(" s")[0]) == pytest.approx(arrival, rel=0.005)
         assert np.hypot(*i.v) == pytest.approx(np.hypot(1.0, 1.5), rel=1e-5)
         assert np.isfinite(i.read()).all()  # so near that there is no limit to be read

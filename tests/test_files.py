@@ -31,12 +31,6 @@ from alfmu.view.shapes import geometry
 NAMELESS = [pytest.param(True, id="nameless"), pytest.param(False, id="named")]
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 @pytest.fixture(scope="module")
 def native(tmp_path_factory) -> Path:
     return alfmu.export("slider_crank", tmp_path_factory.mktemp("native") / "native.fmu", kind="native")

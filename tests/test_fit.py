@@ -5,6 +5,7 @@ import logging
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import hinged
 
 import alfmu
 from alfmu.cli import main
@@ -113,10 +114,7 @@ def test_as_many_measurements_as_numbers_tell_no_deviation():
 
 def swung() -> alfmu.Mechanism:
     """A bar with a moment of inertia of 1 kg.m^2 at a torsion spring."""
-    m = alfmu.Mechanism("swung")
-    bar = m.bar("bar", mass=3.0, length=1.0)
-    angle = m.coordinate("angle", "rad", start=0.5, independent=True)
-    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=angle)
+    m, _, hinge, *_ = hinged("swung", angle="angle", mass=3.0, weight=0.0, start=0.5, independent=True)
     m.spring_damper(hinge, stiffness=m.parameter("c", 1.0, "N.m/rad"))
     m.gravity(0, 0)
     return m

@@ -110,8 +110,7 @@ def test_communication_steps_of_any_length_keep_time_and_order(exported):
 
 def test_outputs_are_consistent_after_initialisation_and_follow_the_inputs(exported):
     with Fmu(exported("slider_crank")) as fmu:
-        fmu.set("A.torque", 2.0)
-        fmu.initialize()
+        initialized(fmu, {"A.torque": 2.0})
         names = [v.name for v in fmu.outputs]
         before = dict(zip(names, fmu.read(), strict=True))
         fmu.set("A.torque", 5.0)
@@ -251,8 +250,7 @@ def test_a_refused_value_does_not_outlive_a_restored_state(exported):
 def test_a_bad_parameter_can_be_mended_before_initialisation(exported):
     with Fmu(exported("five_bar")) as fmu:
         fmu.set("m2", -1.0)
-        fmu.set("m2", 0.5)
-        fmu.initialize()
+        initialized(fmu, {"m2": 0.5})
         fmu.step(0.02, 0.0)
 
 

@@ -1,9 +1,6 @@
 """Every formulation in native FMUs: the oracle's numbers, its words where a step fails, and what is refused."""
 
 from collections import OrderedDict
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -27,12 +24,6 @@ SCENES = ("slider_crank", "five_bar", "particle_on_circle", "four_bar")
 PASSING = ("five_bar", "four_bar")
 SOFT = {"solver.penalty": 100.0, "solver.method": "rk4", "solver.step_size": 0.002}
 """A penalty with which (5) can be integrated by RK4, and (8) as printed loses two digits in place of eight."""
-
-
-@pytest.fixture(scope="session")
-def built(fmu_of) -> Callable[..., Path]:
-    """`built("five_bar")`: the path of that native FMU."""
-    return partial(fmu_of, kind="native", reference=False)
 
 
 def unlike(got, library, motion: bool) -> float:
@@ -215,8 +206,7 @@ def test_a_step_that_fails_says_what_the_oracle_says(built):
         assert str(caught.value) == str(wanted.value)
         assert "the equations of motion are not finite" in str(caught.value)
     with Fmu(built("five_bar")) as fmu:
-        fmu.set("solver.formulation", "stiffness")
-        fmu.initialize()
+        initialized(fmu, {"solver.formulation": "stiffness"})
         before = fmu.read().copy()
         with pytest.raises(alfmu.StepError, match="rad in one step, more than half a turn; reduce"):
             fmu.step(0.02, 0.0)
@@ -247,8 +237,7 @@ def test_an_unknown_formulation_is_refused(built):
             fmu.set("solver.formulation", "exact")
         with pytest.raises(alfmu.StepError, match=r"solver\.formulation.* supports 1 \(residual\), 2 \(classic\)"):
             fmu.set("solver.formulation", len(FORMULATIONS) + 1)
-        fmu.set("solver.formulation", "dae")
-        fmu.initialize()
+        initialized(fmu, {"solver.formulation": "dae"})
 
 
 def test_only_rk4_has_every_formulation(tmp_path):
@@ -293,8 +282,7 @@ def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch, uncached
             fmu.set("solver.formulation", "dae")
         with pytest.raises(alfmu.StepError, match=r"supports 1 \(residual\), .* 4 \(stiffness\)(?!,)"):
             fmu.set("solver.formulation", 5)
-        fmu.set("solver.formulation", "penalty")
-        fmu.initialize()
+        initialized(fmu, {"solver.formulation": "penalty"})
         fmu.step(0.02, 0.0)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from oracles.rubbing import Crank
-from scenes import initialized
+from scenes import initialized, sliding
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -820,9 +820,7 @@ def test_a_declaration_that_makes_no_sense_is_refused(line, said):
 
 
 def test_a_coefficient_that_is_a_parameter_is_not_negative_later_either():
-    m = alfmu.Mechanism("m")
-    block = m.body("block", mass=1.0)
-    guide = m.prismatic("guide", m.ground.at(), block.at(), coordinate=m.coordinate("x", "m", independent=True))
+    m, _, guide, *_ = sliding("m", place="x", independent=True)
     m.friction(guide, coulomb=m.parameter("mu", 0.3))
     m.gravity(0, -9.81)
     with pytest.raises(InputError, match=r"m: mu = -0.1 1 is outside"):
@@ -832,9 +830,7 @@ def test_a_coefficient_that_is_a_parameter_is_not_negative_later_either():
 @pytest.mark.parametrize("kind", ["coulomb", "viscous"])
 def test_a_coefficient_that_an_input_makes_negative_counts_as_none(kind):
     """On an incline of 0.3 rad a block slides as if there were no friction, and gains no energy by it."""
-    m = alfmu.Mechanism("m")
-    block = m.body("block", mass=1.0)
-    guide = m.prismatic("guide", m.ground.at(), block.at(), coordinate=m.coordinate("x", "m", independent=True))
+    m, _, guide, *_ = sliding("m", place="x", independent=True)
     m.friction(guide, **{kind: m.input("mu", {"coulomb": "1", "viscous": "N.s/m"}[kind], start=-0.2)})
     m.gravity(9.81 * np.sin(0.3), -9.81 * np.cos(0.3))
     run = alfmu.simulate(m, 1.0, 0.1)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from oracles.complex_steps import EPSILON, Complex
 from oracles.slider_crank import SliderCrank
-from scenes import double_pendulum
+from scenes import double_pendulum, initialized
 from scipy.integrate import solve_ivp
 from test_bennett import ALPHA, BETA, reference
 from test_locks import END, FREE, LOCKED, stopped, swung
@@ -39,9 +39,7 @@ def by_complex_steps(name: str, method: str, angle: float, steps: int, h: float)
     """Derivatives of q and v of the five-bar after some steps, and the tiers of the steps."""
     unit = Instance("five_bar")
     numbers = {**NUMBERS, "start.angle": angle, "start.angular_velocity": 2.0}
-    for key, value in {**numbers, "solver.method": method, "solver.step_size": h}.items():
-        unit.set(key, value)
-    unit.initialize()
+    initialized(unit, {**numbers, "solver.method": method, "solver.step_size": h})
     numbers[name] += 1j * EPSILON
     q, v = parallelogram(numbers["l"], numbers["start.angle"], numbers["start.angular_velocity"])
     own = len(unit.equations.parameters)

@@ -14,7 +14,7 @@ import fmpy.fmi3
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import derived, initialized
+from scenes import derived, hinged, initialized
 
 import alfmu
 from alfmu.analysis.linearization import linearize
@@ -333,10 +333,7 @@ def peak() -> int:
 def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     """The root of an input at zero; and a rank that is not sure, where the five-bar passes a singular position by a
     formulation that does not look out for it."""
-    m = alfmu.Mechanism("rooted")
-    th = m.coordinate("th", "rad", independent=True)
-    rod = m.bar("rod", mass=1.0, length=1.0)
-    A = m.revolute("A", m.ground.at(), rod.start, coordinate=th)
+    m, _, A, *_ = hinged("rooted", bar="rod", weight=0.0, independent=True)
     m.drive(A, ca.sqrt(m.input("u", "1", start=0.25)) * m.parameter("k", 2.0, "N.m"))
     unit = initialized(Instance(m, outputs=["*", "rod.angle/u"]))
     unit.step(0.02)
@@ -386,10 +383,7 @@ def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     assert not (tmp_path / "x.fmu").exists()
     with pytest.raises(alfmu.InputError, match=r"the oracle has no derivatives over a step, as link1.angle/A.torque"):
         alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.angle/A.torque"], kernel="oracle")
-    m = alfmu.Mechanism("rubbing")
-    th = m.coordinate("th", "rad", independent=True)
-    rod = m.bar("rod", mass=1.0, length=1.0)
-    A = m.revolute("A", m.ground.at(), rod.start, coordinate=th)
+    m, _, A, *_ = hinged("rubbing", bar="rod", weight=0.0, independent=True)
     m.friction(A, coulomb=0.2, radius=0.02)
     m.drive(A, m.input("A.torque", "N.m"))
     for kind in ("python", "native"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scenes import by_rk4 as derived
-from scenes import initialized, made
+from scenes import hinged, initialized, made, refused
 
 import alfmu
 from alfmu.equations import Configuration, Mobility
@@ -236,8 +236,7 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
 def test_settings_beside_the_usual_ones_run_as_by_the_oracle(settings):
     both = [made(derived("five_bar"), kernel, settings) for kernel in ("vm", "oracle")]
     for i in both:
-        i.set("start.angle", 0.4)
-        i.initialize()
+        initialized(i, {"start.angle": 0.4})
         i.step(0.1)
     kept = [v.name not in ("monitor.iterations", "monitor.distance") for v in both[0].outputs]
     a, b = (i.read()[kept] for i in both)
@@ -265,8 +264,7 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
     settings = Settings(method="rk4", penalty=alpha)
     both = [made(derived("five_bar"), k, settings) for k in (kernel, "oracle")]
     for i in both:
-        i.set("start.angle", 0.4)
-        i.initialize()
+        initialized(i, {"start.angle": 0.4})
         for _ in range(20):
             i.step(0.01)
     assert both[0].counters.patient == 0
@@ -284,10 +282,8 @@ def test_a_step_that_neither_can_take_keeps_the_state(kernel):
     i.set("start.angle", 0.4)
     i.initialize()
     i.set("A.torque", 1e6)
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match=r"four_bar, t = 5 s: .*reduce solver\.step_size"):
+    with refused(i, alfmu.StepError, match=r"four_bar, t = 5 s: .*reduce solver\.step_size"):
         i.step(5.0)
-    assert i.save() == before
 
 
 def test_only_what_the_scene_needs_is_traced():
@@ -296,11 +292,7 @@ def test_only_what_the_scene_needs_is_traced():
     surveys = (Survey(Mobility(1, redundant, 1)) for redundant in (1, 0))
     with_rows, without = (cost(traced(Configuration.of(five, survey=survey))).outputs for survey in surveys)
     assert with_rows > without
-    pendulum = alfmu.Mechanism("pendulum")
-    th = pendulum.coordinate("th", "rad", start=0.5, independent=True)
-    rod = pendulum.bar("rod", mass=1.0, length=1.0)
-    pendulum.revolute("A", pendulum.ground.at(), rod.start, coordinate=th)
-    pendulum.gravity(0.0, -9.81)
+    pendulum, *_ = hinged("pendulum", bar="rod", start=0.5, independent=True)
     equations = prepared(alfmu.derive(pendulum))
     assert cost(equations).step < 100
     by_rk4 = {"solver.method": "rk4"}

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from oracles.linkages import by_mujoco
 from oracles.newton_euler import NewtonEuler
+from scenes import hinged, sliding
 from scipy.spatial.transform import Rotation
 from turned import KINDS, Linkage
 
@@ -747,9 +748,7 @@ def test_transmission_angle_of_a_slider_crank():
     np.testing.assert_allclose(cycle["transmission_angle"], np.arccos(np.abs(height)), atol=1e-9)
     assert len(cycle.facts["toggles"]["guide"]) == 2
     assert cycle.units["guide.advantage"] == "rad/m"
-    push = Mechanism("slider")
-    body = push.body("slide", mass=1.0)
-    push.prismatic("guide", push.ground.at(0, 0), body.at(0, 0), coordinate=push.coordinate("stroke", "m"))
+    push = sliding("slider", body="slide", place="stroke")[0]
     push.gravity(0, 0)
     with pytest.raises(InputError, match=r"slider: guide has no dead position up to .*give the range as span="):
         kinematics(push, ["guide"], ["slide"]).cycle()
@@ -963,10 +962,7 @@ def test_axis_of_a_body_in_space_is_given_by_euler_parameters():
 
 def test_efforts_hold_against_violated_stops():
     """A pendulum beyond its limits: gravity, and the stop's stiffness times the penetration less half its onset."""
-    m = Mechanism("stopped")
-    th = m.coordinate("th", "rad", start=0.1, independent=True)
-    bar = m.bar("bar", mass=0.8, length=0.5)
-    pin = m.revolute("A", m.ground.at(), bar.start, coordinate=th)
+    m, _, pin, *_ = hinged("stopped", mass=0.8, length=0.5, weight=0.0, start=0.1, independent=True)
     m.end_stop("stop", pin, upper=0.3, lower=-0.2, stiffness=50.0, onset=0.02, dissipation=0.0)
     m.gravity(0, -9.81)
     k = kinematics(m, actuated=["A"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from scenes import derived
+from scenes import derived, hinged, sliding
 
 import alfmu
 from alfmu.cli import main
@@ -22,10 +22,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-std=c99", "-ffp-contr
 
 def block() -> alfmu.Mechanism:
     """A block on the ground, which rubs, under a force that jumps."""
-    m = alfmu.Mechanism("block")
-    s = m.coordinate("s", "m", start=0.0)
-    body = m.body("block", mass=2.0)
-    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    m, _, guide, *_ = sliding("block", mass=2.0, start=0.0)
     m.drive(guide, ca.if_else(m.time < 0.43, 9.0, -15.0))
     m.friction(guide, coulomb=0.3, static=0.4)
     m.gravity(0, -9.81)
@@ -51,11 +48,7 @@ def five_bar() -> alfmu.Mechanism:
 
 def pendulum() -> alfmu.Mechanism:
     """A single body, of which no constraint is left."""
-    m = alfmu.Mechanism("pendulum")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", start=1.0))
-    m.gravity(0, -9.81)
-    return m
+    return hinged("pendulum", joint="hinge", start=1.0)[0]
 
 
 CASES = {

@@ -4,7 +4,6 @@ import importlib.metadata
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -43,12 +42,6 @@ def pendulum() -> alfmu.Mechanism:
 @pytest.fixture(scope="module")
 def four_bar() -> alfmu.Result:
     return alfmu.simulate("four_bar", 1.0, 0.05, parameters={"m2": 2.0})
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 # Results ------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from scenes import double_pendulum, initialized, made, readings
+from scenes import double_pendulum, initialized, made, readings, refused
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -165,8 +165,7 @@ def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
     open_ = alfmu.Instance(equations)
     for name in ("E.released", "F.released"):
         open_.set(name, True)
-    open_.set("start.angle", 0.7)
-    open_.initialize()
+    initialized(open_, {"start.angle": 0.7})
     y, v = open_.q[6], open_.v[6]
     open_.step(0.2)
     assert open_.q[6] == pytest.approx(y + 0.2 * v - G * 0.02, abs=1e-12)  # link 4 falls
@@ -238,10 +237,8 @@ def test_a_step_that_is_refused_undoes_its_event():
     i = initialized(alfmu.Instance(prepared(alfmu.derive(double_pendulum()))))
     i.step(0.2)
     i.set("elbow.locked", True)
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match="communication step of -1"):
+    with refused(i, alfmu.InputError, match="communication step of -1"):
         i.step(-1.0)
-    assert i.save() == before
     i.step(0.2)
     assert i.get("monitor.energy_lost") > 0.0
 

@@ -10,7 +10,7 @@ from mpmath import matrix, mp
 from oracles.parallelogram import DIGITS, Parallelogram, constrained, floats
 from oracles.slider_crank import SliderCrank
 from scenes import by_the_oracle as started
-from scenes import derived, readings
+from scenes import derived, readings, refused
 from scenes import started as running
 
 import alfmu
@@ -160,12 +160,10 @@ def test_constraints_removed_while_running() -> None:
     p = i.values[: len(i.equations.parameters)]
     H = method.augmented_mass(np.array(i.equations.M(i.q, p)), np.array(i.equations.C(i.q, p)), i.alpha)
     assert np.linalg.eigvalsh(H).min() > 0
-    before = i.save()
-    with pytest.raises(
-        alfmu.InputError, match=r"five_bar, t = 0\.9 s: a constraint that is open by 1\.\d+ at E y cannot be"
+    with refused(
+        i, alfmu.InputError, match=r"five_bar, t = 0\.9 s: a constraint that is open by 1\.\d+ at E y cannot be"
     ):
         i.penalty = 1e8
-    assert i.save() == before
 
 
 def test_constraints_removed_and_put_back_at_once_leave_no_trace() -> None:
@@ -426,10 +424,8 @@ def test_stiffness_alone_is_wrong_by_one_over_its_stiffness(mechanism: str) -> N
 def test_stiffness_alone_needs_every_mass() -> None:
     """(5) inverts M itself, so a massless link is a StepError, and the state survives it."""
     i = started(derived("five_bar"), {"m2": 0.0, "solver.penalty": 100.0}, formulation="stiffness")
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match="singular"):
+    with refused(i, alfmu.StepError, match="singular"):
         i.step(0.01)
-    assert i.save() == before
 
 
 @pytest.mark.parametrize("formulation", ["baumgarte", "penalty"])

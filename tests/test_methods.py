@@ -11,7 +11,7 @@ from oracles import flyball, ode
 from oracles.end_stop import EndStop
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived, made, sampled
+from scenes import derived, made, refused, sampled
 
 import alfmu
 from alfmu.equations.interface import default_settings
@@ -243,10 +243,8 @@ def test_a_tolerance_that_cannot_be_met_is_said():
     i = chosen("four_bar", "explicit", start__angle=0.7, solver__relative_tolerance=1e-13)
     i.step(0.01)
     i.set("A.torque", 1e300)
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match=r"four_bar, t = 0\.\d+ s: no step however short meets the tolerance"):
+    with refused(i, alfmu.StepError, match=r"four_bar, t = 0\.\d+ s: no step however short meets the tolerance"):
         i.step(0.1)
-    assert i.save() == before
     i.set("A.torque", 0.0)
     i.step(0.01)
 

@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from numpy.polynomial import chebyshev
 from oracles import ode
-from scenes import initialized, made
+from scenes import hinged, initialized, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -33,11 +33,7 @@ def by_rk4(mechanism: alfmu.Mechanism) -> alfmu.Equations:
 
 def crank(law: Callable, switch: bool = False, **signal) -> alfmu.Mechanism:
     """A bar of 1 kg and 1 m on a hinge that turns by a law of time, or by the input `A.angle`."""
-    m = alfmu.Mechanism("crank")
-    th = m.coordinate("th", "rad", independent=True)
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
-    m.gravity(0, -G)
+    m, _, A, *_ = hinged("crank", weight=G, independent=True)
     m.motion(A, law(m.time) if law else m.input("A.angle", "rad", **signal), switch=switch)
     return m
 
@@ -412,10 +408,7 @@ def test_the_start_follows_the_law_at_the_time_it_begins():
 
 
 def test_start_values_that_contradict_a_motion_are_refused():
-    m = alfmu.Mechanism("tied")
-    th = m.coordinate("th", "rad")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+    m, _, A, th = hinged("tied", weight=0.0)
     m.tie(m.start("tip", 0.5, "m"), ca.cos(th))
     m.motion(A, 2 * m.time)
     with pytest.raises(alfmu.AssemblyError, match="start"):
@@ -569,9 +562,7 @@ def test_a_jump_counts_while_its_motion_is_in_force():
 
 def test_a_law_of_a_signal_that_jumps_is_refused():
     """What a law makes of a signal is known in the run alone: here a step where the signal passes 0.05 rad."""
-    m = alfmu.Mechanism("ratchet")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    m, _, A, *_ = hinged("ratchet", weight=0.0)
     place = m.input("place", "rad", derivatives=1)
     m.motion(A, ca.if_else(place > 0.05, 0.3, 0.0) + place)
     given = {"place": lambda t: 0.2 * t, "place_rate": 0.2}
@@ -685,10 +676,7 @@ def test_laws_in_parts_and_steep_ones_run_in_long_steps(law, caplog):
 
 def test_coordinates_go_on_in_a_law_that_knows_no_whole_turns():
     """The difference of an angle and its law within a turn: it stays at zero, however far both go in a step."""
-    m = alfmu.Mechanism("turning")
-    th = m.coordinate("th", "rad")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+    m, _, _, th = hinged("turning", weight=0.0)
     m.constraint("turns", ca.remainder(th - m.parameter("w", 0.0, "rad/s") * m.time, 2 * math.pi), "rad")
     found = alfmu.simulate(by_rk4(m), 4.0, 2.0, parameters={"w": 5.0})
     assert found["bar.angle"] == pytest.approx(5 * found.time, abs=1e-10)
@@ -1055,9 +1043,7 @@ def test_the_work_of_a_prescribed_motion_is_exact_for_any_communication_step(met
     """The work of the motor is the change of the energy of a bar; steps that are short but not for a fast law warn."""
 
     def error(step: float, w: float = 9.0) -> float:
-        m = alfmu.Mechanism("swung")
-        bar = m.bar("bar", mass=3.0, length=2.0)
-        hinge = m.revolute("hinge", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("angle"))
+        m, _, hinge, *_ = hinged("swung", joint="hinge", angle="angle", mass=3.0, length=2.0, weight=0.0)
         m.motion(hinge, ca.sin(w * m.time))
         m.gravity(0, -9.81)
         found = alfmu.simulate(m, 3.0, step, parameters={"solver.method": method})["monitor.work"][-1]

@@ -301,8 +301,7 @@ def test_inputs_go_on_by_their_derivatives_inside_a_step(tmp_path, built):
 
     library = alfmu.simulate(pendulum("told", driven=False), 1.0, 0.1)
     with Fmu(built(pendulum("asked", driven=True))) as fmu:
-        fmu.set("torque", 0.5)
-        fmu.initialize()
+        initialized(fmu, {"torque": 0.5})
         reference = [v.valueReference for v in fmu.description.modelVariables if v.name == "torque"]
         rows = [fmu.read()]
         for k in range(10):
@@ -453,8 +452,7 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
         ]
         motion = [i for i, v in enumerate(fmu.outputs) if v.name.endswith((".angle", ".angular_velocity", ".vx"))]
         for unit in (fmu, held):
-            unit.set("solver.method", "rk4")
-            unit.initialize()
+            initialized(unit, {"solver.method": "rk4"})
         for k in range(50):
             torque, force = np.sin(5 * k * h), np.cos(3 * k * h)
             before = np.sin(5 * (k - 1) * h), np.cos(3 * (k - 1) * h)

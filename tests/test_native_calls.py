@@ -13,6 +13,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from scenes import initialized
 from test_native import summed
 
 import alfmu
@@ -73,8 +74,7 @@ def test_a_value_that_was_refused_leaves_the_one_before_in_force(made):
                 fmu.set(name, value)
         fmu.initialize()
         with Fmu(made("four_bar")) as plain:
-            plain.set("m2", 0.5)
-            plain.initialize()
+            initialized(plain, {"m2": 0.5})
             with pytest.raises(alfmu.StepError, match="must be a finite number"):
                 fmu.set("A.torque", math.inf)
             for unit in (fmu, plain):
@@ -98,8 +98,7 @@ def test_choices_are_enumerations_of_what_the_fmu_has(made, fmi):
         by_number.set("solver.branch", 2)
         rows = []
         for unit in (by_name, by_number, other):
-            unit.set("start.angle", 0.7)
-            unit.initialize()
+            initialized(unit, {"start.angle": 0.7})
             for k in range(60):
                 unit.step(0.02, 0.02 * k)
             rows.append(unit.read())
@@ -153,8 +152,7 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
 def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
     path = rebuilt(made("four_bar", method=method), tmp_path, "-DMOST_STEPS=50")
     with Fmu(path) as fmu:
-        fmu.set("start.angle", 0.5)
-        fmu.initialize()
+        initialized(fmu, {"start.angle": 0.5})
         fmu.step(0.02, 0.0)
         before, state = fmu.read(), fmu.save()
         size = fmu.parameters["solver.step_size"]
@@ -175,9 +173,7 @@ def test_tries_of_error_control_are_bounded_too(made, tmp_path):
     """A tolerance of 1e-13 takes more tries than the largest step would."""
     path = rebuilt(made("four_bar", method="explicit"), tmp_path, "-DMOST_STEPS=50")
     with Fmu(path) as fmu:
-        fmu.set("solver.relative_tolerance", 1e-13)
-        fmu.set("solver.step_size", 1.0)
-        fmu.initialize()
+        initialized(fmu, {"solver.relative_tolerance": 1e-13, "solver.step_size": 1.0})
         before = fmu.read()
         with pytest.raises(alfmu.StepError, match=r"four_bar, t = .*more than 50 internal steps.*take shorter"):
             fmu.step(40.0, 0.0)

@@ -10,7 +10,7 @@ import pytest
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from oracles.motors import linear
-from scenes import initialized
+from scenes import initialized, sliding
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -216,9 +216,7 @@ def test_a_load_on_a_joint_in_space(kind, flywheel):
 
 
 def test_a_load_on_what_slides_says_what_to_do_instead():
-    m = Mechanism("slide")
-    cart = m.body("cart", mass=1.0)
-    guide = m.prismatic("guide", m.ground.at(), cart.at(), coordinate=m.coordinate("s", "m"))
+    m, _, guide, *_ = sliding("slide", body="cart")
     says = r"the load of brake is on guide; give it a joint .* a revolute or a screw.*; load a slider by its mass, fric"
     with pytest.raises(DeclarationError, match=says):
         parts.load(m, "brake", guide, damping=1.0)
@@ -242,10 +240,7 @@ def test_a_motor_feels_the_speed_of_what_a_law_turns():
 def test_a_spindle_moves_a_slide():
     """The ratio of a joint that slides is in rad/m, and its torque becomes a force."""
     lead = 0.005
-    m = Mechanism("axis")
-    s = m.coordinate("s", "m", independent=True)
-    slide = m.body("slide", mass=8.0)
-    guide = m.prismatic("guide", m.ground.at(), slide.at(), coordinate=s)
+    m, _, guide, *_ = sliding("axis", body="slide", mass=8.0, independent=True)
     motor = parts.dc_motor(m, "motor", guide, voltage=U, gearbox=parts.Gearbox(ratio=2 * math.pi / lead), **DATA)
     m.output("speed", motor.speed, "rad/s")
     i = ran(m, 0.005)

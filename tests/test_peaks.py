@@ -7,6 +7,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
+from scenes import hinged, initialized, sliding
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -20,11 +21,7 @@ ASKED = ["*", "A.force.peak"]
 
 def pendulum() -> Mechanism:
     """A bar of 1 kg and 1 m that begins horizontally at rest."""
-    m = Mechanism("pendulum")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
-    m.gravity(0, -WEIGHT)
-    return m
+    return hinged("pendulum", weight=WEIGHT, independent=True)[0]
 
 
 def carried(time: np.ndarray) -> np.ndarray:
@@ -56,9 +53,7 @@ def test_a_peak_is_that_within_each_step(step, method):
 @pytest.mark.parametrize("short", [1e-5, 1e-8, 1e-13])
 def test_a_step_far_shorter_than_the_next_one_leaves_its_peak(short, method):
     """A polynomial through both of its ends has their round-off times the square of the ratio."""
-    unit = alfmu.Instance(pendulum(), outputs=["A.force.peak"])
-    unit.set("solver.method", method)
-    unit.initialize()
+    unit = initialized(alfmu.Instance(pendulum(), outputs=["A.force.peak"]), {"solver.method": method})
     for _ in range(30):
         unit.step(short)
         begin = unit.time
@@ -91,9 +86,7 @@ def test_a_linkage_far_from_the_origin_has_the_same_peaks():
 
 def test_a_pulse_between_points_has_a_peak():
     """A force of 10 ms on a slider that a spring holds."""
-    m = Mechanism("slider")
-    body = m.body("b", mass=1.0)
-    m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=m.coordinate("x", "m", independent=True))
+    m, body, *_ = sliding("slider", body="b", place="x", independent=True)
     m.force(body.at(0, 0), y=ca.if_else(ca.fabs(m.time - 0.55) < 0.005, 100.0 * (m.time - 0.5), 1.0))
     r = alfmu.simulate(m, 1.0, 0.1, outputs=["guide.force", "guide.force.peak"])
     assert np.abs(r["guide.force"]).max() == pytest.approx(1.0)
@@ -161,9 +154,7 @@ def test_a_state_that_is_restored_has_the_same_peaks():
 @pytest.mark.slow
 def test_what_joints_with_dry_friction_carry():
     """A step that is taken back, as a joint stops within it, leaves nothing: against short communication steps."""
-    m = Mechanism("rubbing")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m, _, hinge, *_ = hinged("rubbing", weight=0.0, independent=True)
     m.friction(hinge, coulomb=0.3, radius=0.2)
     m.gravity(0, -WEIGHT)
     coarse = alfmu.simulate(m, 4.0, 0.5, outputs=ASKED)
@@ -227,8 +218,7 @@ def test_a_peak_of_a_hundredth_of_a_second_is_exact_to_one_percent():
     By fixed steps of 0.02 s, two in the peak, RK4 itself is 0.2 rad/s off after it: its peak is 3 % low.
     """
     e = alfmu.derive(watt())
-    i = alfmu.Instance(e)
-    i.initialize()
+    i = initialized(alfmu.Instance(e))
     p, n = i.memory["p"], e.n
 
     def solved(y: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import ode
-from scenes import derived, made, parameters, readings, started
+from scenes import derived, made, multipliers, parameters, readings, started
 from scipy.spatial.transform import Rotation
 
 import alfmu
@@ -60,10 +60,6 @@ def door() -> alfmu.Mechanism:
     m.drive(hinges[0], 1.0)
     m.gravity(2.0, 0.0, -9.81)
     return m
-
-
-def multipliers(i: alfmu.Instance) -> np.ndarray:
-    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
 
 
 def nearest_to_zero(i: alfmu.Instance, weights: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import pytest
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 from pages import errors
-from scenes import derived
+from scenes import derived, hinged
 from selenium.webdriver.support.ui import WebDriverWait
 from studies import prose, rows, script, tables, untraced
 
@@ -140,9 +140,7 @@ def test_the_reference_of_the_slider_crank_is_its_exact_motion():
     ],
 )
 def test_there_is_no_reference_of_what_it_does_not_know(what, why):
-    m = alfmu.Mechanism("odd")
-    bar = m.bar("bar", mass=1.0, length=1.0)
-    joint = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    m, _, joint, *_ = hinged("odd", weight=0.0)
     if what == "state":
         m.derivative(s := m.state("s", "1"), -s)
     elif what == "friction":

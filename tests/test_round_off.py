@@ -124,9 +124,7 @@ def test_a_mechanism_that_rests_first_is_judged_when_it_moves(caplog):
     """Steps that are too long, after a second at rest under 1e6 N in which nothing is warned of."""
     unit = alfmu.Instance("slider_crank")
     unit.set("solver.method", "rk4")
-    for name, value in {"start.angle": 0.0, "start.angular_velocity": 0.0, "g": 0.0, "slider.force": 1e6}.items():
-        unit.set(name, value)
-    unit.initialize()
+    initialized(unit, {"start.angle": 0.0, "start.angular_velocity": 0.0, "g": 0.0, "slider.force": 1e6})
     for _ in range(50):
         unit.step(0.02)
     assert not caplog.records

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import turned
 from numpy.typing import NDArray
+from scenes import initialized
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -382,8 +383,7 @@ def test_whether_constraints_depend_on_each_other_is_judged_alike_in_all_directi
     places[:, 1], places[:, 2] = near[:, 0], places[:, 0] + near[:, 0] + near[:, 1]  # bars almost in line
 
     def judged(turn: float) -> list[float]:
-        i = unit(turned_rocker(turn))
-        i.initialize()
+        i = initialized(unit(turned_rocker(turn)))
         irregular = complete(i.equations).functions["irregular"]
         return [float(irregular(q + turn * np.array([1, 0, 1]), [], i.memory["k"])) for q in places]
 
@@ -524,8 +524,7 @@ def test_a_start_that_nothing_determines_is_in_proportion():
 
     def started(length: float) -> NDArray:
         i._unit.reset()
-        i.set("L", length)
-        i.initialize()
+        initialized(i, {"L": length})
         return np.array([i.get(f"{bar}.{what}") for bar in bars for what in ("angle", "angular_velocity")])
 
     usual = started(1.0)
@@ -550,8 +549,7 @@ def test_a_start_in_space_that_nothing_determines_is_in_proportion_and_turns_wit
         spin = m.spatial_revolute("spin", last.at(*-origin), body.at(), axis=tuple(turn @ np.array((0, 1, 0.2))))
         m.tie(m.start("spin_angle", 0.0, "rad", rate=40.0), spin.free)
         m.gravity(0, 0, 0)
-        i = unit(m)
-        i.initialize()
+        i = initialized(unit(m))
         rates = [[i.get(f"{name}.angular_velocity.{k}") for k in "xyz"] for name in ("outer", "inner", "rotor")]
         return np.array(rates) @ turn
 
@@ -809,8 +807,7 @@ def test_constraints_that_hold_to_second_order_alone_are_named(caplog):
         slides.append(body)
     m.distance("rod", slides[0].at(0, 0), slides[1].at(0, 0), length=1.0)
     m.gravity(0, -9.81)
-    i = alfmu.Instance(m)
-    i.initialize()
+    initialized(alfmu.Instance(m))
     assert "rails: rod stop a motion to second order only" in caplog.text
 
 

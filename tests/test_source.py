@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import initialized
+from scenes import initialized, sliding
 from test_left_out import WARNINGS, block, by_a_compiler, led
 
 import alfmu
@@ -164,9 +164,7 @@ def test_functions_get_the_prefix_of_fmi(fmu_of, tmp_path, fmi):
 
 def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
     """A stiff spring at fixed steps of 10 ms: m omega^2 = k with omega h = 1, so that RK4 loses energy."""
-    m = alfmu.Mechanism("spring")
-    s = m.coordinate("s", "m", start=0.1)
-    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("block", mass=1.0).at(0, 0), coordinate=s)
+    m, _, guide, s = sliding("spring", start=0.1)
     m.drive(guide, -1e4 * s)
     given = {"kind": "source", "parameters": {"solver.step_size": 0.01}}
     with caplog.at_level("WARNING", "alfmu"):
@@ -329,8 +327,7 @@ def test_a_small_five_bar_through_singular_positions_has_16_kB_of_memory(tmp_pat
         compiled(["-std=c99", "-Os", "-c", path.name, "-o", "five_bar.o"], tmp_path)
         assert sizes(tmp_path / "five_bar.o") < 64_000  # of code and tables
     plain, instance = Plain(path), alfmu.Instance("five_bar", outputs=SMALL["outputs"])
-    instance.set("solver.method", "rk4")
-    instance.initialize()
+    initialized(instance, {"solver.method": "rk4"})
     assert plain("start", 0.0) == 0
     for k in range(600):
         assert plain("step", 0.02) == 0
@@ -376,9 +373,7 @@ def test_programs_with_references_say_the_same():
 def test_a_refused_export_tells_why_steps_of_rk4_fail(tmp_path):
     """The reason is that of an instance, which has no limit of iterations."""
     leg = alfmu.load(str(Path(__file__).parent.parent / "docs" / "gallery" / "plot_jansen_leg.py"))
-    instance = alfmu.Instance(leg)
-    instance.set("solver.method", "rk4")
-    instance.initialize()
+    instance = initialized(alfmu.Instance(leg), {"solver.method": "rk4"})
     with pytest.raises(alfmu.StepError) as failed:
         run(instance, 1.0, instance.equations.interval)
     assert "more iterations" not in str(failed.value)

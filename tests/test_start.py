@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_rk4, by_the_oracle, derived, readings, started
+from scenes import by_rk4, by_the_oracle, derived, readings, refused, started
 
 import alfmu
 
@@ -312,10 +312,8 @@ REFUSED = [
 def test_values_that_cannot_be(name: str, value, says: str) -> None:
     """InputError with mechanism, name, value and bounds; nothing is changed."""
     i = alfmu.Instance(derived("five_bar"))
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match=f"five_bar:? .*{says}" if "has no" in says else f"five_bar: {says}"):
+    with refused(i, alfmu.InputError, match=f"five_bar:? .*{says}" if "has no" in says else f"five_bar: {says}"):
         i.set(name, value)
-    assert i.save() == before
 
 
 @pytest.mark.parametrize(
@@ -324,10 +322,8 @@ def test_values_that_cannot_be(name: str, value, says: str) -> None:
 def test_parameters_are_fixed_once_the_run_has_begun(name: str) -> None:
     """Inputs are not."""
     i = started(derived("five_bar"))
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match=f"five_bar: {name} is fixed once the run has begun"):
+    with refused(i, alfmu.InputError, match=f"five_bar: {name} is fixed once the run has begun"):
         i.set(name, "classic" if name.endswith("formulation") else 1.0)
-    assert i.save() == before
     i.set("A.torque", 2.0)
     assert i.get("A.torque") == 2.0
 
@@ -385,10 +381,8 @@ def test_a_step_from_another_time_is_refused(time: float) -> None:
     """The caller's clock is not the instance's."""
     i = started(derived("five_bar"))
     i.step(0.02)
-    before = i.save()
-    with pytest.raises(alfmu.InputError, match=r"the state is at t = 0\.02 s"):
+    with refused(i, alfmu.InputError, match=r"the state is at t = 0\.02 s"):
         i.step(0.02, time)
-    assert i.save() == before
 
 
 @pytest.mark.parametrize("angle", [-0.5, 0.0], ids=["regular", "singular"])
@@ -397,20 +391,14 @@ def test_a_step_that_blows_up_leaves_the_state_before_it(angle: float) -> None:
     at first no step has been made whose length could be at fault."""
     i = started(derived("five_bar"), {"start.angle": angle})
     i.set("A.torque", 1e300)
-    before = i.save()
-    with pytest.raises(
-        alfmu.StepError, match=r"five_bar, t = 0\.\d+ s: .*; check forces, dimensions and start values$"
-    ):
+    with refused(i, alfmu.StepError, match=r"five_bar, t = 0\.\d+ s: .*; check forces, dimensions and start values$"):
         i.step(0.1)
-    assert i.save() == before
     i.set("A.torque", 0.0)
     i.step(0.1)
     assert i.time == 0.1
     i.set("A.torque", 1e300)
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match=r"five_bar, t = 0\.1\d+ s: .*reduce solver.step_size$"):
+    with refused(i, alfmu.StepError, match=r"five_bar, t = 0\.1\d+ s: .*reduce solver.step_size$"):
         i.step(0.1)
-    assert i.save() == before
 
 
 def test_a_step_that_misses_the_constraints_leaves_the_state_before_it() -> None:
@@ -419,10 +407,8 @@ def test_a_step_that_misses_the_constraints_leaves_the_state_before_it() -> None
         derived("slider_crank", coordinates="joint"),
         {"solver.method": "rk4", "solver.step_size": 10.0, "start.angular_velocity": 90.0},
     )
-    before = i.save()
-    with pytest.raises(alfmu.StepError, match=r"slider_crank, t = 1 s: th\d turned by .*; reduce solver.step_size"):
+    with refused(i, alfmu.StepError, match=r"slider_crank, t = 1 s: th\d turned by .*; reduce solver.step_size"):
         i.step(1.0)
-    assert i.save() == before
     # What is left of |Phi| after corrections in vain is named too, with joint and remedy.
     with pytest.raises(
         alfmu.StepError, match=r"slider_crank, t = 1 s: \|Phi.* at C [xy] > .*; reduce solver.step_size"

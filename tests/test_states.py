@@ -303,8 +303,7 @@ def test_a_step_that_fails_leaves_the_states():
     m = Mechanism("runaway")
     x = m.state("x", "1", start=1.0)
     m.derivative(x, x**2)  # infinite at 1 s
-    i = alfmu.Instance(m)
-    i.initialize()
+    i = initialized(alfmu.Instance(m))
     i.step(0.5)
     before = i.states.copy()
     assert before == pytest.approx(2.0, rel=1e-5)
@@ -339,8 +338,7 @@ def test_frozen_parameters_and_chosen_outputs():
     i = alfmu.Instance(specialised(equations("flywheel"), ["motor.*"], ["all"]))
     assert [v.name for v in i.outputs] == ["motor.current", "motor.torque"]
     assert "R" not in [v.name for v in i.parameters]
-    i.set("start.motor.current", 1.5)
-    i.initialize()
+    initialized(i, {"start.motor.current": 1.5})
     assert i.get("motor.torque") == pytest.approx(MOTOR.k * 1.5)
     i.step(0.5)
     assert i.get("motor.current") > 1.5
@@ -359,9 +357,7 @@ def test_states_that_decay_quickly():
     e = prepared(with_defaults(equations("slider_crank"), {"L": 1e-5}), "vm")
     assert e.decision.method == "stiff"
     assert "1e+05" in e.decision.reason
-    i = alfmu.Instance(e)
-    i.set("start.angle", START)
-    i.initialize()
+    i = initialized(alfmu.Instance(e), {"start.angle": START})
     for _ in range(5):
         i.step(0.1)
     assert i.counters.steps < 200

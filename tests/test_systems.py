@@ -18,6 +18,7 @@ from drives import WANTED, drive, first_order, spindle
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from pythonfmu.builder import FmuBuilder
+from scenes import initialized
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -101,8 +102,7 @@ def test_a_load_is_refused_where_it_loads_nothing():
 
 @pytest.mark.parametrize("name", BLOCKS)
 def test_every_block_runs(name):
-    i = alfmu.Instance(BLOCKS[name]())
-    i.initialize()
+    i = initialized(alfmu.Instance(BLOCKS[name]()))
     for v in i.input_variables:
         i.set(v.name, 1.0)
     i.step(0.01)
@@ -112,9 +112,7 @@ def test_every_block_runs(name):
 
 def test_an_input_changes_along_a_slope():
     """x' = u - x for u = 2 t from x = 0: x = 2 (t - 1 + exp(-t))."""
-    i = alfmu.Instance(first_order())
-    i.set("solver.relative_tolerance", 1e-10)
-    i.initialize()
+    i = initialized(alfmu.Instance(first_order()), {"solver.relative_tolerance": 1e-10})
     i.slope("u", 2.0)
     i.step(0.5)
     assert i.get("x") == pytest.approx(2 * (0.5 - 1 + math.exp(-0.5)), rel=1e-8)

@@ -6,6 +6,7 @@ Velocities have an absolute tolerance in rad/s and m/s, so that under error cont
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import sliding
 
 import alfmu
 
@@ -66,9 +67,7 @@ def slider_crank(T: float) -> alfmu.Mechanism:
 
 def belt(T: float) -> alfmu.Mechanism:
     """A block that a spring pulls, whose other end moves evenly: it sticks and slips."""
-    m = alfmu.Mechanism("belt")
-    x = m.coordinate("x", "m", start=0.0, rate=0.1 / T, independent=True)
-    slide = m.prismatic("slide", m.ground.at(0, 0), m.body("block", mass=1.0).at(0, 0), coordinate=x)
+    m, _, slide, x = sliding("belt", joint="slide", place="x", start=0.0, rate=0.1 / T, independent=True)
     m.friction(slide, coulomb=0.3, static=0.4)
     m.spring_damper(slide, stiffness=20.0 / T**2, damping=0.0, rest=0.2 * m.time / T)
     m.gravity(0, -9.81 / T**2)

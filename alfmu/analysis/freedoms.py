@@ -316,21 +316,19 @@ def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
 
 def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
     """Return constraints in force that depend on each other at a regular position."""
+    from scipy.sparse.csgraph import connected_components
+
     where = loops.situation
     names = [row.text for row, on in zip(where.equations.rows, where.held, strict=True) if on]
     null = loops.parts(loops.matrix(y))[0][:, loops.rank :]
-    together = np.abs(null @ null.T) > TOUCHED
-    left, found = {int(i) for i in np.flatnonzero(together.diagonal())}, []
-    while left:
-        group: set[int] = set()
-        more = {min(left)}
-        while more:
-            group |= more
-            more = {int(j) for i in more for j in np.flatnonzero(together[i])} - group
-        left -= group
-        rows = sorted(group)
-        count = round(np.trace((null @ null.T)[np.ix_(rows, rows)]))
-        found.append(Group(tuple(names[i] for i in rows), count))
+    shared = null @ null.T
+    if not shared.any():
+        return ()
+    _, labels = connected_components(np.abs(shared) > TOUCHED)
+    found = []
+    for label in dict.fromkeys(labels[shared.diagonal() > TOUCHED].tolist()):
+        rows = np.flatnonzero(labels == label)
+        found.append(Group(tuple(names[i] for i in rows), round(np.trace(shared[np.ix_(rows, rows)]))))
     return tuple(found)
 
 
@@ -410,19 +408,17 @@ class _Way:
 
     def _between(self, loops: Loops, three: list[tuple[float, Vector, Vector, float]]) -> None:
         """Add a singular position if the singular value has a minimum near the second of three instants."""
+        from scipy.interpolate import CubicHermiteSpline
         from scipy.optimize import minimize_scalar
 
-        (t0, y0, v0, a), (t1, y1, v1, b), (t2, y2, v2, c) = three
+        times, places, rates, (a, b, c) = zip(*three, strict=True)
+        t0, _, t2 = times
         if not (b <= a and b < c) or b > 0.5:
             return
         # The singular value falls and rises at equal rates at a singular position: this checks for a zero between.
         if b > 1.2 * max(abs(a - b), abs(c - b)) + 1e-12:
             return
-
-        def at(t: float) -> Vector:
-            begin, end = ((t0, y0, v0), (t1, y1, v1)) if t < t1 else ((t1, y1, v1), (t2, y2, v2))
-            return _hermite(t, *begin, *end)
-
+        at = CubicHermiteSpline(times, places, rates)
         found = minimize_scalar(
             lambda t: loops.sizes(at(t))[-1], bounds=(t0, t2), options={"xatol": 1e-9 * (t2 - t0)}, method="bounded"
         )
@@ -439,11 +435,3 @@ class _Way:
             if self.singular and abs(self.singular[-1].time - t) < 0.5 * (t2 - t0):
                 return
             self.singular.append(_singular(loops, y, t, v))
-
-
-def _hermite(t: float, t0: float, y0: Vector, v0: Vector, t1: float, y1: Vector, v1: Vector) -> Vector:
-    """Return the position between two instants, by cubic Hermite interpolation."""
-    h = t1 - t0
-    s = (t - t0) / h
-    parts = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
-    return parts[0] * y0 + parts[1] * h * v0 + parts[2] * y1 + parts[3] * h * v1

@@ -124,7 +124,7 @@ def _keeping(equations: Configuration, patterns: Iterable[str]) -> Configuration
             peaks=peaks,
             monitors=[*left, *monitors],
             jacobian=tuple((y, u.name) for y in names for u in e.inputs if (y, u.name) in entries),
-            functions={**_equations(e), "readings": readings},
+            functions={**{name: e.functions[name] for name in ARGUMENTS if name in e.functions}, "readings": readings},
         )
     )
 
@@ -161,11 +161,6 @@ def _frozen(equations: Configuration, names: Sequence[str]) -> Configuration:
 def _changed(e: Configuration, **changes: Any) -> Configuration:
     """Return a configuration with changes, before it is traced and surveyed."""
     return Configuration.of(e, survey=e.survey.elsewhere, signatures={}, **changes)
-
-
-def _equations(e: Equations) -> dict[str, ca.Function]:
-    """Return the functions from derivation, without those derived from them."""
-    return {name: e.functions[name] for name in ARGUMENTS if name in e.functions}
 
 
 def _matches(name: str, patterns: list[str]) -> bool:

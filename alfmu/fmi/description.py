@@ -116,7 +116,9 @@ def model_description(
         ]
     if own and fmi == 2:
         head["numberOfEventIndicators"] = str(len(indicators))
-    root = ET.Element("fmiModelDescription", head, variableNamingConvention=_convention(e), **credits)
+    # Names of the interface Jacobian have a slash, which structured names forbid.
+    convention = "flat" if configured(e).jacobian else "structured"
+    root = ET.Element("fmiModelDescription", head, variableNamingConvention=convention, **credits)
     known = {
         "directional": str(native and directional).lower(),
         "inputs": str(native and bool(e.inputs)).lower(),
@@ -219,11 +221,6 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
         )
 
     return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]
-
-
-def _convention(equations: Equations) -> str:
-    """Return the naming convention: names of the interface Jacobian have a slash, which structured names forbid."""
-    return "flat" if configured(equations).jacobian else "structured"
 
 
 def _files(element: ET.Element, kind: str, names: Sequence[str]) -> None:

@@ -155,7 +155,7 @@ def fit(
         has, wants = counted(count, "measurement"), counted(len(runs.by), "number")
         raise InputError(f"{has} cannot determine {wants}; vary fewer, or measure more")
     low, high = _bounds(runs, by_name(mechanism, "bounds", bounds))
-    scale = [_scale(runs, name) for name in runs.by]
+    scale = [abs(float(runs.unit.get(name))) or 1.0 for name in runs.by]  # present values, or 1
     first = np.array([runs.unit.get(name) for name in runs.by], float)
     if (outside := (first < low) | (first > high)).any():
         k = int(np.argmax(outside))
@@ -250,11 +250,6 @@ def _sizes(
         reach, usual = float(np.ptp(column[there])), largest[units[name]]
         sizes.append(deviations.get(name, reach if reach > _STILL * usual else usual or 1.0))
     return np.array(sizes)
-
-
-def _scale(runs: Runs, name: str) -> float:
-    """Return a typical magnitude of a number: its present value, or 1."""
-    return abs(float(runs.unit.get(name))) or 1.0
 
 
 def _bounds(runs: Runs, bounds: Mapping[str, tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

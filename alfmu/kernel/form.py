@@ -186,6 +186,15 @@ def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable
     return tuple(chain(*map(each, steps)))
 
 
+def inside(step: Step, change: Callable[[Steps, set[str]], Steps], later: set[str]) -> Step:
+    """Return a step with the steps inside a choice or a loop changed; `later` are the values needed after it."""
+    if isinstance(step, Choice):
+        return Choice(step.number, change(step.nonzero, later), change(step.zero, later))
+    if isinstance(step, Loop):
+        return replace(step, body=change(step.body, later.union(taken([step]))))
+    return step
+
+
 def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
     """Return the steps with values renamed."""
 

@@ -6,12 +6,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain, groupby
 
 import casadi as ca
 
 from ..equations.evaluation import with_functions
-from .form import Call, Choice, Loop, Program, Step, Steps, Traced, taken
+from .form import Call, Program, Step, Steps, Traced, inside, taken
 from .memory import Layout
 from .stream import Instructions
 
@@ -56,7 +57,7 @@ class _Joining:
             at += len(part)
             if alone:
                 for k, step in enumerate(part, at - len(part) + 1):
-                    made.append(self._inside(program, step, after.union(taken(steps[k:]))))
+                    made.append(inside(step, partial(self.steps, program), after.union(taken(steps[k:]))))
             else:
                 calls = [step for step in part if isinstance(step, Call)]
                 made += self._together(program, calls, after.union(taken(steps[at:])))
@@ -65,14 +66,6 @@ class _Joining:
     def _alone(self, step: Step) -> bool:
         """Return whether a step is not joined with others."""
         return not isinstance(step, Call) or (bool(self._only) and step.function not in self._only)
-
-    def _inside(self, program: str, step: Step, later: set[str]) -> Step:
-        if isinstance(step, Choice):
-            nonzero, zero = (self.steps(program, way, later) for way in (step.nonzero, step.zero))
-            return Choice(step.number, nonzero, zero)
-        if isinstance(step, Loop):
-            return replace(step, body=self.steps(program, step.body, later.union(taken([step]))))
-        return step
 
     def _together(self, program: str, calls: Sequence[Call], wanted: set[str]) -> Sequence[Call]:
         small = self._e.functions

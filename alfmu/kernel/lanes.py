@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
-from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, renamed, taken
+from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, inside, renamed, taken
 
 FEW = 4
 """Repetitions up to which calls stay sequential: this many single calls take the time of one call in all lanes."""
@@ -37,17 +37,9 @@ def _side_by_side(steps: Steps, after: Collection[str]) -> Steps:
             at = end
         else:
             inner = isinstance(steps[at], Choice | Loop)
-            made.append(_inside(steps[at], {*after, *taken(steps[at + 1 :])}) if inner else steps[at])
+            made.append(inside(steps[at], _side_by_side, {*after, *taken(steps[at + 1 :])}) if inner else steps[at])
             at += 1
     return tuple(made)
-
-
-def _inside(step: Step, after: Collection[str]) -> Step:
-    if isinstance(step, Choice):
-        return Choice(step.number, *(_side_by_side(way, after) for way in (step.nonzero, step.zero)))
-    if isinstance(step, Loop):
-        return replace(step, body=_side_by_side(step.body, {*after, *taken([step])}))
-    return step
 
 
 def repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:

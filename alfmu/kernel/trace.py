@@ -58,8 +58,7 @@ def traced(
     configuration: Configuration,
     controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
 ) -> Traced:
-    """Return the equations with the traced functions and programs of the kernel. `controlled` traces the integrator of
-    the scene (`alfmu.kernel.controlled.programs`).
+    """Return the equations with the traced functions and programs of the kernel.
 
     `controlled` traces the integrator of the scene (`alfmu.kernel.controlled.programs`).
     """

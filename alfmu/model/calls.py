@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -144,11 +144,12 @@ class _Takes:
             meant = nearest(unknown[0], self.parameters)
             return f"{call} takes no {unknown[0]}; " + (f"did you mean {in_words(meant)}?" if meant else self.all())
         if lacking := [name for name in self.needed if name not in known]:
-            return f"{call} lacks {_and(lacking)}; {self.all()}"
+            return f"{call} lacks {in_words(lacking, 'and')}; {self.all()}"
         if count > len(self.places) and not self.more:
             by_name = [name for name in self.parameters if name not in self.places]
-            how = f"; give {_and(by_name)} by name" if by_name else ""
-            return f"{call} takes {_and(self.places) or 'nothing'} in this order, and is given {count} values{how}"
+            how = f"; give {in_words(by_name, 'and')} by name" if by_name else ""
+            places = in_words(self.places, "and") or "nothing"
+            return f"{call} takes {places} in this order, and is given {count} values{how}"
         for name, value in known.items():
             if name in self.hints and not _fits(value, self.hints[name]):
                 return f"{call}: {name} is {shown(value)}; give {_in_words(self.hints[name])}"
@@ -162,8 +163,8 @@ class _Takes:
 
     def all(self) -> str:
         """Return the arguments of the call in words."""
-        beside = [name for name in self.parameters if name not in self.needed]
-        return f"it takes {_and(self.needed) or 'nothing'}" + f", and may take {_and(beside)}" * bool(beside)
+        beside = in_words([name for name in self.parameters if name not in self.needed], "and")
+        return f"it takes {in_words(self.needed, 'and') or 'nothing'}" + f", and may take {beside}" * bool(beside)
 
 
 def _called(function: Callable[..., Any], given: Sequence[Any], named: Mapping[str, Any], own: int) -> str:
@@ -176,10 +177,6 @@ def _called(function: Callable[..., Any], given: Sequence[Any], named: Mapping[s
         return f"{type(owner).__name__}()"
     name = getattr(owner, "name", getattr(owner, "mechanism", None))
     return (f"{name}: " if isinstance(name, str) else "") + f"{function.__name__}(){of}"
-
-
-def _and(names: Collection[str]) -> str:
-    return in_words(names).replace(" or ", " and ") if names else ""
 
 
 def _fits(value: Any, hint: Any) -> bool:

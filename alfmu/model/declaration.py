@@ -548,7 +548,7 @@ class Declaration:
                 raise DeclarationError(f"{what} depends on {symbol}, which this mechanism does not declare")
             if found.kind not in may:
                 raise DeclarationError(
-                    f"{what} depends on {found.text}; it must be a number or an expression in {_and(may)}"
+                    f"{what} depends on {found.text}; it must be a number or an expression in {in_words(may, 'and')}"
                 )
         if isinstance(value, ca.SX):
             for symbol in (value, -value):
@@ -751,7 +751,3 @@ def _several(values: Any) -> bool:
     if isinstance(values, np.ndarray):
         return values.ndim > 0
     return isinstance(values, Sequence) and not isinstance(values, str | bytes)
-
-
-def _and(words: Collection[str]) -> str:
-    return in_words(words).replace(" or ", " and ")

@@ -91,8 +91,7 @@ def scratch() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=_FOLDER, ignore_cleanup_errors=True) as folder:
         lock = os.open(folder, os.O_RDONLY) if fcntl else None
         try:
-            if lock is not None:
-                _lock(lock)
+            _locked(lock)
             yield Path(folder)
         finally:
             if lock is not None:
@@ -119,9 +118,9 @@ def exclusive(folder: Path) -> Iterator[bool]:
 
 
 def _locked(descriptor: int | None) -> bool:
-    """Return whether a folder was locked or needs no lock; False if another process holds it."""
+    """Lock a file or folder for as long as it is open here; return False if another process holds it."""
     try:
-        if descriptor is not None:
+        if fcntl and descriptor is not None:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
@@ -142,7 +141,7 @@ def _replacing(target: Path) -> Iterator[BinaryIO]:
         _clear(target.parent, ".alfmu-*.part")
     try:
         with partial.open("xb") if nameless is None else open(nameless, "wb") as file:
-            _lock(file.fileno())
+            _locked(file.fileno())
             yield file
             file.flush()
             if mode is not None and hasattr(os, "fchmod"):
@@ -164,13 +163,6 @@ def _nameless(folder: Path) -> int | None:
         with suppress(OSError):
             return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
     return None
-
-
-def _lock(descriptor: int) -> None:
-    """Show that a file or folder is in use, as long as it is open here."""
-    if fcntl:
-        with suppress(OSError):  # not supported on some network drives
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _clear(folder: Path, pattern: str) -> None:

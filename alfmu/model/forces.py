@@ -122,11 +122,7 @@ class Forces(Couplings):
             if not isinstance(between, tuple | list) or len(between) != 2:
                 given = "" if isinstance(between, tuple | list) else f", not {shown(between)}"
                 raise DeclarationError(f"{self.name}: spring_damper() takes a joint, or a pair of markers{given}")
-            self._own(between, "a spring")
-            if isinstance(between[0], Marker) != isinstance(between[1], Marker):
-                raise DeclarationError(
-                    f"{self.name}: a spring joins a point in the plane to one in space; take one kind"
-                )
+            self._own_pair(between, "a spring")
         stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
         damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
@@ -171,9 +167,7 @@ class Forces(Couplings):
             along = "m"
             if len(of) != 2:
                 raise DeclarationError(f"{self.name}: {what} is between {len(of)} points; give two markers")
-            self._own(of, what)
-            if isinstance(of[0], Marker) != isinstance(of[1], Marker):
-                raise DeclarationError(f"{self.name}: {what} joins a point in the plane to one in space; take one kind")
+            self._own_pair(of, what)
         else:
             along = unit
             if unit not in EFFORTS:
@@ -282,6 +276,12 @@ class Forces(Couplings):
         if dry:
             self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar, load)
 
+    def _own_pair(self, markers: Sequence[AnyMarker], what: str) -> None:
+        """Check two points of this mechanism, both in the plane or both in space."""
+        self._own(markers, what)
+        if isinstance(markers[0], Marker) != isinstance(markers[1], Marker):
+            raise DeclarationError(f"{self.name}: {what} joins a point in the plane to one in space; take one kind")
+
     def _coefficient(self, joint: AnyJoint, which: str, value: Any, unit: str) -> Scalar:
         """Return a coefficient of friction; a constant that is negative is refused, a variable one counts as zero when
         negative."""
@@ -300,10 +300,10 @@ class Forces(Couplings):
         """Raise DeclarationError if the joint has no signed sliding direction, which dry friction requires."""
         whole = joint.joint if isinstance(joint, SpatialFreedom) else joint
         if isinstance(whole, SpatialJoint) and len(whole.freedoms) != 1 and whole.kind not in ("weld", "distance"):
-            moves = in_words(list(whole.freedoms)) if whole.freedoms else "turns"
+            moves = in_words(list(whole.freedoms), "and") if whole.freedoms else "turns"
             raise DeclarationError(
                 f"{self.name}: dry friction of {whole.name}: a {whole.kind} joint can slide in several directions "
-                f"({moves.replace(' or ', ' and ')}), and dry friction along a combination of them is not supported; "
+                f"({moves}), and dry friction along a combination of them is not supported; "
                 "make it of joints with one free motion each, or give only viscous friction"
             )
 

@@ -136,10 +136,10 @@ def interval(low: float | None, high: float | None) -> str:
     return f"[{-math.inf if low is None else low}, {math.inf if high is None else high}]"
 
 
-def in_words(names: Collection[str]) -> str:
+def in_words(names: Collection[str], word: str = "or") -> str:
     """Join names for a sentence: a, b or c."""
-    *most, last = names
-    return f"{', '.join(most)} or {last}" if most else last
+    *most, last = names or [""]
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> str:

@@ -116,7 +116,7 @@ class Batch:
             traced, self._common = ready(with_defaults(e, order), own, outputs, None, kernel)
         self.name: str = e.name
         self.count: int = count
-        wanted = threads or max(1, min(_processors(), count // LEAST))
+        wanted = threads or max(1, min(processors(), count // LEAST))
         self._pool = ThreadPoolExecutor(wanted) if wanted > 1 else None
         bounds = np.linspace(0, count, min(wanted, count) + 1).astype(int)
         self._slices = [slice(a, b) for a, b in pairwise(bounds.tolist())]
@@ -429,6 +429,6 @@ class Batch:
             self._ready[k] = bool(library.alfmu_initialized(self._members[k]))
 
 
-def _processors() -> int:
+def processors() -> int:
     """The processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -15,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..equations import Equations, Variable
-from ..equations.interface import BALANCE, CHOICES, PEAK
+from ..equations.interface import BALANCE, CHOICES, PEAK, variables_of
+from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
 from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.doubts import tell_of_gravity
@@ -23,6 +23,7 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
+from ..runtime.batch import processors
 from ..runtime.pipeline import derive, library_in_lanes, packed, ready, with_brakes, with_defaults
 from ..runtime.shipped import lane_flags
 from ..simulation import by_name, communication_points, instance, names_in, signals_of
@@ -161,7 +162,7 @@ def _made(
     braking: Callable[[], Job],
 ) -> None:
     """Run the missing cases in this process, in local processes, or on a cluster."""
-    count = workers or cores()
+    count = workers or processors()
     with ExitStack() as stack:
         crew: Crew | None = None
         if scheduler:  # connect first, as the address may be wrong
@@ -174,11 +175,6 @@ def _made(
             make(job, cases, store, None, stop, done, braking, QUICK)  # avoids starting a process for a short sweep
         if store.missing() and not stop():
             make(job, cases, store, crew, stop, done, braking)
-
-
-def cores() -> int:
-    """Return the number of processors available to this process."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_form(form: str) -> None:
@@ -281,7 +277,7 @@ def _scene(
         raise InputError(f"{e.name}: {min(frozen)} is varied and frozen as well; leave one out")
     if peaks := [each for each in how.asked if each.endswith(PEAK)]:  # outputs on request only
         outputs = [*(["*"] if outputs is None else outputs), *peaks]
-    whole = _instance_of(e, given, outputs, freeze)
+    whole = variables_of(specialised(with_defaults(e, given), outputs, freeze)).causal("output")
     _, _, wanted = how.read(e.name, [v.name for v in whole])
     balance = [v.name for v in whole if v.name in BALANCE]
     own = kernel or DEFAULT
@@ -326,15 +322,6 @@ def _scene(
         return replace(job, braking=_packed(other))
 
     return job, {v.name: v.unit for v in (*known.values(), *unit.outputs)}, braking
-
-
-def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, freeze: Any) -> Sequence[Variable]:
-    """Return the outputs of a run."""
-    from ..equations.interface import variables_of
-    from ..equations.specialisation import specialised
-
-    own = dict(given)
-    return variables_of(specialised(with_defaults(e, own), outputs, freeze)).causal("output")
 
 
 def _packed(unit: Instance) -> tuple[bytes, Code | None]:

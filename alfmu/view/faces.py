@@ -268,29 +268,13 @@ def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
 
 @cache
 def _block(x: float, y: float, z: float) -> Mesh:
-    vertices: list[NDArray[np.float64]] = []
-    normals, quads = [], []
-    half, steps = np.array([x, y, z]), np.linspace(-1, 1, 4)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        for side in (-1, 1):
-            first = len(vertices)
-            for a in steps:
-                for b in steps:
-                    corner = np.zeros(3)
-                    corner[[k, i, j]] = side, a, b
-                    vertices.append(corner * half)
-                    normals.append(np.where(np.abs(corner) > 0.999, corner, 0.0))
-            for p in range(3):
-                for q in range(3):
-                    corners = [
-                        first + 4 * p + q,
-                        first + 4 * (p + 1) + q,
-                        first + 4 * (p + 1) + q + 1,
-                        first + 4 * p + q + 1,
-                    ]
-                    quads.append(corners[::side])
-    return np.array(vertices), np.array(normals), np.array(quads)
+    """Return a box, with four by four corners on each side."""
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 4), indexing="ij"), axis=-1).reshape(-1, 2)
+    quads = np.add.outer(4 * np.arange(3), np.arange(3)).reshape(-1, 1) + np.array([0, 4, 5, 1])
+    sides = [(k, side) for k in range(3) for side in (-1, 1)]
+    corners = np.concatenate([np.roll(np.insert(grid, 0, side, axis=1), k, axis=1) for k, side in sides])
+    faces = np.concatenate([16 * i + quads[:, ::side] for i, (_, side) in enumerate(sides)])
+    return corners * [x, y, z], np.where(np.abs(corners) > 0.999, corners, 0.0), faces
 
 
 @cache

@@ -156,19 +156,9 @@ def _about(
     for v in every:
         choice = v.type == "String"
         kind = "choice" if choice else kinds.get(v.name, "solver")
-        variables.append(
-            {
-                "name": v.name,
-                "unit": v.unit,
-                "kind": kind,
-                "type": v.type,
-                "start": 0.0 if choice else float(v.start),
-                "minimum": v.minimum,
-                "maximum": v.maximum,
-                "description": v.description,
-                "range": range_of(v, kind, scale),
-            }
-        )
+        own = {key: getattr(v, key) for key in ("name", "unit", "type", "minimum", "maximum", "description")}
+        start = 0.0 if choice else float(v.start)
+        variables.append({**own, "kind": kind, "start": start, "range": range_of(v, kind, scale)})
     references = {v.name: i for i, v in enumerate(every)}
     shown = [references[v.name] for v in (*found.outputs, *found.inputs, *found.switches)]
     tied = list(dict.fromkeys(e.tied))

@@ -14,7 +14,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -330,37 +330,23 @@ def animate(
     time, columns = result.time, {name: result[name] for name in wanted if name in result.names}
     view = view_of(shapes, columns)
     if len(time) > MAX_SAMPLES:
-        instants = np.linspace(time[0], time[-1], MAX_SAMPLES)
+        samples = np.linspace(time[0], time[-1], MAX_SAMPLES)
         poles = time[columns.pop("monitor.singular", np.zeros(len(time))) == POLE]
-        columns = {name: np.interp(instants, time, x) for name, x in columns.items()}
+        columns = {name: np.interp(samples, time, x) for name, x in columns.items()}
         columns["monitor.singular"] = np.zeros(MAX_SAMPLES)
-        columns["monitor.singular"][np.abs(instants[:, None] - poles).argmin(axis=0)] = POLE
-        time = instants
+        columns["monitor.singular"][np.abs(samples[:, None] - poles).argmin(axis=0)] = POLE
+        time = samples
     if path.suffix.lower() == ".gif":
         with atomic(path) as file:
-            _film(file, shapes, view, size, time, columns, *_instants(time, fps, speed), progress)
+            delay, instants = _instants(time, fps, speed)
+            some = instants[:: math.ceil(len(instants) / 5)]
+            sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
+            palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
+            frames = _frames(shapes, view, size, time, columns, progress(instants))
+            indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+            next(indexed).save(file, "GIF", save_all=True, append_images=indexed, duration=delay, loop=0)
     else:
         write(path, page(shapes, _stage(shapes, view, size), time, columns, speed).encode())
-
-
-def _film(
-    file: BinaryIO,
-    shapes: Shapes,
-    view: View | SpaceView,
-    size: Size,
-    time: NDArray[np.float64],
-    columns: Mapping[str, NDArray[np.float64]],
-    delay: int,
-    instants: list[float],
-    progress: Progress,
-) -> None:
-    """Write a GIF of a motion at some instants [s], each for `delay` [ms]."""
-    some = instants[:: math.ceil(len(instants) / 5)]
-    sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
-    palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
-    frames = _frames(shapes, view, size, time, columns, progress(instants))
-    indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    next(indexed).save(file, "GIF", save_all=True, append_images=indexed, duration=delay, loop=0)
 
 
 def _instants(time: NDArray[np.float64], fps: float, speed: float) -> tuple[int, list[float]]:

@@ -316,12 +316,8 @@ def _merged(lines: Sequence[_Line]) -> list[_Line]:
 
 def _titled(unit: str) -> str:
     """Return the label of an axis."""
-    return f"{KINDS.get(unit, 'value')} [{_printed(unit)}]" if unit else "value"
-
-
-def _printed(unit: str) -> str:
-    """Return a unit in typographic form."""
-    return "dimensionless" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("3", "³")
+    printed = "dimensionless" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("3", "³")
+    return f"{KINDS.get(unit, 'value')} [{printed}]" if unit else "value"
 
 
 def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
@@ -330,7 +326,8 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     low, high = float(values.min()), float(values.max())
     logarithmic = panel.logarithmic and high > ROUNDING
     for i, (line, style) in enumerate(zip(panel.lines, _styles(result, panel.lines), strict=True)):
-        if not panel.logarithmic and _runs_close(values[i], values[:i], high - low):
+        near = (np.mean(np.abs(values[i] - other) <= CLOSE * (high - low)) for other in values[:i])
+        if not panel.logarithmic and any(share > OFTEN for share in near):
             style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}
         if logarithmic:  # mostly round-off, better shown as points
             style |= {"linestyle": "", "marker": ".", "markersize": 2.5}
@@ -360,11 +357,6 @@ def _poles(result: Result, line: _Line) -> NDArray[np.bool_]:
     """Return rows (rows,) at which a line is infinite, and its value is only the finite part."""
     may = "monitor.singular" in result.names and any(_REACTION.search(name) for name in line.names)
     return result["monitor.singular"] == POLE if may else np.zeros(len(result.time), bool)
-
-
-def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach: float) -> bool:
-    """Return whether a line is close to an earlier one for some time."""
-    return any(np.mean(np.abs(values - other) <= CLOSE * reach) > OFTEN for other in others)
 
 
 def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, Any]]:

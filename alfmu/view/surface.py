@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from html import escape
 from typing import Any, Protocol
@@ -178,7 +178,7 @@ def placed(
         if not moved:
             break
     return [
-        Text(t.text, x, y, t.size, t.color, t.anchor)
+        replace(t, x=x, y=y)
         for t, (x, y, w, h) in zip(texts, boxes, strict=True)
         if max(abs(x - t.x) / w, abs(y - t.y) / h) <= pushed
     ]

@@ -4,7 +4,6 @@
 
 #include "arrange_operations.h"
 #include "arrange_sums.h"
-#include "baseline.h"
 #include "operations.h"
 
 #define MOST_OPERANDS 9

@@ -2,7 +2,6 @@
 
 #include <stdlib.h>
 
-#include "baseline.h"
 
 #define MOST_INTEGERS ((size_t)1 << 29)
 

@@ -1,7 +1,6 @@
 #include "arrange_sums.h"
 
 #include "arrange_operations.h"
-#include "baseline.h"
 #include "operations.h"
 
 static int term(Sums *f, int negative, int factor, int other)

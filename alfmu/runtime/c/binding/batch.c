@@ -3,7 +3,6 @@
 
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "begin.h"
 #include "border.h"
 #include "fibers.h"

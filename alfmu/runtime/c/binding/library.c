@@ -5,7 +5,6 @@
 #endif
 
 #include "balance.h"
-#include "baseline.h"
 #include "begin.h"
 #include "border.h"
 #include "fmi.h"

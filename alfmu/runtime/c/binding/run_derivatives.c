@@ -9,7 +9,6 @@
 #include <time.h>
 
 #include "adjoint.h"
-#include "baseline.h"
 #include "begin.h"
 #include "diagnosis.h"
 #include "fmi.h"

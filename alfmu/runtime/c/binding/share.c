@@ -4,7 +4,6 @@
 #include "share.h"
 
 #include "arrange_operations.h"
-#include "baseline.h"
 #include "fmi.h"
 #include "operations.h"
 #include "scene.h"

@@ -3,7 +3,6 @@
 #include <limits.h>
 #include <string.h>
 
-#include "baseline.h"
 #include "interpret.h"
 #include "operations.h"
 #include "scene.h"

@@ -3,7 +3,6 @@
 
 #include "arrange.h"
 #include "arrange_operations.h"
-#include "baseline.h"
 #include "fmi.h"
 #include "operations.h"
 

@@ -1,6 +1,5 @@
 #include "whole_run.h"
 
-#include "baseline.h"
 #include "begin.h"
 #include "outputs.h"
 #include "run.h"

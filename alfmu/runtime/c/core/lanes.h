@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "scene.h"
 
 #define LANES 8 /* argument sets of a function evaluated at once; directions of derivatives in a block */

@@ -2,7 +2,6 @@
 
 #include <stdio.h>
 
-#include "baseline.h"
 #include "equations.h"
 #include "guesses.h"
 #include "instance.h"

@@ -1,6 +1,5 @@
 #include "least_squares.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "layout.h"
 #include "linear.h"

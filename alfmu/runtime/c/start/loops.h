@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 #include "least_squares.h"
 #include "scene.h"

@@ -1,6 +1,5 @@
 #include "masses.h"
 
-#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "layout.h"

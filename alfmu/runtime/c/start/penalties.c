@@ -1,6 +1,5 @@
 #include "penalties.h"
 
-#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "layout.h"

@@ -1,6 +1,5 @@
 #include "balance.h"
 
-#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "layout.h"

@@ -3,7 +3,6 @@
 #include "agreement.h"
 #include "assemble.h"
 #include "balance.h"
-#include "baseline.h"
 #include "diagnosis.h"
 #include "driving_inputs.h"
 #include "equations.h"

@@ -7,7 +7,6 @@
 
 #include "breaks.h"
 
-#include "baseline.h"
 #include "inputs.h"
 #include "instance.h"
 #include "interpret.h"

@@ -1,6 +1,5 @@
 #include "diagnosis.h"
 
-#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

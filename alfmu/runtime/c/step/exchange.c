@@ -7,7 +7,6 @@
 
 #include "exchange.h"
 
-#include "baseline.h"
 #include "breaks.h"
 #include "equations.h"
 #include "friction.h"

@@ -1,6 +1,5 @@
 #include "fixed.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "interface_jacobian.h"
 #include "interpret.h"

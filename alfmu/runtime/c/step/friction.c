@@ -11,7 +11,6 @@
 
 #include <stdio.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

@@ -1,6 +1,5 @@
 #include "friction_events.h"
 
-#include "baseline.h"
 #include "fixed.h"
 #include "friction.h"
 #include "instance.h"

@@ -4,7 +4,6 @@
 
 #include "instant_derivatives.h"
 
-#include "baseline.h"
 #include "begin.h"
 #include "diagnosis.h"
 #include "exchange.h"

@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "gradient.h"
 #include "instance.h"
 #include "message.h"

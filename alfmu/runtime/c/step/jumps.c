@@ -7,7 +7,6 @@
 
 #include "jumps.h"
 
-#include "baseline.h"
 #include "instance.h"
 #include "interpret.h"
 #include "layout.h"

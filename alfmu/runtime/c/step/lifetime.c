@@ -2,7 +2,6 @@
 
 #include <stdlib.h>
 
-#include "baseline.h"
 #include "breaks.h"
 #include "exchange.h"
 #include "gradient.h"

@@ -1,7 +1,6 @@
 #include "outputs.h"
 
 #include "balance.h"
-#include "baseline.h"
 #include "diagnosis.h"
 #include "friction.h"
 #include "instance.h"

@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 
 Outcome instance_set(Instance *i, int reference, double value);

@@ -7,7 +7,6 @@
 
 #include "peaks.h"
 
-#include "baseline.h"
 #include "inputs.h"
 #include "instance.h"
 #include "outputs.h"

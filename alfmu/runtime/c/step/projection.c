@@ -1,6 +1,5 @@
 #include "projection.h"
 
-#include "baseline.h"
 #include "equations.h"
 #include "instance.h"
 #include "interpret.h"

@@ -4,7 +4,6 @@
 #include "robust.h"
 
 #include "adaptive.h"
-#include "baseline.h"
 #include "diagnosis.h"
 #include "equations.h"
 #include "fixed.h"

@@ -1,7 +1,6 @@
 #include "run.h"
 
 #include "balance.h"
-#include "baseline.h"
 #include "begin.h"
 #include "breaks.h"
 #include "diagnosis.h"

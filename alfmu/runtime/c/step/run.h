@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 
 Outcome instance_can_step(Instance *i, double start, double h);

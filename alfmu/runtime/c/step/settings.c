@@ -2,7 +2,6 @@
 
 #include "settings.h"
 
-#include "baseline.h"
 #include "calibration.h"
 #include "instance.h"
 #include "interpret.h"

@@ -2,7 +2,6 @@
 
 #pragma once
 
-#include "baseline.h"
 #include "instance.h"
 #include "scene.h"
 

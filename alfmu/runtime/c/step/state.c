@@ -2,7 +2,6 @@
 
 #include "state.h"
 
-#include "baseline.h"
 #include "exchange.h"
 #include "instance.h"
 #include "layout.h"

@@ -1,7 +1,6 @@
 #include "topology.h"
 
 #include "balance.h"
-#include "baseline.h"
 #include "equations.h"
 #include "friction.h"
 #include "instance.h"

@@ -4,7 +4,6 @@
 
 #include <stdio.h>
 
-#include "baseline.h"
 #include "instance.h"
 #include "message.h"
 #include "scene.h"

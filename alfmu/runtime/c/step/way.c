@@ -4,7 +4,6 @@
 
 #include "way.h"
 
-#include "baseline.h"
 #include "calibration.h"
 #include "equations.h"
 #include "instance.h"
