@@ -257,7 +257,7 @@ class Scene:
         H = self.augmented_mass(*terms[:2])
         D, L = self.factors(H)
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
-        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(H, D))
+        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(None, D))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
@@ -540,8 +540,9 @@ class Scene:
 
     # Singular positions --------------------------------------------------------------------------------------------
 
-    def margin(self, H: SX, pivots: SX) -> tuple[SX, SX]:
-        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+    def margin(self, H: SX | None, pivots: SX) -> tuple[SX, SX]:
+        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin; without H,
+        small pivots that coordinates share count."""
         if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
             return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
@@ -552,15 +553,23 @@ class Scene:
         if self.e.turns:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
-        # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the limit
-        # has negative pivots.
-        less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
-        more = ca.fmin(ca.sum1(small), ca.sum1(less < 0)) - self.settings.freedom
+        count = ca.sum1(small)
+        if H is not None:
+            # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the
+            # limit has negative pivots.
+            less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
+            count = ca.fmin(count, ca.sum1(less < 0))
+        more = count - self.settings.freedom
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
         )
         return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
+
+    def margin_told(self, M: SX, C: SX, D: SX, watch: SX) -> SX:
+        """S2: return the watch of an evaluation with the margin by eigenvalues, which steps do without."""
+        near, margin = self.margin(self.augmented_mass(M, C), D)
+        return Watch.of(watch)._replace(near=near, margin=margin).vector()
 
     def irregular(self, q: SX) -> SX:
         """Return whether more constraints may be dependent at q than at regular positions, for any masses.
