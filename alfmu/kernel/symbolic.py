@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -542,7 +542,7 @@ class Scene:
 
     def margin(self, H: SX | None, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin; without H,
-        small pivots that coordinates share count."""
+        small pivots that coordinates share count, but with Euler parameters no more than there are loops."""
         if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
             return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
@@ -560,6 +560,8 @@ class Scene:
             less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
             count = ca.fmin(count, ca.sum1(less < 0))
         more = count - self.settings.freedom
+        if H is None and self.e.turns:
+            more = ca.fmin(more, loops(self.e))
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
