@@ -573,10 +573,10 @@ def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
     """Check that every coordinate moves a mass or is in a constraint, for any parameters."""
     heavy, both = ca.sparsify(M).sparsity(), ca.vertcat(ca.sparsify(M), C).sparsity()
-    if ca.sprank(both) < both.size2():
-        there = {*both.get_triplet()[1]}
-        alone = [c for i, c in enumerate(m.coordinates) if i not in there]
-        free = alone or [c for i, c in enumerate(m.coordinates) if i not in heavy.get_triplet()[1]]
+    free = [c for i, c in enumerate(m.coordinates) if i not in both.get_triplet()[1]]
+    if not heavy.nnz() and ca.sprank(both) < both.size2():
+        free = free or [*m.coordinates]
+    if free:
         q = stack([c.q for c in free])
         poses = {body: ca.vertcat(*kinematics.center(body), kinematics.frame(body).angle) for body in m.bodies}
         bodies = [f"{b.name}{m.declared_at(b.name)}" for b, pose in poses.items() if ca.depends_on(pose, q)]
