@@ -144,7 +144,8 @@ class Method(runtime.Instance):
         M, C, F, xi = self.dynamics(q, v, u, t)
         kind, alpha, s, used = self.settings.formulation, self.alpha, self.settings, 1
         if not all(np.isfinite(x).all() for x in (M, F, xi)):
-            raise self._error(StepError, t, "the equations of motion are not finite")
+            remedy = "check roots, logarithms and quotients in forces, or reduce solver.step_size"
+            raise self._error(StepError, t, "the equations of motion are not finite", remedy)
         solve = self.inverse(M if kind == "stiffness" else method.augmented_mass(M, C, alpha))
         _, _, Phi, Cv = self.constraints(q, v)
         stabilised = method.stabilised(xi, Cv, Phi, s.zeta, s.omega)
