@@ -310,7 +310,9 @@ class Method(runtime.Instance):
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
         # Coordinates share small pivots, but not eigenvalues.
-        more = min(len(small), (np.linalg.eigvalsh(self._scaled(q)) < branch.SMALL_PIVOT).sum()) - self.freedom
+        H = self._scaled(q)
+        values = np.linalg.eigvalsh(H) if np.isfinite(H).all() else np.zeros(len(q))
+        more = min(len(small), (values < branch.SMALL_PIVOT).sum()) - self.freedom
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
