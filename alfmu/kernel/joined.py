@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,10 +16,7 @@ from .memory import Layout
 from .stream import Instructions
 
 LONGEST = 40000
-"""Largest number of instructions of joined calls; longer programs join those of an evaluation only."""
-
-OFTEN = 3
-"""Number of calls of a function from which they belong to repeated parts, mainly evaluations."""
+"""Largest number of instructions of joined calls; programs of a larger scene call small functions."""
 
 
 def joined(
@@ -74,7 +70,7 @@ class _Joining:
         # Repeated operations do not count; they are searched for only if the limit is exceeded with them.
         counts = (small[call.function].n_instructions() for call in calls)
         if sum(counts) > LONGEST and sum(self._count(call.function) for call in calls) > LONGEST:
-            return self._in_parts(program, calls, wanted)
+            return calls
         given = dict.fromkeys(chain(*(call.results for call in calls)))
         inputs, outputs = tuple(taken(calls)), tuple(name for name in given if name in wanted)
         numbers = {name: i for i, name in enumerate(inputs)}
@@ -87,16 +83,6 @@ class _Joining:
             self._known[key] = f"{program}_{len(self.functions)}"
             self.functions[self._known[key]] = self._function(self._known[key], calls, inputs, outputs)
         return [Call(self._known[key], inputs, outputs)]
-
-    def _in_parts(self, program: str, calls: Sequence[Call], wanted: set[str]) -> Sequence[Call]:
-        """Return calls joined only within repeated parts, which share a function."""
-        times, made, at = Counter(call.function for call in calls), list[Call](), 0
-        for repeated, group in groupby(calls, lambda call: times[call.function] >= OFTEN):
-            part = list(group)
-            at += len(part)
-            later = wanted.union(taken(calls[at:]))
-            made += self._together(program, part, later) if repeated and len(part) < len(calls) else part
-        return made
 
     def _count(self, function: str) -> int:
         if function not in self._counts:

@@ -542,7 +542,7 @@ class Scene:
 
     def margin(self, H: SX | None, pivots: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin; without H,
-        small pivots that coordinates share count, but with Euler parameters no more than there are loops."""
+        small pivots that coordinates share count. With Euler parameters no more count than there are loops."""
         if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
             return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
@@ -554,14 +554,14 @@ class Scene:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
         count = ca.sum1(small)
-        if H is not None:
+        if self.e.turns:
+            count = ca.fmin(count, loops(self.e) + self.settings.freedom)
+        elif H is not None:
             # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the
             # limit has negative pivots.
             less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
             count = ca.fmin(count, ca.sum1(less < 0))
         more = count - self.settings.freedom
-        if H is None and self.e.turns:
-            more = ca.fmin(more, loops(self.e))
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))

@@ -281,8 +281,8 @@ class Tracer:
     @staticmethod
     def tell_margin(calls: Calls, watch: str) -> None:
         """Compute the margin that outputs show, at the position of the last evaluation."""
-        if calls.scene.kind == "weighted":
-            calls("margin_told", f"k M C D {watch}", watch, calls.scene.margin_told)
+        if calls.scene.kind == "weighted" and not calls.scene.e.turns:
+            calls("margin_told", f"p k M C D {watch}", watch, calls.scene.margin_told)
 
     def _unpacked(self, calls: Calls) -> None:
         """Extract time, q and v of the state, for evaluation without limits."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import runtime
 from ..equations import Equations
 from ..equations.arrays import ArrayFunction, ArrayFunctions
-from ..equations.evaluation import elimination_order, telling
+from ..equations.evaluation import elimination_order, loops, telling
 from ..equations.interface import Counters
 from ..kernel.memory import GROSS, SETTINGS, TURN
 from ..kernel.thresholds import PATIENT, REGULAR, TORN
@@ -310,9 +310,10 @@ class Method(runtime.Instance):
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
         # Coordinates share small pivots, but not eigenvalues.
-        H = self._scaled(q)
-        values = np.linalg.eigvalsh(H) if np.isfinite(H).all() else np.zeros(len(q))
-        more = min(len(small), (values < branch.SMALL_PIVOT).sum()) - self.freedom
+        H, most = self._scaled(q), loops(self.equations) + self.freedom
+        if not self.equations.turns:
+            most = (np.linalg.eigvalsh(H) < branch.SMALL_PIVOT).sum() if np.isfinite(H).all() else len(q)
+        more = min(len(small), most) - self.freedom
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
