@@ -1,10 +1,5 @@
 """Programs of a scene as steps: the ways through them."""
 
-import numpy as np
-from scenes import derived
-
-from alfmu.kernel import joined
-from alfmu.kernel.controlled import whole
 from alfmu.kernel.form import (
     Call,
     Choice,
@@ -21,9 +16,6 @@ from alfmu.kernel.form import (
     taken,
 )
 from alfmu.kernel.lanes import laned
-from alfmu.kernel.standalone import standalone
-from alfmu.kernel.symbolic import lengths_of
-from alfmu.simulation import prepared
 
 FIRST, INNER = Call("f", ("a",), ("b",)), Call("g", ("b", "c"), ("d",))
 STEPS = FIRST, Choice("near", (INNER,)), Loop("more", "most", (INNER, Choice("far", zero=(INNER,))))
@@ -105,23 +97,3 @@ def test_what_goes_on_from_each_other_is_done_in_turn():
     assert laned(same, {"b"}) == same
     few = Program(tuple(step for k in range(3) for step in place(k)))
     assert laned(few, {f"found{k}" for k in range(3)}) == few
-
-
-def test_a_program_that_is_too_long_joins_each_evaluation_to_the_same_bits(monkeypatch):
-    """Made by CasADi call by call: joined evaluations give the bits of small functions, and share one function."""
-    monkeypatch.setattr(joined, "LONGEST", 4000)
-    apart = standalone(whole(prepared(derived("five_bar"), "vm")))
-    together = joined.joined(apart, ["method"])
-    calls = [call.function for call in every(together.kernel["method"].steps) if isinstance(call, Call)]
-    assert max(map(calls.count, calls)) == 12
-    assert 2 * len(calls) < len(apart.kernel["method"].steps)
-    random = np.random.default_rng(0)
-    given = {name: random.uniform(0.5, 1.5, length) for name, length in lengths_of(apart).items()}
-    after = []
-    for e in (apart, together):
-        known = dict(given)
-        for call in every(e.kernel["method"].steps):
-            known |= zip(call.results, e.functions[call.function].call([known[x] for x in call.arguments]), strict=True)
-        after.append(np.array(known["after"]))
-    assert after[0].tobytes() == after[1].tobytes()
-    assert np.isfinite(after[0]).any()
