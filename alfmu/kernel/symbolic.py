@@ -254,10 +254,9 @@ class Scene:
 
     def begun(self, terms: Sequence[SX]) -> list[SX]:
         """Return the results of `evaluated` for given M, C, F, xi, without power."""
-        H = self.augmented_mass(*terms[:2])
-        D, L = self.factors(H)
+        D, L = self.factors(self.augmented_mass(*terms[:2]))
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
-        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(None, D))
+        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(D))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
@@ -291,10 +290,9 @@ class Scene:
     def nearest(self, plan: Plan, t: SX, q: SX, v: SX, u: SX, a: SX) -> tuple[SX, SX]:
         """Return the accelerations nearest to a in the metric of M that satisfy the constraints, and their watch."""
         M, C, _, xi = self.terms(t, q, v, u)
-        H = self.augmented_mass(M, C)
-        D, L = self.factors(H)
+        D, L = self.factors(self.augmented_mass(M, C))
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
-        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(H, D)).vector()
+        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(D)).vector()
 
     def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
         """Return the number of failed convergence checks; `limit` is the error allowed after few iterations, by default
@@ -540,9 +538,8 @@ class Scene:
 
     # Singular positions --------------------------------------------------------------------------------------------
 
-    def margin(self, H: SX | None, pivots: SX) -> tuple[SX, SX]:
-        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin; without H,
-        small pivots that coordinates share count. With Euler parameters no more count than there are loops."""
+    def margin(self, pivots: SX) -> tuple[SX, SX]:
+        """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
             return SX(0), SX(1)
         ratios = pivots * self.inverse_scales[elimination_order(self.e)]
@@ -553,25 +550,14 @@ class Scene:
         if self.e.turns:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
             near, small = near * irregular, small * irregular
-        count = ca.sum1(small)
+        more = ca.sum1(small) - self.settings.freedom
         if self.e.turns:
-            count = ca.fmin(count, loops(self.e) + self.settings.freedom)
-        elif H is not None:
-            # Coordinates share small pivots, but not eigenvalues. As many of these are below a limit as H less the
-            # limit has negative pivots.
-            less, _ = self.factors(H - branch.SMALL_PIVOT * ca.diag(1 / self.inverse_scales))
-            count = ca.fmin(count, ca.sum1(less < 0))
-        more = count - self.settings.freedom
+            more = ca.fmin(more, loops(self.e))
         # the product of many could overflow
         logarithm = (
             ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
         )
         return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
-
-    def margin_told(self, M: SX, C: SX, D: SX, watch: SX) -> SX:
-        """S2: return the watch of an evaluation with the margin by eigenvalues, which steps do without."""
-        near, margin = self.margin(self.augmented_mass(M, C), D)
-        return Watch.of(watch)._replace(near=near, margin=margin).vector()
 
     def irregular(self, q: SX) -> SX:
         """Return whether more constraints may be dependent at q than at regular positions, for any masses.
@@ -603,8 +589,8 @@ class Scene:
 
     def margin_at(self, q: SX) -> SX:
         """S2: return the margin at a position."""
-        H = self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p))
-        return self.margin(H, self.factors(H)[0])[1]
+        D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
+        return self.margin(D)[1]
 
     def directed(self, v: SX) -> SX:
         """S4: return the direction along which limits are taken."""

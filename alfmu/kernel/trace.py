@@ -240,7 +240,6 @@ class Tracer:
         self._unpacked(calls)
         u = self.here(calls)
         self.evaluation(calls, "0", {"u": u})
-        self.tell_margin(calls, "watch0")
         if redundant:
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
         self._lost(calls, "q0 v0 a0 lam0 watch0")
@@ -272,17 +271,10 @@ class Tracer:
     def _here(self, calls: Calls, u: str, redundant: bool) -> None:
         """Evaluate at the position of the outputs itself, besides the positions of the limit."""
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
-        self.tell_margin(calls, "watchl")
         if redundant:
             (self._bear if self.loaded else self._share)(calls, f"tz qz vz {u}", "al laml")
 
     # Parts of programs ---------------------------------------------------------------------------------------------
-
-    @staticmethod
-    def tell_margin(calls: Calls, watch: str) -> None:
-        """Compute the margin that outputs show, at the position of the last evaluation."""
-        if calls.scene.kind == "weighted" and not calls.scene.e.turns:
-            calls("margin_told", f"p k M C D {watch}", watch, calls.scene.margin_told)
 
     def _unpacked(self, calls: Calls) -> None:
         """Extract time, q and v of the state, for evaluation without limits."""

@@ -289,19 +289,15 @@ class Method(runtime.Instance):
 
     # Singular positions -------------------------------------------------------------------------------------------
 
-    def _scaled(self, q: NDArray) -> NDArray:
-        """Return H (n, n) at q (n,) over the scales of its coordinates, in the order of elimination."""
-        M, C, _, _ = self.constraints(q, np.zeros_like(q))
-        order, scales = elimination_order(self.equations), np.sqrt(self.scales)
-        return (method.augmented_mass(M, C, self.alpha) / np.outer(scales, scales))[np.ix_(order, order)]
-
     def pivots(self, q: NDArray) -> NDArray:
         """Return the pivots (n,) of H at q (n,) over the scales of their coordinates, in the order of elimination."""
+        M, C, _, _ = self.constraints(q, np.zeros_like(q))
+        order = elimination_order(self.equations)
         try:
-            pivots = np.linalg.cholesky(self._scaled(q)).diagonal() ** 2
+            pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[np.ix_(order, order)]).diagonal() ** 2
         except np.linalg.LinAlgError:
             pivots = np.zeros(len(q))
-        return np.maximum(pivots, 1e-300)
+        return np.maximum(pivots / self.scales[order], 1e-300)
 
     def margin(self, q: NDArray) -> tuple[bool, float]:
         """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
@@ -309,11 +305,9 @@ class Method(runtime.Instance):
         if self.equations.turns and np.log(ratios).sum() >= self.regular:
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
-        # Coordinates share small pivots, but not eigenvalues.
-        H, most = self._scaled(q), loops(self.equations) + self.freedom
-        if not self.equations.turns:
-            most = (np.linalg.eigvalsh(H) < branch.SMALL_PIVOT).sum() if np.isfinite(H).all() else len(q)
-        more = min(len(small), most) - self.freedom
+        more = len(small) - self.freedom
+        if self.equations.turns:
+            more = min(more, loops(self.equations))
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:

@@ -221,7 +221,7 @@ void settings_follow_turns(Instance *i)
     double *z = instance_field(i, s->z);
     const double *after = instance_field(i, s->after);
     const int still = s->l ? s->close : s->careful;
-    if (!s->angles || !s->programs[still].words)
+    if (!s->angles || still < 0 || !s->programs[still].words)
         return;
     i->m[s->dt] = 0.0;
     memcpy(i->workspace + s->q, z, (size_t)s->n * sizeof *z);
