@@ -572,10 +572,11 @@ def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
     """Check that every coordinate moves a mass or is in a constraint, for any parameters."""
-    heavy, both = ca.sparsify(M).sparsity(), ca.vertcat(ca.sparsify(M), C).sparsity()
-    free = [c for i, c in enumerate(m.coordinates) if i not in both.get_triplet()[1]]
-    if not heavy.nnz() and ca.sprank(both) < both.size2():
-        free = free or [*m.coordinates]
+    masses = ca.sparsify(M)
+    there = {*masses.sparsity().get_triplet()[1], *C.sparsity().get_triplet()[1]}
+    free = [c for i, c in enumerate(m.coordinates) if i not in there]
+    if not free and not masses.nnz() and ca.sprank(C.sparsity()) < C.size2():
+        free = [*m.coordinates]
     if free:
         q = stack([c.q for c in free])
         poses = {body: ca.vertcat(*kinematics.center(body), kinematics.frame(body).angle) for body in m.bodies}
