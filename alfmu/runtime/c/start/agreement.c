@@ -78,8 +78,8 @@ static int is_regular_place(Instance *i, const unsigned char *held, const double
 }
 
 /* Return DONE, or report which constraints contradict each other, judged by the residue |Phi|, or |Phi-dot| at
-   velocities v, that first-order corrections leave at a regular position. Set what the rows leave
-   together, in units of each, which no step can close. */
+   velocities v, that first-order corrections leave at a regular position. Store the norm of what positions leave, in
+   units of each row, as no step can close it. */
 Outcome agreement_check(
     Instance *i, const unsigned char *held, const double *q, const double *v, const double *open)
 {
@@ -109,12 +109,13 @@ Outcome agreement_check(
         }
         if (!v)
             *i->agreed = VARIES * together;
-        list_joints(s, left, names, sizeof names);
-        if (fabs(left[row]) > limits[row] && gaps)
+        if (fabs(left[row]) > limits[row] && gaps) {
+            list_joints(s, left, names, sizeof names);
             outcome = instance_say(i, FAILED,
                 "%s: constraints contradict each other: %s cannot be kept together, and %s is violated by %.3g %s%s; "
                 "make their lengths, offsets and laws agree, or leave one of them out",
                 s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, v ? "/s" : "");
+        }
     }
     arena_release(i, arena);
     return outcome;
