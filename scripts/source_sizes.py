@@ -15,7 +15,6 @@ from alfmu.runtime.build import zig
 SMALL = {"outputs": ["link1.angle", "A.force.x"], "freeze": ["all"]}
 ROWS = {
     **{name: ({}, name) for name in sorted(alfmu.mechanisms())},
-    "bennett": ({"parameters": {"solver.step_size": 0.01}}, "bennett, internal steps of 0.01 s"),
     "small": (SMALL, "five_bar, an angle and a reaction, all frozen"),
     "least": (
         {**SMALL, "parameters": {"solver.branch": "paper"}, "stop_time": 2.0},
