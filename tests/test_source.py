@@ -402,7 +402,7 @@ REFUSED = {
         {"parameters": {"solver.formulation": "classic"}},
         "sources support only solver.formulation residual,",
     ),
-    "derivatives": ({"derivatives": True}, "have no derivatives"),
+    "derivatives": ({"derivatives": True}, "an FMU of sources has no derivatives; leave --derivatives out"),
     "kernel": ({"kernel": "vm"}, "has a kernel of its own"),
     "platforms": ({"platforms": ["linux64"]}, "is not built for a platform"),
     "Model Exchange": ({"interface": "me"}, "supports co-simulation only; leave --interface out, or use --kind native"),
