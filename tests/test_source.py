@@ -175,7 +175,7 @@ def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
 
 @by_a_compiler
 def test_internal_steps_are_chosen_for_the_default_experiment(tmp_path, caplog):
-    """The same spring without a step: 0.1 m cos(100 t), at the end of 0.5 s to the phase error of RK4, (omega h)^4 / 120
+    """The same spring without a step: 0.1 m cos(100 t), after 0.5 s to the phase error of RK4, (omega h)^4 / 120
     of 50 rad, and half the energy that it lost."""
     m, _, guide, s = sliding("spring", start=0.1)
     m.drive(guide, -1e4 * s)
