@@ -23,13 +23,14 @@ ROWS = {
 }
 """Exports by their names in the table."""
 
+FLAGS = ["-std=c99", "-Os", "-fno-asynchronous-unwind-tables"]
 TARGETS = (["-target", "x86_64-linux-musl"], ["-target", "thumb-linux-musleabihf", "-mcpu=cortex_m7"])
 
 
 def size(path: Path, target: list[str]) -> float:
     """Return the size of code and tables [kB]."""
     made = path.with_suffix(".o")
-    command = [*(zig() or []), "-std=c99", "-Os", *target, "-c", str(path), "-o", str(made)]
+    command = [*(zig() or []), *FLAGS, *target, "-c", str(path), "-o", str(made)]
     subprocess.run(command, check=True)
     done = subprocess.run(["size", str(made)], capture_output=True, text=True, check=True)
     text, data = map(int, done.stdout.splitlines()[1].split()[:2])

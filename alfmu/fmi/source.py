@@ -157,34 +157,33 @@ def facts(path: Path) -> list[str]:
 
 
 def paced(e: Traced, fixed: bool) -> Traced:
-    """Return equations with the longest internal step by which sources run the default experiment without a warning,
-    or else by which they run it: of their own step and, unless it is `fixed`, of its halves.
+    """Return equations with the longest internal step, of their own one and, unless it is `fixed`, of its halves, with
+    which sources run the default experiment without a warning, or else with one.
 
     Raise ExportError if there is none, with the reason of the complete scene if this fails, too. Log the first reason
     or warning.
     """
     whole, first, found = default_settings(e).step_size, "", None
+    longest = min(whole, e.interval)
     for k in range(1 if fixed else _HALVINGS):
-        step = min(whole, e.interval) / 2**k if k else whole
-        tried = replace(e, solver={**e.solver, "step_size": step}) if k else e
-        failed, said = _ran(packed(smallest(tried), shares=True), e)
+        tried = replace(e, solver={**e.solver, "step_size": longest / 2**k}) if k else e
+        made, said = _ran(packed(smallest(tried), shares=True), e)
         first = first or said
-        if not failed and (not said or found is None):
+        if made == DONE and not (said and found):
             found = tried
-        if not failed and not said:
+        if not said:
             break
     if found is None:
         # If RK4 fails with any number of iterations, the reason is another one.
-        failed, said = _ran(pipeline.packed(e), e)
+        made, said = _ran(pipeline.packed(e), e)
         raise ExportError(
-            f"{said if failed else first}; sources make steps of RK4 with fixed numbers of iterations, which have to "
-            f"serve for the default experiment: choose a shorter {'--set solver.step_size or ' * fixed}--stop-time, or "
-            "use --kind native"
+            f"{first if made == DONE else said}; sources make steps of RK4 with fixed numbers of iterations, which have "
+            f"to serve for the default experiment: choose a shorter {'--set solver.step_size or ' * fixed}--stop-time, "
+            "or use --kind native"
         )
     if found is not e:
-        chosen = default_settings(found).step_size
         text = "%s: internal steps are %g s, chosen for the default experiment; with %g s, %s"
-        _LOGGER.warning(text, e.name, chosen, min(whole, e.interval), first)
+        _LOGGER.warning(text, e.name, default_settings(found).step_size, longest, first)
     elif first:
         _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", first)
     return found
