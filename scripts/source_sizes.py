@@ -23,7 +23,7 @@ ROWS = {
 }
 """Exports by their names in the table."""
 
-FLAGS = ["-std=c99", "-Os", "-fno-asynchronous-unwind-tables"]
+FLAGS = ["-std=c99", "-Os", "-fno-unwind-tables"]
 TARGETS = (["-target", "x86_64-linux-musl"], ["-target", "thumb-linux-musleabihf", "-mcpu=cortex_m7"])
 
 

@@ -177,9 +177,9 @@ def paced(e: Traced, fixed: bool) -> Traced:
         # If RK4 fails with any number of iterations, the reason is another one.
         made, said = _ran(pipeline.packed(e), e)
         raise ExportError(
-            f"{first if made == DONE else said}; sources make steps of RK4 with fixed numbers of iterations, which have "
-            f"to serve for the default experiment: choose a shorter {'--set solver.step_size or ' * fixed}--stop-time, "
-            "or use --kind native"
+            f"{first if made == DONE else said}; sources make steps of RK4 with fixed numbers of iterations, which "
+            f"have to serve for the default experiment: choose a shorter {'--set solver.step_size or ' * fixed}"
+            "--stop-time, or use --kind native"
         )
     if found is not e:
         text = "%s: internal steps are %g s, chosen for the default experiment; with %g s, %s"
