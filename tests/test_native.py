@@ -713,6 +713,10 @@ def test_sources_are_left_out_on_request(built, fmi):
     for kind in ("python", "source"):
         with pytest.raises(alfmu.ExportError, match="has no library in place of its sources; leave --no-sources out"):
             alfmu.export("particle_on_circle", kind=kind, sources=False)
+        with pytest.raises(
+            alfmu.ExportError, match="has no derivatives; leave --derivatives out, or use --kind native"
+        ):
+            alfmu.export("particle_on_circle", kind=kind, derivatives=True)
 
 
 @pytest.mark.slow

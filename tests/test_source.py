@@ -173,6 +173,21 @@ def test_warnings_of_plain_c_are_given_at_export(tmp_path, caplog):
     assert "plain C does not tell when it runs" in caplog.text
 
 
+@by_a_compiler
+def test_internal_steps_are_chosen_for_the_default_experiment(tmp_path, caplog):
+    """The same spring without a step: 0.1 m cos(100 t), after 0.5 s to the phase error of RK4, (omega h)^4 / 120
+    of 50 rad, and half the energy that it lost."""
+    m, _, guide, s = sliding("spring", start=0.1)
+    m.drive(guide, -1e4 * s)
+    with caplog.at_level("WARNING", "alfmu"):
+        plain = Plain(alfmu.export(alfmu.Recipe(m, kind="source", stop_time=0.5), tmp_path / "spring.c"))
+    step = plain.get("solver.step_size")
+    assert f"spring: internal steps are {step:g} s, chosen for the default experiment; with 0.02 s, " in caplog.text
+    assert plain("start", 0.0) == 0
+    assert [plain("step", 0.02) for _ in range(25)] == [0] * 25
+    assert plain.get("block.x") == pytest.approx(0.1 * np.cos(50.0), abs=0.1 * 50 * ((100 * step) ** 4 / 120 + 1e-3))
+
+
 @pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("level", ["-O2", "-O3", "-Os"])
@@ -378,7 +393,7 @@ def test_a_refused_export_tells_why_steps_of_rk4_fail(tmp_path):
         run(instance, 1.0, instance.equations.interval)
     assert "more iterations" not in str(failed.value)
     with pytest.raises(alfmu.ExportError, match=re.escape(str(failed.value))):
-        alfmu.export(leg, tmp_path / "jansen_leg.c", kind="source")
+        alfmu.export(leg, tmp_path / "jansen_leg.c", kind="source", parameters={"solver.step_size": 0.02})
 
 
 REFUSED = {
@@ -387,7 +402,7 @@ REFUSED = {
         {"parameters": {"solver.formulation": "classic"}},
         "sources support only solver.formulation residual,",
     ),
-    "derivatives": ({"derivatives": True}, "have no derivatives"),
+    "derivatives": ({"derivatives": True}, "an FMU of sources has no derivatives; leave --derivatives out"),
     "kernel": ({"kernel": "vm"}, "has a kernel of its own"),
     "platforms": ({"platforms": ["linux64"]}, "is not built for a platform"),
     "Model Exchange": ({"interface": "me"}, "supports co-simulation only; leave --interface out, or use --kind native"),

@@ -46,7 +46,7 @@ from .description import (
 from .recipe import Recipe
 from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
-from .source import source
+from .source import paced, source
 from .terminals import document, terminals
 
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
@@ -90,8 +90,11 @@ def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = N
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
-    if recipe.kind == "source" and equations.jacobian:
-        raise ExportError(f"{equations.name}: sources have no interface Jacobian; leave it out, or use --kind native")
+    if recipe.kind == "source":
+        if equations.jacobian:
+            text = "sources have no interface Jacobian; leave it out, or use --kind native"
+            raise ExportError(f"{equations.name}: {text}")
+        equations = paced(equations, fixed="solver.step_size" in recipe.parameters)
     if recipe.kind == "source" and path.suffix == ".c":
         if recipe.fmi != 2:
             raise ExportError(f"{equations.name}: plain C is of no version of FMI; leave --fmi out, or write an .fmu")

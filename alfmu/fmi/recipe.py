@@ -190,8 +190,8 @@ class Recipe(Brief):
             ),
             (not self.sources and not native, f"{what} has no library in place of its sources; leave --no-sources out"),
             (
-                self.derivatives and self.kind == "source",
-                "sources have no derivatives, which take memory; leave --derivatives out, or use --kind native",
+                self.derivatives and not native,
+                f"{what} has no derivatives; leave --derivatives out, or use --kind native",
             ),
         ):
             if refused:

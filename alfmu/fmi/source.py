@@ -11,6 +11,7 @@ import struct
 import zipfile
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..equations.interface import default_settings
@@ -62,7 +63,9 @@ def source(equations: Traced, fmi: int = 0, guid: str = "") -> dict[str, str]:
     kept = Scene(identified(packed(own, shares=True), guid), installed())
     scene = loaded(kept)
     scene.exchange = -1  # no Model Exchange
-    state, steps = _state(kept, own, equations, fmi), internal_steps(own.interval, default_settings(own).step_size)
+    unit, steps = Unit(kept), internal_steps(own.interval, default_settings(own).step_size)
+    unit.initialize()
+    state = unit.save()
     starts = bool(fmi or scene.own or scene.followed_count or scene.switches or scene.frictions or scene.brakes)
     start, start_size = ("", 0) if starts else _start(state)
     without = native.left_out(equations, derivatives=False, exchange=False)
@@ -153,30 +156,50 @@ def facts(path: Path) -> list[str]:
 # The scene ------------------------------------------------------------------------------------------------------------
 
 
-def _state(scene: Scene, e: Traced, every: Traced, fmi: int) -> bytes:
-    """Return the state after the start; raise ExportError if the default experiment fails, with the reason of the
-    complete scene `every` if this fails, too. Log warnings, which plain C does not give."""
-    unit = Unit(scene)
-    made = unit.initialize()
-    state = unit.save()
-    if _ran(unit, made, e) != DONE:
-        complete = Unit(Scene(pipeline.packed(every), installed()))
+def paced(e: Traced, fixed: bool) -> Traced:
+    """Return equations with the longest internal step, of their own one and, unless it is `fixed`, of its halves, with
+    which sources run the default experiment without a warning, or else with one.
+
+    Raise ExportError if there is none, with the reason of the complete scene if this fails, too. Log the first reason
+    or warning.
+    """
+    whole, first, found = default_settings(e).step_size, "", None
+    longest = min(whole, e.interval)
+    for k in range(1 if fixed else _HALVINGS):
+        tried = replace(e, solver={**e.solver, "step_size": longest / 2**k}) if k else e
+        made, said = _ran(packed(smallest(tried), shares=True), e)
+        first = first or said
+        if made == DONE and not (said and found):
+            found = tried
+        if not said:
+            break
+    if found is None:
         # If RK4 fails with any number of iterations, the reason is another one.
-        text = unit.text if _ran(complete, complete.initialize(), e) == DONE else complete.text
+        made, said = _ran(pipeline.packed(e), e)
         raise ExportError(
-            f"{text}; sources make steps of RK4 with fixed numbers of iterations, which have to serve for the "
-            "default experiment: choose a shorter --set solver.step_size or --stop-time, or use --kind native"
+            f"{first if made == DONE else said}; sources make steps of RK4 with fixed numbers of iterations, which "
+            f"have to serve for the default experiment: choose a shorter {'--set solver.step_size or ' * fixed}"
+            "--stop-time, or use --kind native"
         )
-    if (warning := unit.warning()) and not fmi:
-        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", warning)
-    return state
+    if found is not e:
+        text = "%s: internal steps are %g s, chosen for the default experiment; with %g s, %s"
+        _LOGGER.warning(text, e.name, default_settings(found).step_size, longest, first)
+    elif first:
+        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", first)
+    return found
 
 
-def _ran(unit: Unit, made: int, e: Traced) -> int:
-    """Return the outcome of the default experiment of a unit, whose initialization had the outcome `made`."""
+_HALVINGS = 9
+"""Number of internal steps that are tried."""
+
+
+def _ran(scene: bytes, e: Traced) -> tuple[int, str]:
+    """Return the outcome of the default experiment of a scene, and the reason of a failure or the warning."""
+    unit = Unit(Scene(scene, installed()))
+    made = unit.initialize()
     for k in range(round(e.stop_time / e.interval)):
         made = made or unit.step(k * e.interval, e.interval)
-    return made
+    return made, unit.text if made != DONE else unit.warning()
 
 
 def _start(state: bytes) -> tuple[str, int]:

@@ -325,6 +325,9 @@ Status component_step(Component *c, double point, double step, int *early, const
     if (early)
         *early = 0;
     outcome = log_step(c, point, step);
+    c->refusals = outcome == DONE ? 0 : point == c->point && step == c->length ? c->refusals + 1 : 1;
+    c->point = point;
+    c->length = step;
     /* After a discarded step a host tries other steps; report an error if none can succeed. */
     return outcome == DONE ? STATUS_OK : component_refused(c, outcome == NO_STEP_ON ? STATUS_ERROR : STATUS_DISCARD);
 }

@@ -49,6 +49,8 @@ typedef struct {
     unsigned logged; /* categories that are logged, as bits */
     int has_time;    /* whether time is a variable, whose number follows those of the scene */
     int exchanges;   /* whether the instance is for Model Exchange */
+    int refusals;    /* how often the last step was refused in succession */
+    double point, length; /* that step */
 } Component;
 
 extern const char *const category_names[CATEGORIES];

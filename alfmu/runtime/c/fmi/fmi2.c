@@ -183,11 +183,12 @@ API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind k
     return status;
 }
 
-API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
+API fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Boolean *value)
 {
+    Component *c = component;
     const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
     if (status == fmi2OK)
-        *value = fmi2False; /* No instance ends a run on its own. */
+        *value = c->refusals > 1; /* Hosts that only repeat a discarded step, as fmpy, would never end. */
     return status;
 }
 
