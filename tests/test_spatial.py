@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import ode
-from oracles.free_body import SpatialBalance
 from scenes import evaluate, readings, started
 from scipy.spatial.transform import Rotation
 
@@ -103,82 +102,7 @@ def test_a_thrown_body_turns_by_eulers_equations():
     assert errors[-1] < 1e-6
 
 
-# Every joint, a spring, drives ----------------------------------------------------------------------------------------
-
-AXIS, SECOND = (1.0, 2.0, -0.5), (0.3, -1.0, 0.4)
-AT, ON = (0.1, -0.2, 0.3), (-0.05, 0.1, 0.2)
-CENTERS = {"base": (0.1, 0.0, -0.1), "arm": (0.05, -0.02, 0.03)}
-
-
-def pair(kind: str) -> alfmu.Mechanism:
-    """A free base and an arm on it by one joint; a spring-damper to the ground, another between the bodies."""
-    m = alfmu.Mechanism("pair")
-    base, arm = (m.spatial_body(n, mass=MASS, inertia=INERTIA, center=c) for n, c in CENTERS.items())
-    first, second = base.at(*AT), arm.at(*ON)
-    if kind == "spherical":
-        m.spherical("J", first, second)
-    elif kind == "revolute":
-        m.drive(m.spatial_revolute("J", first, second, axis=AXIS, second_axis=SECOND), 3.0)
-    elif kind == "cylindrical":
-        m.cylindrical("J", first, second, axis=AXIS, second_axis=SECOND)
-    else:
-        m.drive(m.spatial_prismatic("J", first, second, axis=AXIS), 3.0)
-    m.spring_damper((m.spatial_ground.at(0, 0, 1), arm.at(0.2, 0, 0)), stiffness=40.0, damping=2.0, rest=0.3)
-    m.spring_damper((base.at(0, 0.4, 0), arm.at(0, 0, 0.5)), stiffness=70.0, damping=3.0, rest=0.2)
-    m.gravity(0.5, 0.0, -G)
-    return m
-
-
-@pytest.mark.parametrize("kind", ["spherical", "revolute", "cylindrical", "prismatic"])
-@pytest.mark.parametrize("seed", range(3))
-def test_every_body_balances_and_every_joint_holds(kind, seed):
-    """At a random state: forces and moments on both bodies add up, and the joint is kept by the accelerations."""
-    random = np.random.default_rng(seed)
-    unit = np.array(AXIS) / np.linalg.norm(AXIS)
-    base, w1 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
-    axis = base.apply(unit)
-    along = spin = 0.0
-    if kind == "spherical":
-        arm, w2 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
-    elif kind == "prismatic":
-        arm, w2, along, spin = base, w1, 0.4, 1.1
-    else:
-        second = np.array(SECOND) / np.linalg.norm(SECOND)
-        turn = Rotation.from_rotvec(0.9 * axis) * Rotation.align_vectors([axis], [second])[0]
-        arm, w2 = turn, w1 + 1.7 * axis
-        along, spin = (0.4, 1.1) if kind == "cylindrical" else (0.0, 0.0)
-    r1, v1 = random.normal(size=(2, 3))
-    meet = r1 + base.apply(np.array(AT) - CENTERS["base"]) + along * axis
-    speed = v1 + np.cross(w1, meet - r1) + spin * axis
-    lever = arm.apply(np.array(ON) - CENTERS["arm"])
-    q1, qd1 = moving(r1, base, v1, w1)
-    q2, qd2 = moving(meet - lever, arm, speed - np.cross(w2, lever), w2)
-    e = alfmu.derive(pair(kind))
-    r = evaluate(e, q1 + q2, qd1 + qd2)
-    b = SpatialBalance(r, {n: (MASS, INERTIA, c) for n, c in CENTERS.items()}, (0.5, 0.0, -G))
-    drive = {"revolute": ((0.0,) * 3, 3.0 * axis), "prismatic": (3.0 * axis, (0.0,) * 3)}
-    b.joint("J", "base", "arm", ON, *drive.get(kind, ()))
-    b.spring(("ground", (0, 0, 1)), ("arm", (0.2, 0, 0)), 40.0, 2.0, 0.3)
-    b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
-    assert b.lack() <= 1e-12
-    # The joint: reactions do no work along its freedoms, and the relative motion stays along them.
-    force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
-    apart = b.acceleration("arm", ON) - b.acceleration("base", AT)
-    if kind in ("cylindrical", "prismatic"):
-        assert abs(force @ axis) <= 1e-12 * b.largest
-        offset = along * axis
-        carried = np.cross(b.vector("base.angular_acceleration."), offset)
-        carried += np.cross(w1, np.cross(w1, offset)) + 2 * np.cross(w1, spin * axis)
-        apart = np.cross(axis, apart - carried)
-    assert np.abs(apart).max() <= 1e-11 * b.largest
-    if kind in ("revolute", "cylindrical"):
-        assert abs(moment @ axis) <= 1e-12 * b.largest
-    if kind == "revolute":
-        relative = b.vector("arm.angular_acceleration.") - b.vector("base.angular_acceleration.")
-        assert r["J.angular_velocity"] == pytest.approx(1.7, rel=1e-12)
-        assert r["J.angular_acceleration"] == pytest.approx(axis @ relative, abs=1e-12 * b.largest)
-    if kind == "prismatic":
-        assert [r["arm.position"], r["arm.velocity"]] == pytest.approx([0.4, 1.1], rel=1e-12)
+# In the plane ---------------------------------------------------------------------------------------------------------
 
 
 def double_pendulum(space: bool) -> alfmu.Mechanism:
