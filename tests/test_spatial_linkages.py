@@ -179,6 +179,7 @@ def of_slider_crank() -> alfmu.Equations:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_slider_crank_in_space_moves_as_its_one_equation(tmp_path):
     """Against Lagrange's equation in the crank's angle; through FMUs of both kinds the same to the last bit."""
     x, w = ca.SX.sym("x"), ca.SX.sym("w")
