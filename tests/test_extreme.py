@@ -73,7 +73,7 @@ def test_ten_thousand_radians_per_second():
 @pytest.mark.slow
 def test_millions_of_steps_do_not_drift():
     """The particle on its circle, free: radius to round-off, speed to 1e-11."""
-    i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
+    i = alfmu.Instance(prepared(derived("particle_on_circle"), "vm"))
     initialized(i, {"solver.method": "rk4", "solver.step_size": 1e-3})
     millions = 10 if ALL else 2
     for _ in range(millions):

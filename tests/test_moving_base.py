@@ -121,9 +121,7 @@ def crank(m: Mechanism, torque: float, stop: float, *of: dict[str, Any], angle: 
     given = {"angle": angle, "start.crank": angle, "start.crank_rate": rate} if angle or rate else {}
     for each in of:
         given |= each
-    return alfmu.simulate(m, stop, 0.02, parameters=given, inputs={"A.torque": torque}, outputs=["bar1.angle"])[
-        "bar1.angle"
-    ]
+    return alfmu.simulate(m, stop, 0.02, parameters=given, inputs={"A.torque": torque})["bar1.angle"]
 
 
 def rk4(step: float) -> dict[str, Any]:

@@ -215,7 +215,7 @@ def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, 
             alfmu.Mechanism.closures.of(m).append(replace(row, **({"name": f"C{k}"} if isinstance(row, Joint) else {})))
         for step in (0.02, 0.0025):
             parameters = {**given, "solver.method": "rk4", "solver.step_size": step}
-            r = alfmu.simulate(m, 3.0, 0.02, parameters=parameters, inputs=inputs, outputs=["*angle"])
+            r = alfmu.simulate(m, 3.0, 0.02, parameters=parameters, inputs=inputs)
             angles.append(r[next(n for n in r.names if n.endswith("angle"))])
     assert np.ptp(angles[0]) > 2.9
     assert angles[2::2] == [pytest.approx(angles[0], abs=1e-12)] * 2

@@ -193,8 +193,7 @@ def of_points(tilt: float) -> Result:
     m.potential_energy(9.81 * (C.y * along[0] - C.x * along[1]))
     m.point_on_line("guide", m.ground.at(0, 0), rod.end, axis=tilt)
     m.gravity(9.81 * np.sin(tilt), -9.81 * np.cos(tilt))
-    outputs = ["crank.angle", "guide.force", "monitor.singular"]
-    return alfmu.simulate(m, 2.0, 0.01, parameters=TIGHT, outputs=outputs)
+    return alfmu.simulate(m, 2.0, 0.01, parameters=TIGHT)
 
 
 @pytest.mark.parametrize("tilt", [1e-4, 0.005, 0.01, 0.02, 1.56])
@@ -261,8 +260,7 @@ def whipped(posed: bool) -> Mechanism:
 def test_a_motion_that_passes_a_singular_position_closely_takes_no_limit_there(L):
     """Limits there are those of another motion, through the singular position."""
     exact, r = (
-        alfmu.simulate(whipped(posed), 0.5, 0.01, parameters={"L": size}, outputs=["arm.angle"])
-        for size, posed in ((1.0, False), (L, True))
+        alfmu.simulate(whipped(posed), 0.5, 0.01, parameters={"L": size}) for size, posed in ((1.0, False), (L, True))
     )
     assert r["arm.angle"] == pytest.approx(exact["arm.angle"], abs=1e-7)
 
@@ -318,7 +316,7 @@ def crank_rocker() -> Mechanism:
 
 def in_all_sizes(m: Mechanism, angle: str, sizes: tuple[float, ...]) -> None:
     """Runs at these sizes are that of 1 m within 1e-6 rad, in as many evaluations to a tenth."""
-    one, *others = (alfmu.simulate(m, 1.0, 0.02, parameters={"size": x}, outputs=[angle]) for x in (1.0, *sizes))
+    one, *others = (alfmu.simulate(m, 1.0, 0.02, parameters={"size": x}) for x in (1.0, *sizes))
     for run in others:
         assert np.abs(run[angle] - one[angle]).max() <= 1e-6
         assert run.counters.evaluations <= 1.1 * one.counters.evaluations
@@ -673,10 +671,7 @@ def test_a_rod_that_agrees_within_round_off_costs_nothing():
         m.revolute(f"B{k}", bar.end, rod.at(x), coordinate=turn)
     m.gravity(0, -9.81)
     for rate in (0.0, 20.0):
-        exact, off = (
-            alfmu.simulate(m, 0.5, 0.05, parameters={"off": d, "start.th0_rate": rate}, outputs=["bar0.angle"])
-            for d in (0.0, 1e-13)
-        )
+        exact, off = (alfmu.simulate(m, 0.5, 0.05, parameters={"off": d, "start.th0_rate": rate}) for d in (0.0, 1e-13))
         assert off["bar0.angle"] == pytest.approx(exact["bar0.angle"], abs=1e-7)
         assert off.counters.patient == 0
         assert off.counters.evaluations <= 1.2 * exact.counters.evaluations
@@ -716,7 +711,7 @@ def test_round_off_of_places_far_from_the_origin_is_no_contradiction(caplog, siz
         return m
 
     def run(x: float) -> Result:
-        return alfmu.simulate(cranks(x), 0.25 * size**0.5, 0.01 * size**0.5, outputs=["crank0.angle"])
+        return alfmu.simulate(cranks(x), 0.25 * size**0.5, 0.01 * size**0.5)
 
     with caplog.at_level("WARNING"):
         here, there = run(0.0), run(away)
@@ -784,7 +779,7 @@ def test_a_rod_on_a_crank_of_a_tenth_of_a_millimetre_is_told_to_take_a_pose():
 
     with pytest.raises(alfmu.StepError, match="as long as the link that turns it, give the body a pose"):
         alfmu.simulate(slider_crank(False), 0.3, 0.01)
-    run = alfmu.simulate(slider_crank(True), 0.3, 0.01, outputs=["crank.angle"])
+    run = alfmu.simulate(slider_crank(True), 0.3, 0.01)
     right = ode.motion(turn, 0.5, 20.0, run.time)[:, 0]
     assert np.abs(run["crank.angle"] - right).max() <= 2e-3
 
@@ -808,7 +803,7 @@ def test_the_error_of_a_short_crank_in_joint_coordinates_is_estimated(caplog):
     height = 9.81 * (0.1 * pin[1] / 2 + middle[1])
     rate = ca.Function("rate", [x, w], [(-ca.jacobian(height, x) - ca.jacobian(inertia, x) * w**2 / 2) / inertia])
     with caplog.at_level("WARNING"):
-        run = alfmu.simulate(m, 0.3, 0.01, outputs=["crank.angle"])
+        run = alfmu.simulate(m, 0.3, 0.01)
     right = ode.motion(lambda t, x, v: float(rate(x, v)), 0.5, 20.0, run.time)[:, 0]
     [told] = re.findall(r"round-off causes an error of about (\S+),", caplog.text)
     assert 1e-6 < np.abs(run["crank.angle"] - right).max() <= 2 * float(told) <= 2e-3

@@ -96,7 +96,7 @@ def test_the_motion_is_the_same_in_proportion(build, rate):
         for T in (1.0, 1e-3, 1e3):
             given = {"solver.method": method, "solver.step_size": 0.02 * T, "solver.relative_tolerance": tolerance}
             given |= {"T": T, f"start.{of}_rate": at_one / T}
-            runs.append(alfmu.simulate(m, 4 * T, 0.02 * T, parameters=given, outputs=["place"]))
+            runs.append(alfmu.simulate(m, 4 * T, 0.02 * T, parameters=given))
         for run in runs[1:]:
             assert np.abs(run["place"] - runs[0]["place"]).max() <= within, (method, tolerance)
             assert fewer <= run.counters.evaluations / runs[0].counters.evaluations <= more, (method, tolerance)
