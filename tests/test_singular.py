@@ -31,12 +31,14 @@ STEPS = (0.02, 0.01, 0.005)
 TORQUE = 4.0
 FOUR_BAR, FIVE_BAR = Parallelogram(m4=None), Parallelogram()
 
+WITH_ERROR = ["*", "monitor.reaction_error"]
+
 each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled", "oracle"])
 
 
 @cache
 def scene(name: str, kernel: str, coordinates: str = "mixed") -> alfmu.Equations:
-    return prepared(derived(name, coordinates=coordinates), kernel)
+    return prepared(specialised(derived(name, coordinates=coordinates), WITH_ERROR), kernel)
 
 
 def exact_and_rk4(linkage: Parallelogram, th: float, w: float, torque, step: float, steps: int) -> np.ndarray:
@@ -349,9 +351,6 @@ def test_a_pole_is_flagged_and_its_value_given(kernel, distance, torque):
     assert r["link1.angular_acceleration"] == pytest.approx(float(FOUR_BAR.acceleration(distance, torque)), rel=1e-8)
 
 
-WITH_ERROR = ["*", "monitor.reaction_error"]
-
-
 def share(told: float, errors: dict[str, float], exact: dict[str, float]) -> float:
     """The error told over the largest error, or over round-off of the largest force where that is more: a parallelogram
     that stays parallel to the last bit has exact forces, however ill-conditioned they are."""
@@ -366,7 +365,7 @@ def share(told: float, errors: dict[str, float], exact: dict[str, float]) -> flo
 )
 def test_reactions_are_as_exact_as_is_told(name, linkage, torque, method):
     """In runs that end at a pole, at a singular position, beside both and in regular positions."""
-    equations, told = specialised(derived(name), WITH_ERROR), []
+    equations, told = scene(name, "vm"), []
     torques = {"A.torque": torque} if torque else {}
     for end in (-1e-5, 3e-4, -2e-3, 5e-3, -7e-3, 0.012, -0.03, 0.1, 0.4):
         start = {"start.angle": end - 0.2, "start.angular_velocity": 2.0, "solver.method": method}
@@ -387,8 +386,7 @@ def test_reactions_are_as_exact_as_is_told(name, linkage, torque, method):
 @pytest.mark.parametrize("distance", [1e-5, 1e-3, 4e-3, 7e-3, 0.05, 0.5])
 def test_the_oracle_tells_as_much(kernel, distance):
     given = {"start.angle": distance, "A.torque": TORQUE}
-    equations = specialised(scene("four_bar", kernel), WITH_ERROR)
-    read = [made(equations, k) for k in (kernel, "oracle")]
+    read = [made(scene("four_bar", kernel), k) for k in (kernel, "oracle")]
     for i in read:
         initialized(i, given)
     one, other = (i.get("monitor.reaction_error") for i in read)
@@ -477,8 +475,7 @@ def test_a_slider_crank_of_equal_links_is_as_exact_as_a_regular_one(coordinates)
     worst = []
     for l1, exact in ((0.5, folded), (0.3, regular)):
         given = {"l1": l1, "l2": 0.5, "start.angle": np.pi / 4, "solver.method": "rk4", "solver.step_size": 0.00125}
-        scene = derived("slider_crank", coordinates=coordinates)
-        r = alfmu.simulate(scene, 2.0, 0.05, parameters=given, kernel="compiled")
+        r = alfmu.simulate(derived("slider_crank", coordinates=coordinates), 2.0, 0.05, parameters=given)
         worst.append(np.abs(r["crank.angle"] - exact).max())
     assert np.ptp(r["crank.angle"]) > 3.0  # through the vertical and back
     assert worst[0] <= max(worst[1], 1e-8)

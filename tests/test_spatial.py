@@ -168,112 +168,75 @@ def test_a_mechanism_in_a_plane_of_space_is_the_planar_one():
 # What is refused ------------------------------------------------------------------------------------------------------
 
 
-def _plate(m: alfmu.Mechanism) -> spatial.SpatialBody:
-    return m.spatial_body("plate", mass=1.0, inertia=INERTIA)
-
-
-def _with_inertia(m: alfmu.Mechanism, inertia) -> None:
-    m.spatial_body("plate", mass=1.0, inertia=inertia)
-
-
-def _relative(m: alfmu.Mechanism, name: str = "link") -> spatial.SpatialBody:
-    return m.spatial_body(name, mass=1.0, inertia=INERTIA, relative=True)
-
-
-def _with_link(m: alfmu.Mechanism) -> alfmu.Mechanism:
-    _plate(m)
-    _relative(m)
-    return m
-
-
-def _placed_twice(m: alfmu.Mechanism) -> None:
-    link, th = _relative(m), m.coordinate("th", "rad")
-    for name in "JK":
-        m.spatial_revolute(name, m.spatial_ground.at(), link.at(), axis=(0, 0, 1), coordinate=th)
-
-
-def _inertia(m: alfmu.Mechanism) -> None:
-    k = m.parameter("k", 3.0)
-    m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0, k))
-
-
 @pytest.mark.parametrize(
-    ("declare", "says"),
+    ("line", "says"),
     [
-        (_inertia, r"odd: no body has the principal moments of inertia \[1.0, 1.0, 3.0\] that plate is given"),
-        (lambda m: m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0)), "give three"),
-        (lambda m: m.spatial_body("x", mass=1.0, inertia=(m.time, 1.0, 1.0)), "expression in parameters"),
-        (lambda m: m.spherical("J", m.ground.at(), _plate(m).at()), "J joins bodies in space"),
-        (lambda m: m.spherical("J", _plate(m).at(), m.spatial_ground.at()), "ends on the ground"),
-        (lambda m: m.spherical("J", *[_plate(m).at()] * 2), "connects plate to itself"),
+        ("body(1.0, 1.0, m.parameter('k', 3.0))", r"odd: .* inertia \[1.0, 1.0, 3.0\] that plate is given"),
+        ("body(1.0, 1.0)", "give three"),
+        ("body(m.time, 1.0, 1.0)", "expression in parameters"),
+        ("m.spherical('J', m.ground.at(), plate().at())", "J joins bodies in space"),
+        ("m.spherical('J', plate().at(), ground)", "ends on the ground"),
+        ("m.spherical('J', *[plate().at()] * 2)", "connects plate to itself"),
+        ("m.spherical('J', plate(other).at(), plate().at())", "a body of another mechanism"),
+        ("m.spatial_revolute('J', ground, plate().at(), axis=(0, 0, 0))", "no direction"),
+        ("m.drive(m.spherical('J', ground, plate().at()), 1.0)", "J is a spherical"),
+        ("m.spring_damper((m.ground.at(), plate().at()), stiffness=1.0)", "a point in the plane to one in space"),
+        ("body([1, 0.1, 0], [0.2, 1, 0], [0, 0, 1])", r"not symmetric: 0.1 stands at \(1, 2\)"),
+        ("plate(inertia=np.diag([1.0, 1.0, 2.5]))", r"moments of inertia \[1.0, 1.0, 2.5\] .* by its matrix"),
+        ("body([1, 1.1, 0], [1.1, 1, 0], [0, 0, 1])", r"moments of inertia \[-0.1, 1.0, 2.1\]"),
+        ("body([1, 0], [0, 1], [0, 0])", "a row of the inertia of plate is 2 numbers; give three"),
+        ("plate(inertia=np.array(5.0))", "the inertia of plate is a ndarray; give three"),
+        ("m.torque(plate(), 1.0)", "the torque on plate, a body in space, is 1.0; give three"),
+        ("m.force(flat.at(), 0.0, 0.0, 1.0)", "flat, a body in the plane, has a part along z"),
+        ("link().position", "nothing places link yet"),
+        ("[plate(), link(), derive(m)]", r"nothing places link \(.*test_spatial.py, line \d+\)"),
+        ("link(position=(1.0, 0, 0))", "link is relative and has a position"),
         (
-            lambda m: m.spherical("J", _plate(alfmu.Mechanism("other")).at(), _plate(m).at()),
-            "a body of another mechanism",
-        ),
-        (lambda m: m.spatial_revolute("J", m.spatial_ground.at(), _plate(m).at(), axis=(0, 0, 0)), "no direction"),
-        (lambda m: m.drive(m.spherical("J", m.spatial_ground.at(), _plate(m).at()), 1.0), "J is a spherical"),
-        (
-            lambda m: m.spring_damper((m.ground.at(), _plate(m).at()), stiffness=1.0),
-            "a point in the plane to one in space",
-        ),
-        (lambda m: _with_inertia(m, [[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]]), r"not symmetric: 0.1 stands at \(1, 2\)"),
-        (
-            lambda m: _with_inertia(m, np.diag([1.0, 1.0, 2.5])),
-            r"moments of inertia \[1.0, 1.0, 2.5\] .* by its matrix",
-        ),
-        (lambda m: _with_inertia(m, [[1, 1.1, 0], [1.1, 1, 0], [0, 0, 1]]), r"moments of inertia \[-0.1, 1.0, 2.1\]"),
-        (
-            lambda m: _with_inertia(m, [[1, 0], [0, 1], [0, 0]]),
-            "a row of the inertia of plate is 2 numbers; give three",
-        ),
-        (lambda m: _with_inertia(m, np.array(5.0)), "the inertia of plate is a ndarray; give three"),
-        (lambda m: m.torque(_plate(m), 1.0), "the torque on plate, a body in space, is 1.0; give three"),
-        (
-            lambda m: m.force(m.body("flat", mass=1.0).at(), 0.0, 0.0, 1.0),
-            "flat, a body in the plane, has a part along z",
-        ),
-        (lambda m: _relative(m).position, "nothing places link yet"),
-        (lambda m: alfmu.derive(_with_link(m)), r"nothing places link \(.*test_spatial.py, line \d+\)"),
-        (
-            lambda m: m.spatial_body("x", mass=1.0, inertia=INERTIA, relative=True, position=(1.0, 0, 0)),
-            "x is relative and has a position",
-        ),
-        (
-            lambda m: m.spatial_prismatic("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), coordinate=0.0),
+            "m.spatial_prismatic('J', ground, plate().at(), axis=x, coordinate=0.0)",
             "plate has seven coordinates of its own; declare the body with relative=True",
         ),
         (
-            lambda m: m.spatial_prismatic(
-                "J", _relative(m).at(), _relative(m, "two").at(), axis=(1, 0, 0), coordinate=0
-            ),
+            "m.spatial_prismatic('J', link().at(), link('two').at(), axis=x, coordinate=0)",
             "J places two on link, which nothing places yet",
         ),
-        (lambda m: m.clutch("c", m.spatial_ground, _plate(m)), "clutch c couples bodies in the plane, and ground is"),
-        (_placed_twice, "joint K has a coordinate, but link has its place by J; leave"),
+        ("m.clutch('c', m.spatial_ground, plate())", "clutch c couples bodies in the plane, and ground is"),
         (
-            lambda m: m.cylindrical("J", m.spatial_ground.at(), _relative(m).at(), axis=(1, 0, 0), coordinates=[0.0]),
+            "[m.spatial_revolute(name, ground, one.at(), axis=x, coordinate=th) for one in [link()] for name in 'JK']",
+            "joint K has a coordinate, but link has its place by J; leave",
+        ),
+        (
+            "m.cylindrical('J', ground, link().at(), axis=x, coordinates=[0.0])",
             r"the coordinates of J, a cylindrical joint, are 1 numbers; give 2 \[rad, m\]",
         ),
         (
-            lambda m: m.universal("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), second_axis=(1, 1, 0)),
+            "m.universal('J', ground, plate().at(), axis=x, second_axis=(1, 1, 0))",
             "make an angle of 45 degrees; those of a universal joint are perpendicular",
         ),
         (
-            lambda m: m.spatial_screw("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), lead=0),
+            "m.spatial_screw('J', ground, plate().at(), axis=x, lead=0)",
             "the lead of J is zero; take spatial_revolute",
         ),
         (
-            lambda m: m.lock(m.cylindrical("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0))),
+            "m.lock(m.cylindrical('J', ground, plate().at(), axis=x))",
             r'J is a cylindrical joint, which has several free motions; take J.freedom\("angle"\) or J',
         ),
         (
-            lambda m: m.universal(
-                "J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), second_axis=(0, 1, 0)
-            ).freedom("angle"),
+            "m.universal('J', ground, plate().at(), axis=x, second_axis=(0, 1, 0)).freedom('angle')",
             "J, a universal joint, has no free motion 'angle'; it has angle1 or angle2",
         ),
     ],
 )
-def test_a_declaration_in_space_that_makes_no_sense_says_why(declare, says):
+def test_a_declaration_in_space_that_makes_no_sense_says_why(line, says):
+    m, other = alfmu.Mechanism("odd"), alfmu.Mechanism("other")
+
+    def plate(m=m, inertia=INERTIA):
+        return m.spatial_body("plate", mass=1.0, inertia=inertia)
+
+    def link(name="link", **more):
+        return m.spatial_body(name, mass=1.0, inertia=INERTIA, relative=True, **more)
+
+    names = {"m": m, "other": other, "plate": plate, "link": link, "body": lambda *rows: plate(inertia=rows)}
+    names |= {"ground": m.spatial_ground.at(), "x": (1, 0, 0), "np": np, "derive": alfmu.derive}
+    names |= {"flat": m.body("flat", mass=1.0), "th": m.coordinate("th", "rad")}
     with pytest.raises(alfmu.DeclarationError, match=says):
-        declare(alfmu.Mechanism("odd"))
+        eval(line, names)
