@@ -20,7 +20,7 @@ from alfmu.systems.run import Assembly, interface_jacobian
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Coupling:
     """A four-bar with motor and controller, in three parts and in one."""
-    return couple(drive(tmp_path_factory.mktemp("couple")), halvings=5)
+    return couple(drive(tmp_path_factory.mktemp("couple")), halvings=4)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
+from pairs import ALL, pairs
 from scenes import by_the_oracle, cusp, derived, initialized, made, refused
 
 import alfmu
@@ -39,9 +40,7 @@ def error(given: dict, step: float, steps: int, coordinates: str = "mixed") -> t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("coordinates", ["mixed", "joint"])
-@pytest.mark.parametrize("mass", ["m1", "m2"])
-@pytest.mark.parametrize("ratio", [1e-6, 1e6])
+@pytest.mark.parametrize(("ratio", "mass", "coordinates"), pairs([1e-6, 1e6], ["m1", "m2"], ["mixed", "joint"]))
 def test_mass_ratios(ratio, mass, coordinates):
     """One link a million times lighter or heavier than the others, through singular positions: 5e-7 rad in 5 s."""
     worst, i = error({mass: ratio}, 0.01, 500, coordinates)
@@ -72,15 +71,14 @@ def test_ten_thousand_radians_per_second():
 
 
 @pytest.mark.slow
-def test_ten_million_steps_do_not_drift():
+def test_millions_of_steps_do_not_drift():
     """The particle on its circle, free: radius to round-off, speed to 1e-11."""
-    i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
-    i.set("solver.method", "rk4")
-    i.set("solver.step_size", 1e-3)
-    i.initialize()
-    for _ in range(10):
+    i = alfmu.Instance(prepared(derived("particle_on_circle"), "vm"))
+    initialized(i, {"solver.method": "rk4", "solver.step_size": 1e-3})
+    millions = 10 if ALL else 2
+    for _ in range(millions):
         i.step(1e3)  # as many as one call makes
-    assert i.counters.steps == 10_000_000
+    assert i.counters.steps == millions * 1_000_000
     assert abs(np.hypot(*i.q) - 1.0) <= 4e-16
     assert abs(np.hypot(*i.v) - 1.0) <= 1e-11
 
@@ -163,16 +161,8 @@ def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
     step = 0.5e-3 * min(1.0, (crank / 1e-3) ** 0.5)
     times = np.linspace(0.0, 0.2, 21)
     exact = SliderCrank(l1=crank, l2=rod).motion(0.7, 0.0, times)[:, 0]
-    i = alfmu.Instance(prepared(derived("slider_crank"), "vm"))
-    for name, value in {
-        "l1": crank,
-        "l2": rod,
-        "start.angle": 0.7,
-        "solver.method": "rk4",
-        "solver.step_size": step,
-    }.items():
-        i.set(name, value)
-    i.initialize()
+    given = {"l1": crank, "l2": rod, "start.angle": 0.7, "solver.method": "rk4", "solver.step_size": step}
+    i = initialized(alfmu.Instance(prepared(derived("slider_crank"), "vm")), given)
     worst = 0.0
     for k in range(1, 21):
         i.step(times[k] - times[k - 1])
@@ -196,10 +186,7 @@ def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinat
     i.set("A.torque", 0.0)
     assert i.save() == before
     fine = alfmu.Instance(equations)
-    fine.set("start.angle", 0.5)
-    fine.set("solver.method", "rk4")
-    fine.set("solver.step_size", 1e-5)
-    fine.initialize()
+    initialized(fine, {"start.angle": 0.5, "solver.method": "rk4", "solver.step_size": 1e-5})
     fine.set("A.torque", torque)
     linkage = Parallelogram(m4=None)
     inertia, weight = float(linkage.inertia), float(linkage.weight)
@@ -215,13 +202,10 @@ def test_a_motion_that_ends_is_said_to_be_locked_up():
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
         i = initialized(made(alfmu.derive(cusp()), kernel), {"solver.method": "rk4", "solver.step_size": 0.005})
-        with pytest.raises(
-            alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no motion continues"
-        ):
-            i.step(1.0)
-        assert i.time == 0.0  # the whole communication step is undone
         i.step(0.79)
-        with refused(i, alfmu.StepError, match="locked up") as said:
+        # The whole communication step is undone.
+        at = r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no motion continues"
+        with refused(i, alfmu.StepError, match=at) as said:
             i.step(0.02)
         assert float(str(said.value).split("t = ")[1].split(" s")[0]) == pytest.approx(arrival, rel=0.005)
         assert np.hypot(*i.v) == pytest.approx(np.hypot(1.0, 1.5), rel=1e-5)
@@ -233,9 +217,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up():
 def test_tiny_steps_pass_singular_positions(communication):
     """Five-bar at 2e-4 s past -pi: a motion that goes on is not taken for one that is locked up."""
     i = alfmu.Instance(prepared(derived("five_bar"), "vm"))
-    i.set("solver.method", "rk4")
-    i.set("solver.step_size", 2e-4)
-    i.initialize()
+    initialized(i, {"solver.method": "rk4", "solver.step_size": 2e-4})
     while i.time < 1.2:
         i.step(communication)
     assert i.q[0] < -np.pi

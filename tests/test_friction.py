@@ -116,9 +116,7 @@ def test_a_block_lets_go_when_the_push_exceeds_static_friction():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_constant_load_takes_the_same_from_each_swing(method):
     """Each half swing of a mass on a spring is shorter by 2 F/k than the one before; the last ends closer than F/k."""
-    m = Mechanism("seal", "A mass on a spring in a seal")
-    s = m.coordinate("s", "m", start=1.0, independent=True)
-    guide = m.prismatic("guide", m.ground.at(0, 0), m.body("mass", mass=2.0).at(0, 0), coordinate=s)
+    m, _, guide, _ = sliding("seal", body="mass", mass=2.0, start=1.0, independent=True)
     m.spring_damper(guide, stiffness=50.0)
     m.friction(guide, coulomb=0.5, load=8.0)
     half = math.pi * math.sqrt(2.0 / 50.0)
@@ -136,10 +134,7 @@ def test_a_constant_load_takes_the_same_from_each_swing(method):
 def test_a_block_on_a_belt_sticks_and_slips(method):
     """A spring pulls it at an even speed. In each stretch of sliding s = V t + D - D cos w t - V/w sin w t."""
     stiffness, speed, coulomb, static = 200.0, 0.1, 0.3, 0.6
-    m = Mechanism("belt", "A block that a spring pulls")
-    s = m.coordinate("s", "m", start=0.0)
-    body = m.body("block", mass=1.0)
-    guide = m.prismatic("guide", m.ground.at(0, 0), body.at(0, 0), coordinate=s)
+    m, _, guide, s = sliding("belt", start=0.0)
     m.friction(guide, coulomb=coulomb, static=static)
     m.drive(guide, stiffness * (speed * m.time - s))
     m.gravity(0, -G)
@@ -328,12 +323,12 @@ WEDGE, LOAD = 1.0, 5.0
 """Masses [kg]."""
 
 
-@pytest.mark.parametrize("size", [1.0, 0.02])
-def test_joints_that_turn_and_slide_reverse_together(size):
+def test_joints_that_turn_and_slide_reverse_together():
     """A slider-crank swings with constant friction in the crank's hinge and in the guide, which reverse at once: the
     equation of one freedom, integrated from one reversal to the next."""
     k, rest, arm, hinge, guide = 300.0, 0.25, (0.2, 0.3), 0.08, 0.5
     m = Mechanism("swing")
+    size = m.parameter("size", 1.0, "m")
     crank, rod = m.bar("crank", mass=1.0, length=arm[0] * size), m.bar("rod", mass=0.5, length=arm[1] * size)
     slide = m.body("slide", mass=1.0)
     th, bend = m.coordinate("th", "rad", start=0.9, independent=True), m.coordinate("bend", "rad", start=-1.4)
@@ -376,9 +371,10 @@ def test_joints_that_turn_and_slide_reverse_together(size):
         )
         found += [part.sol(at) for at in times[len(found) :] if at <= part.t[-1]]
         t, state = part.t[-1], np.array([part.y[0, -1], 0.0])
-    run = alfmu.simulate(m, 1.6, 0.02, parameters={"solver.relative_tolerance": 1e-9})
-    assert run["crank.angle"] == pytest.approx(np.array(found)[:, 0], abs=1e-9)
-    assert run["crank.angular_velocity"] == pytest.approx(np.array(found)[:, 1], abs=1e-8)
+    for length in (1.0, 0.02):
+        run = alfmu.simulate(m, 1.6, 0.02, parameters={"size": length, "solver.relative_tolerance": 1e-9})
+        assert run["crank.angle"] == pytest.approx(np.array(found)[:, 0], abs=1e-9), length
+        assert run["crank.angular_velocity"] == pytest.approx(np.array(found)[:, 1], abs=1e-8), length
 
 
 def wedge() -> Mechanism:
@@ -585,9 +581,11 @@ def pentagon() -> Mechanism:
 def test_joints_of_two_freedoms_stick_and_slide_in_turn():
     m = pentagon()
     e = alfmu.derive(m)
+    names = ["left.angle", "right.angle", "left_rod.angle"]
     run = alfmu.simulate(e, 4.0, 0.01, parameters={"solver.relative_tolerance": 1e-7})
-    fixed = alfmu.simulate(e, 4.0, 0.01, parameters={"solver.method": "rk4", "solver.step_size": 1e-3})
-    for name in ("left.angle", "right.angle", "left_rod.angle"):
+    steps = {"solver.method": "rk4", "solver.step_size": 1e-3}
+    fixed = alfmu.simulate(e, 4.0, 0.01, parameters=steps, outputs=names)
+    for name in names:
         np.testing.assert_allclose(run[name], fixed[name], atol=5e-5)
     together = np.column_stack([run[f"{joint.name}.slip"] != 0 for joint in m.joints]).sum(axis=1)
     assert {0, 5} < set(together)  # all at rest, all sliding, and some of them
@@ -660,13 +658,13 @@ def test_what_is_switched_on_may_share_the_load_of_friction(caplog):
 
 
 @pytest.mark.parametrize("kind", ["python", "native"])
-def test_a_block_sticks_and_slides_in_an_fmu(tmp_path, kind):
+def test_a_block_sticks_and_slides_in_an_fmu(tmp_path, kind, incline):
     path = alfmu.export(block(), tmp_path / "block.fmu", kind=kind)
     assert validate_fmu(str(path)) == []
     push = np.array([(0.0, 0.0), (0.5, 0.0), (0.5, 15.0), (2.0, 15.0)], [("time", "f8"), ("push", "f8")])
     names = ["block.position", "guide.friction_force", "guide.slip"]
     found = fmpy.simulate_fmu(str(path), stop_time=1.0, output_interval=0.05, input=push, output=names)
-    library = alfmu.simulate(block(), 1.0, 0.05, inputs={"push": lambda t: 15.0 * (t > 0.475)}, held_rows=True)
+    library = alfmu.simulate(incline, 1.0, 0.05, inputs={"push": lambda t: 15.0 * (t > 0.475)}, held_rows=True)
     load = 2.0 * G * math.cos(TILT)
     a = (15.0 - 2.0 * G * math.sin(TILT) - COULOMB * load) / 2.0
     assert 2.0 * G * math.sin(TILT) + STATIC * load < 15.0
@@ -677,10 +675,11 @@ def test_a_block_sticks_and_slides_in_an_fmu(tmp_path, kind):
     np.testing.assert_allclose(library["block.position"], found["block.position"], atol=1e-12)
 
 
-def test_what_is_left_out_and_frozen_changes_no_number():
-    m = block()
-    whole = alfmu.simulate(m, 0.4, 0.05, parameters={"start.speed": 2.0})
-    part = alfmu.simulate(m, 0.4, 0.05, parameters={"start.speed": 2.0}, outputs=["block.position"], freeze=["all"])
+def test_what_is_left_out_and_frozen_changes_no_number(incline):
+    whole = alfmu.simulate(incline, 0.4, 0.05, parameters={"start.speed": 2.0})
+    part = alfmu.simulate(
+        incline, 0.4, 0.05, parameters={"start.speed": 2.0}, outputs=["block.position"], freeze=["all"]
+    )
     assert part.names[0] == "block.position"
     np.testing.assert_allclose(part["block.position"], whole["block.position"], rtol=1e-13)
 

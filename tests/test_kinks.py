@@ -7,6 +7,7 @@ import pytest
 from scenes import initialized
 
 import alfmu
+from alfmu.equations.specialisation import specialised
 from alfmu.kernel.kinks import kinks
 from alfmu.kernel.memory import PACE, TALLY
 from alfmu.method.stepping import (
@@ -121,7 +122,7 @@ def pressed(unit: alfmu.Instance) -> alfmu.Instance:
 @pytest.mark.slow
 def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     """By explicit steps alone 20 million evaluations."""
-    automatic = pressed(alfmu.Instance("end_stop"))
+    automatic = pressed(alfmu.Instance("end_stop", outputs=["flywheel.angle"]))
     assert automatic.equations.decision.method == "explicit"
     assert automatic.equations.decision.reason.endswith("implicit steps where stability limits explicit ones")
     exact = prepared(with_defaults(alfmu.derive(alfmu.load("end_stop")), {"solver.method": "stiff"}))
@@ -168,9 +169,7 @@ def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(de
     ends = []
     for method, tolerance in (("auto", 1e-6), ("stiff", 1e-10)):
         unit = alfmu.Instance(prepared(with_defaults(alfmu.derive(mechanism), {"solver.method": method})))
-        unit.set("solver.relative_tolerance", tolerance)
-        unit.set(name, value)
-        unit.initialize()
+        initialized(unit, {"solver.relative_tolerance": tolerance, name: value})
         for _ in range(50):
             unit.step(0.02)
         ends.append(np.concatenate([unit.q, unit.v]))
@@ -182,7 +181,7 @@ def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(de
 
 @pytest.mark.slow
 def test_a_state_has_which_steps_are_made():
-    unit = pressed(alfmu.Instance("end_stop"))
+    unit = pressed(alfmu.Instance("end_stop", outputs=["flywheel.angle"]))
     for _ in range(10):
         unit.step(0.01)
     state = unit.save()
@@ -201,7 +200,7 @@ def test_fmus_go_over_to_implicit_steps_too(tmp_path, kind):
     path = alfmu.export("end_stop", tmp_path / "stop.fmu", kind=kind, reference=False)
     how = {"stop_time": 0.3, "output_interval": 0.01, "start_values": PRESSED, "output": ["flywheel.angle"]}
     found = fmpy.simulate_fmu(str(path), **how)
-    unit = pressed(alfmu.Instance("end_stop"))
+    unit = pressed(alfmu.Instance("end_stop", outputs=["flywheel.angle"]))
     for _ in range(30):
         unit.step(0.01)
     assert found["flywheel.angle"][-1] == pytest.approx(unit.get("flywheel.angle"), rel=1e-12)
@@ -219,9 +218,7 @@ def test_explicit_steps_come_back_where_nothing_touches():
     heights, stiff = [], []
     for method in ("auto", "explicit"):
         unit = alfmu.Instance(prepared(with_defaults(alfmu.derive(m), {"solver.method": method})))
-        if method == "explicit":
-            unit.set("solver.relative_tolerance", 1e-8)
-        unit.initialize()
+        initialized(unit, {"solver.relative_tolerance": 1e-8} if method == "explicit" else {})
         for force, steps in ((-1.0, 20), (9.81e-3 + 1e-3, 300)):
             unit.set("lift", force)
             for _ in range(steps):
@@ -243,7 +240,7 @@ def test_scenes_that_never_become_stiff_carry_no_implicit_step(name):
 @pytest.mark.slow
 def test_implicit_steps_whose_multipliers_need_more_iterations_are_no_less_stable():
     """A governor of other masses: few iterations do not suit it, and explicit steps on the branch took 235 of 246."""
-    unit = alfmu.Instance("flyball_governor")
+    unit = alfmu.Instance("flyball_governor", outputs=["slider.position", "monitor.*"])
     values = {"l": 1.416, "width": 0.007067, "density": 958.8, "m_ball": 22.19, "m_slider": 5.828, "side": 0.02657}
     values |= {"pivot": 0.009101, "stiffness": 142500.0, "damping": 263200.0, "rest": 0.3204, "g": 42.88}
     values |= {"start.angle": 2.484, "start.rod_angle": -1.72, "start.position": 0.4065}
@@ -264,12 +261,9 @@ def test_positions_that_masses_alone_make_look_singular_are_passed():
     values |= {"start.angular_velocity": -2.115, "start.rod_rate": 6.431}
     ends = []
     for method, tolerance in (("auto", 1e-6), ("explicit", 1e-9)):
-        unit = alfmu.Instance(
-            prepared(with_defaults(alfmu.derive(alfmu.load("flyball_governor")), {"solver.method": method}))
-        )
-        for name, value in {**values, "solver.relative_tolerance": tolerance}.items():
-            unit.set(name, value)
-        unit.initialize()
+        governor = specialised(alfmu.derive(alfmu.load("flyball_governor")), ["slider.position", "monitor.*"])
+        unit = alfmu.Instance(prepared(with_defaults(governor, {"solver.method": method})))
+        initialized(unit, {**values, "solver.relative_tolerance": tolerance})
         for _ in range(6):
             unit.step(0.01)
         ends.append(unit)

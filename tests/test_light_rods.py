@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scenes import initialized
 
 import alfmu
 
@@ -48,8 +49,7 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("spin", "flies", "digits"), [(1e-6, True, 1e-9), (1e-9, True, 1e-6), (1e-9, False, 1e-6)])
 def test_accelerations_are_those_of_exact_arithmetic(spin: float, flies: bool, digits: float) -> None:
     """[M C'; C 0] with all digits; in double precision that system itself has errors of 9e-12, 4e-9 and 3e-8."""
-    i = alfmu.Instance(leg(spin, flies))
-    i.initialize()
+    i = initialized(alfmu.Instance(leg(spin, flies)))
     e = i.equations
     for _ in range(3):
         for _ in range(5):

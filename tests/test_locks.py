@@ -4,6 +4,8 @@ References: a double pendulum by Lagrange's equations written by hand in its two
 one pendulum; momentum over each impact by hand.
 """
 
+from functools import cache
+
 import fmpy
 import fmpy.validation
 import numpy as np
@@ -18,6 +20,21 @@ from alfmu.simulation import prepared, run
 G = 9.81
 LOCKED, FREE, END = 0.4, 1.0, 1.4
 """Times of a run in which the elbow of a double pendulum is stopped and let go again."""
+
+
+@cache
+def pendulum() -> alfmu.Equations:
+    return alfmu.derive(double_pendulum())
+
+
+@cache
+def switched() -> alfmu.Mechanism:
+    """The five-bar with a lock at B, and joints E and F that let go."""
+    m = alfmu.load("five_bar")
+    m.lock("B")
+    m.release("E")
+    m.release("F")
+    return m
 
 
 def accelerations(a: float, b: float, wa: float, wb: float) -> tuple[float, float]:
@@ -59,7 +76,7 @@ def test_a_double_pendulum_is_one_pendulum_while_its_elbow_is_locked(kernel):
     exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
     errors = []
     for h in (0.01, 0.005):
-        i = initialized(made(alfmu.derive(double_pendulum()), kernel), {"solver.method": "rk4", "solver.step_size": h})
+        i = initialized(made(pendulum(), kernel), {"solver.method": "rk4", "solver.step_size": h})
         for t in np.arange(0, END - 1e-9, 0.1):
             i.set("elbow.locked", LOCKED - 1e-9 < t < FREE - 1e-9)
             i.step(0.1)
@@ -77,7 +94,7 @@ def test_a_locked_elbow_by_default(communication_step):
     """By steps of either kind of the method `auto`: short ones do not know of constraints that are off."""
     y, _, _ = stopped(swung(np.array([0.3, 0.8, 1.0, -3.0]), 0.0, LOCKED))
     exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
-    i = initialized(alfmu.Instance(alfmu.derive(double_pendulum())))
+    i = initialized(alfmu.Instance(pendulum()))
     for t in np.arange(0, END - 1e-9, communication_step):
         i.set("elbow.locked", LOCKED - 1e-9 < t < FREE - 1e-9)
         i.step(communication_step)
@@ -154,30 +171,19 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
 
 @pytest.mark.slow
 def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
-    m = alfmu.load("five_bar")
-    m.lock("B")
-    m.release("E")
-    m.release("F")
-    equations = prepared(alfmu.derive(m))
+    equations = prepared(alfmu.derive(switched()))
     i = initialized(alfmu.Instance(equations), {"start.angle": 0.7, "B.locked": 1})
     assert np.abs(i.v).max() < 1e-13
     assert i.get("monitor.energy_lost") > 1.0
-    open_ = alfmu.Instance(equations)
-    for name in ("E.released", "F.released"):
-        open_.set(name, True)
-    initialized(open_, {"start.angle": 0.7})
+    open_ = initialized(alfmu.Instance(equations), {"E.released": True, "F.released": True, "start.angle": 0.7})
     y, v = open_.q[6], open_.v[6]
     open_.step(0.2)
     assert open_.q[6] == pytest.approx(y + 0.2 * v - G * 0.02, abs=1e-12)  # link 4 falls
 
 
 @pytest.mark.slow
-def test_released_and_locked_through_fmpy_as_in_the_library(tmp_path):
-    m = alfmu.load("five_bar")
-    m.lock("B")
-    m.release("E")
-    m.release("F")
-    path = alfmu.export(m, tmp_path / "five_bar.fmu", parameters={"start.angle": 0.7})
+def test_released_and_locked_through_fmpy_as_in_the_library(fmu_of):
+    path = fmu_of(switched(), parameters={"start.angle": 0.7})
     described = {v.name: v for v in fmpy.read_model_description(str(path)).modelVariables}
     assert [described[n].type for n in ("B.locked", "E.released", "F.released")] == ["Boolean"] * 3
     assert fmpy.validation.validate_fmu(str(path)) == []
@@ -188,7 +194,7 @@ def test_released_and_locked_through_fmpy_as_in_the_library(tmp_path):
     }
     with Fmu(path) as fmu:
         through_fmi = run(fmu, 0.8, 0.04, inputs)
-    library = alfmu.simulate(alfmu.derive(m), 0.8, 0.04, inputs=inputs, parameters={"start.angle": 0.7})
+    library = alfmu.simulate(switched(), 0.8, 0.04, inputs=inputs, parameters={"start.angle": 0.7})
     assert through_fmi.names == library.names
     assert np.array_equal(through_fmi.values, library.values)
     standing = (library.time > 0.13) & (library.time < 0.3)
@@ -204,11 +210,8 @@ def test_released_and_locked_through_fmpy_as_in_the_library(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
-    m = alfmu.load("five_bar")
-    m.release("E")
-    m.release("F")
-    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.7})
+def test_what_is_open_cannot_be_closed_and_nothing_is_lost(fmu_of):
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(switched()))), {"start.angle": 0.7})
     for name in ("E.released", "F.released"):
         i.set(name, True)
     i.step(0.2)
@@ -221,11 +224,8 @@ def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
     assert i.time == before[2]
     assert i.get("F.released") == 1.0  # as it was
     i.step(0.1)
-    path = alfmu.export(m, tmp_path / "five_bar.fmu", parameters={"start.angle": 0.7})
-    with Fmu(path) as fmu:
-        for name in ("E.released", "F.released"):
-            fmu.set(name, True)
-        fmu.initialize()
+    with Fmu(fmu_of(switched(), parameters={"start.angle": 0.7})) as fmu:
+        initialized(fmu, {"E.released": True, "F.released": True})
         fmu.step(0.2, 0.0)
         fmu.set("E.released", False)
         with pytest.raises(alfmu.StepError, match="cannot be switched on"):
@@ -234,7 +234,7 @@ def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
 
 
 def test_a_step_that_is_refused_undoes_its_event():
-    i = initialized(alfmu.Instance(prepared(alfmu.derive(double_pendulum()))))
+    i = initialized(alfmu.Instance(prepared(pendulum())))
     i.step(0.2)
     i.set("elbow.locked", True)
     with refused(i, alfmu.InputError, match="communication step of -1"):
@@ -245,9 +245,7 @@ def test_a_step_that_is_refused_undoes_its_event():
 
 @pytest.mark.slow
 def test_a_massless_link_cannot_lose_what_holds_it():
-    m = alfmu.load("five_bar")
-    m.release("E")
-    i = initialized(alfmu.Instance(prepared(alfmu.derive(m))), {"start.angle": 0.7, "m4": 0.0})
+    i = initialized(alfmu.Instance(prepared(alfmu.derive(switched()))), {"start.angle": 0.7, "m4": 0.0})
     i.set("E.released", True)
     with pytest.raises(alfmu.AssemblyError, match="no mass and no constraint"):
         i.step(0.1)
@@ -257,7 +255,7 @@ def test_a_massless_link_cannot_lose_what_holds_it():
 
 
 def test_the_switched_state_is_saved_to_the_last_bit():
-    equations = prepared(alfmu.derive(double_pendulum()))
+    equations = prepared(pendulum())
     i = initialized(alfmu.Instance(equations))
     i.step(0.2)
     i.set("elbow.locked", True)

@@ -5,7 +5,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived
+from scenes import derived, initialized
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -29,10 +29,8 @@ def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
     exact = ode.motion(lambda t, x, v: -weight * np.cos(x) / inertia, 0.4, 2.0, times)
     errors = []
     for step in (0.01, 0.005):
-        i = alfmu.Instance(prepared(derived(name), "vm"))
-        for variable, value in {**masses, "start.angle": 0.4, "solver.method": "rk4", "solver.step_size": step}.items():
-            i.set(variable, value)
-        i.initialize()
+        given = {**masses, "start.angle": 0.4, "solver.method": "rk4", "solver.step_size": step}
+        i = initialized(alfmu.Instance(prepared(derived(name), "vm")), given)
         worst = 0.0
         for k in range(1, 101):
             i.step(times[k] - times[k - 1])
@@ -58,18 +56,9 @@ def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):
     exact = reference.motion(0.6, -2.0, times)[:, 0]
     errors = []
     for step in (0.004, 0.002):
-        i = alfmu.Instance(prepared(derived("slider_crank", coordinates=coordinates), "vm"))
-        for name, value in {
-            **masses,
-            "l1": 0.5,
-            "l2": 1.0,
-            "start.angle": 0.6,
-            "start.angular_velocity": -2.0,
-            "solver.method": "rk4",
-            "solver.step_size": step,
-        }.items():
-            i.set(name, value)
-        i.initialize()
+        given = {**masses, "l1": 0.5, "l2": 1.0, "start.angle": 0.6, "start.angular_velocity": -2.0}
+        given |= {"solver.method": "rk4", "solver.step_size": step}
+        i = initialized(alfmu.Instance(prepared(derived("slider_crank", coordinates=coordinates), "vm")), given)
         worst = 0.0
         for k in range(1, 51):
             i.step(times[k] - times[k - 1])
@@ -99,12 +88,8 @@ def test_a_massless_link_in_an_fmu(exported):
     ],
 )
 def test_what_cannot_be_massless_is_refused_by_name(name, options, massless, named):
-    i = alfmu.Instance(derived(name, **options))
-    i.set("start.angle", 0.6)
-    for mass in massless:
-        i.set(mass, 0.0)
     with pytest.raises(alfmu.AssemblyError, match=f"the motion along {named}.* has no mass and no constraint"):
-        i.initialize()
+        initialized(alfmu.Instance(derived(name, **options)), {"start.angle": 0.6, **dict.fromkeys(massless, 0.0)})
 
 
 def test_a_massless_last_link_of_an_open_chain_is_refused_by_name():
@@ -114,10 +99,8 @@ def test_a_massless_last_link_of_an_open_chain_is_refused_by_name():
     upper, lower = m.bar("upper", mass=1.0, length=1.0), m.bar("lower", mass=tip, length=1.0)
     m.revolute("shoulder", m.ground.at(0.0, 0.0), upper.start, coordinate=a)
     m.revolute("elbow", upper.end, lower.start, coordinate=b)
-    i = alfmu.Instance(alfmu.derive(m))
-    i.set("tip", 0.0)
     with pytest.raises(alfmu.AssemblyError, match=r"arm: the motion along b has no mass.* last body of an open chain"):
-        i.initialize()
+        initialized(alfmu.Instance(m), {"tip": 0.0})
 
 
 def test_a_loop_whose_links_are_all_massless_is_refused_by_name():

@@ -6,6 +6,7 @@ per mass.
 """
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import fmpy
 import numpy as np
 import pytest
 from oracles.parallelogram import Parallelogram
+from scenes import initialized
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -23,26 +25,28 @@ CRANK = 5 / 3  # moment of inertia of two cranks and the coupler about a crank's
 GRAVITY = 9.81
 UNBALANCE, RADIUS, INERTIA = 0.2, 0.05, 0.01  # kg, m, kg m2: the rotor on the coupler
 
-BASES: dict[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
-    "steady": (lambda t: 70.0 * t, lambda t: 0.0),
-    "from rest": (lambda t: t * t, lambda t: 2.0),
-    "5 Hz": (lambda t: 0.01 * ca.sin(30 * t), lambda t: -9.0 * np.sin(30 * t)),
-    "50 Hz": (lambda t: 1e-4 * ca.sin(300 * t), lambda t: -9.0 * np.sin(300 * t)),
+BASES: dict[str, tuple[dict[str, float], Callable[[Any], Any]]] = {
+    "steady": ({"speed": 70.0}, lambda t: 0.0),
+    "from rest": ({"half": 1.0}, lambda t: 2.0),
+    "5 Hz": ({"amplitude": 0.01, "frequency": 30.0}, lambda t: -9.0 * np.sin(30 * t)),
+    "50 Hz": ({"amplitude": 1e-4, "frequency": 300.0}, lambda t: -9.0 * np.sin(300 * t)),
 }
+"""Parameters of the law of a base, and its acceleration."""
 
 
-def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str, started: bool = True) -> list[Any]:
-    """The parallelogram on a base; its coupler is bar 2."""
-    c, s = np.cos(angle), np.sin(angle)
+def bars(m: Mechanism, base: Any, coordinates: str, started: bool = True) -> list[Any]:
+    """The parallelogram on a base, from the parameter `angle`; its coupler is bar 2."""
+    angle = m.parameter("angle", 0.0, "rad")
+    c, s = ca.cos(angle), ca.sin(angle)
     if coordinates == "relative":
         made = [m.bar(f"bar{i}", mass=1.0, length=1.0) for i in (1, 2, 3)]
-        crank = m.coordinate("crank", "rad", start=angle, rate=rate, independent=True)
+        crank = m.coordinate("crank", "rad", start=0.0, independent=True)
         turned = [crank, m.coordinate("coupler", "rad", start=-angle), m.coordinate("rocker", "rad", start=angle)]
     else:
         made, turned = [], [None] * 3
         for i, (x, y, th) in enumerate(((c / 2, s / 2, angle), (c + 0.5, s, 0.0), (1 + c / 2, s / 2, angle))):
-            free = {"rate": rate, "independent": True} if i == 0 and started else {}
-            th = m.coordinate(f"th{i}", "rad", start=th, **free)
+            free = {"start": 0.0, "independent": True} if i == 0 and started else {"start": th}
+            th = m.coordinate("crank" if i == 0 else f"th{i}", "rad", **free)
             pose = (m.coordinate(f"x{i}", "m", start=x), m.coordinate(f"y{i}", "m", start=y), th)
             made.append(m.bar(f"bar{i + 1}", mass=1.0, length=1.0, pose=pose))
     pivot = m.revolute("A", base.at(0.0, 0.0), made[0].start, coordinate=turned[0])
@@ -53,28 +57,33 @@ def bars(m: Mechanism, base: Any, angle: float, rate: float, coordinates: str, s
     return made
 
 
-def on_base(law: Callable[[Any], Any], coordinates: str, angle: float = 0.0, rate: float = 0.0) -> Mechanism:
+@cache
+def on_base(coordinates: str) -> Mechanism:
     m = Mechanism("parallelogram_on_a_base")
     if coordinates == "relative":
         base, place = m.body("base", mass=5.0, inertia=1.0), m.coordinate("place", "m", start=0.0)
     else:
         pose = [m.coordinate(name, unit, start=0.0) for name, unit in (("x", "m"), ("y", "m"), ("turn", "rad"))]
         base, place = m.body("base", mass=5.0, inertia=1.0, pose=(pose[0], pose[1], pose[2])), None
-    m.motion(m.prismatic("rail", m.ground.at(0.0, 0.0), base.at(0.0, 0.0), axis=0.0, coordinate=place), law(m.time))
-    bars(m, base, angle, rate, coordinates)
+    speed, half = m.parameter("speed", 0.0, "m/s"), m.parameter("half", 0.0, "m/s2")
+    shaken = m.parameter("amplitude", 0.0, "m") * ca.sin(m.parameter("frequency", 1.0, "rad/s") * m.time)
+    rail = m.prismatic("rail", m.ground.at(0.0, 0.0), base.at(0.0, 0.0), axis=0.0, coordinate=place)
+    m.motion(rail, speed * m.time + half * m.time**2 + shaken)
+    bars(m, base, coordinates)
     m.gravity(0.0, -GRAVITY)
     return m
 
 
-def with_rotor(coordinates: str, speed: float, angle: float = 0.0, rate: float = 0.0) -> Mechanism:
-    """An unbalanced rotor in the middle of the coupler, which turns at `speed` [rad/s]."""
-    m, phi = Mechanism("parallelogram_with_a_rotor"), {"start": 0.0, "rate": speed, "independent": True}
-    coupler = bars(m, m.ground, angle, rate, coordinates)[1]
-    turn = m.coordinate("phi", "rad", **phi)
+@cache
+def with_rotor(coordinates: str) -> Mechanism:
+    """An unbalanced rotor in the middle of the coupler, which turns at `start.phi_rate`."""
+    m = Mechanism("parallelogram_with_a_rotor")
+    coupler = bars(m, m.ground, coordinates)[1]
+    turn = m.coordinate("phi", "rad", start=0.0, independent=True)
     if coordinates == "relative":
         rotor = m.body("rotor", mass=UNBALANCE, inertia=INERTIA, center=(RADIUS, 0.0))
     else:
-        place = m.coordinate("x", "m", start=np.cos(angle) + 0.5), m.coordinate("y", "m", start=np.sin(angle))
+        place = (m.coordinate(name, "m", start=x) for name, x in zip("xy", coupler.at(0.0, 0.0).position, strict=True))
         rotor = m.body("rotor", mass=UNBALANCE, inertia=INERTIA, center=(RADIUS, 0.0), pose=(*place, turn))
     joint = turn if coordinates == "relative" else None
     m.revolute("E", coupler.at(0.0, 0.0), rotor.at(0.0, 0.0), coordinate=joint)
@@ -108,9 +117,15 @@ def crank_with_rotor(speed: float, torque: float, start: list[float], stop: floa
     return integrated(rates, [*start, 0.0, speed], stop)
 
 
-def crank(m: Mechanism, torque: float, stop: float, **parameters: Any) -> Any:
-    named = {f"solver.{name}": value for name, value in parameters.items()}
-    return alfmu.simulate(m, stop, 0.02, parameters=named, inputs={"A.torque": torque})["bar1.angle"]
+def crank(m: Mechanism, torque: float, stop: float, *of: dict[str, Any], angle: float = 0.0, rate: float = 0.0) -> Any:
+    given = {"angle": angle, "start.crank": angle, "start.crank_rate": rate} if angle or rate else {}
+    for each in of:
+        given |= each
+    return alfmu.simulate(m, stop, 0.02, parameters=given, inputs={"A.torque": torque})["bar1.angle"]
+
+
+def rk4(step: float) -> dict[str, Any]:
+    return {"solver.method": "rk4", "solver.step_size": step}
 
 
 @pytest.mark.slow
@@ -122,9 +137,9 @@ def test_base_that_a_law_moves(base: str, coordinates: str) -> None:
     law, acceleration = BASES[base]
     right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 1.0)
     assert right[-1] > 2 * np.pi
-    m = on_base(law, coordinates)
-    assert crank(m, 40.0, 1.0) == pytest.approx(right, abs=2e-7)
-    assert crank(m, 40.0, 1.0, method="rk4", step_size=1e-3) == pytest.approx(right, abs=2e-8)
+    m = on_base(coordinates)
+    assert crank(m, 40.0, 1.0, law) == pytest.approx(right, abs=2e-7)
+    assert crank(m, 40.0, 1.0, law, rk4(1e-3)) == pytest.approx(right, abs=2e-8)
 
 
 @pytest.mark.parametrize("coordinates", ["relative", "absolute"])
@@ -134,9 +149,9 @@ def test_slow_passage_on_a_base_that_shakes(coordinates: str) -> None:
     angle, rate, torque = -0.02, 0.1, 2 * GRAVITY
     right = crank_on_base(acceleration, torque, [angle, rate], 0.6)
     assert right[0] < 0 < right[-1] < 0.2
-    m = on_base(law, coordinates, angle, rate)
-    assert crank(m, torque, 0.6) == pytest.approx(right, abs=1e-8)
-    assert crank(m, torque, 0.6, method="rk4", step_size=1e-3) == pytest.approx(right, abs=1e-8)
+    for how in ({}, rk4(1e-3)):
+        found = crank(on_base(coordinates), torque, 0.6, law, how, angle=angle, rate=rate)
+        assert found == pytest.approx(right, abs=1e-8)
 
 
 @pytest.mark.slow
@@ -146,16 +161,17 @@ def test_slow_passage_on_a_base_that_shakes(coordinates: str) -> None:
 def test_rotor_that_turns_faster(speed: float, start: tuple[float, float, float], coordinates: str) -> None:
     angle, rate, torque = start
     right = crank_with_rotor(speed, torque, [angle, rate], 1.0)
-    m = with_rotor(coordinates, speed, angle, rate)
-    assert crank(m, torque, 1.0) == pytest.approx(right, abs=1e-7)
-    assert crank(m, torque, 1.0, method="rk4", step_size=5e-4) == pytest.approx(right, abs=5e-6)
+    for how, bound in (({}, 1e-7), (rk4(5e-4), 5e-6)):
+        given = {"start.phi_rate": speed, **how}
+        found = crank(with_rotor(coordinates), torque, 1.0, given, angle=angle, rate=rate)
+        assert found == pytest.approx(right, abs=bound)
 
 
 @pytest.mark.parametrize("started", [True, False])
 def test_rest_in_a_singular_position_without_a_start_value(started: bool, caplog: pytest.LogCaptureFixture) -> None:
     """Nothing tells whether the cranks turn together, or the coupler on the rocker; two motions are possible."""
     m = Mechanism("undecided")
-    bars(m, m.ground, 0.0, 0.0, "absolute", started)
+    bars(m, m.ground, "absolute", started)
     crank(m, 40.0, 0.02)
     assert any("starts at rest in a singular position" in message for message in caplog.messages) != started
 
@@ -180,28 +196,36 @@ def test_start_rate_from_a_base_that_turns_by_a_law() -> None:
     assert found["bar.angular_velocity", "start.relative_rate"] == pytest.approx(1.0, abs=1e-9)
 
 
+@cache
+def beside(name: str, what: str) -> Mechanism:
+    m = alfmu.load(name)
+    if what == "slide":
+        m.kinetic_energy(0.5 * m.rate(m.coordinate("slide", "m", start=0.0, rate=1.0, independent=True)) ** 2)
+    elif what == "bar":
+        bar = m.bar("bar", mass=1.0, length=0.3)
+        turn = m.coordinate("turn", "rad")
+        m.motion(m.revolute("motor", m.ground.at(0.0, 0.0), bar.start, coordinate=turn), 0.5 * m.time)
+    return m
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4", "order8"])
 @pytest.mark.parametrize(
-    ("name", "torque", "given", "fourth"), [("five_bar", 3.0, {}, 1.0), ("four_bar", 4.0, {"start.angle": 0.0}, None)]
+    ("name", "torque", "given", "fourth"),
+    [
+        ("five_bar", 3.0, {"start.angular_velocity": 0.0}, 1.0),
+        ("four_bar", 4.0, {"start.angle": 0.0, "start.angular_velocity": 0.0}, None),
+    ],
 )
 def test_loop_at_rest_beside_a_part_that_moves(
     name: str, torque: float, given: dict[str, float], fourth: float | None, method: str
 ) -> None:
     """It starts in its singular position, as it does alone; the other part has nothing to do with it."""
     exact = Parallelogram(m4=fourth).driven(0.0, 0.0, np.linspace(0.0, 2.0, 101), torque)[:, 0]
-    rates = {rate.name: 0.0 for rate in alfmu.derive(alfmu.load(name)).start_rates}
-    parameters = {**given, **rates, "solver.method": method}
-    found = []
-    for beside in ("nothing", "slide", "bar"):
-        m = alfmu.load(name)
-        if beside == "slide":
-            m.kinetic_energy(0.5 * m.rate(m.coordinate("slide", "m", start=0.0, rate=1.0, independent=True)) ** 2)
-        elif beside == "bar":
-            bar = m.bar("bar", mass=1.0, length=0.3)
-            turn = m.coordinate("turn", "rad")
-            m.motion(m.revolute("motor", m.ground.at(0.0, 0.0), bar.start, coordinate=turn), 0.5 * m.time)
-        found.append(alfmu.simulate(m, 2.0, 0.02, parameters=parameters, inputs={"A.torque": torque})["link1.angle"])
+    how = {"parameters": {**given, "solver.method": method}, "inputs": {"A.torque": torque}, "outputs": ["link1.angle"]}
+    found = [
+        alfmu.simulate(beside(name, what), 2.0, 0.02, **how)["link1.angle"] for what in ("nothing", "slide", "bar")
+    ]
     assert np.ptp(exact) > 2
     assert found[0] == pytest.approx(exact, abs=2e-6)
     assert found[1] == pytest.approx(found[0], abs=1e-9)
@@ -212,10 +236,9 @@ def test_loop_at_rest_beside_a_part_that_moves(
 def test_in_an_fmu(fmi: int, kind: str, tmp_path: Path) -> None:
     law, acceleration = BASES["5 Hz"]
     right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.5)
-    path = alfmu.export(on_base(law, "absolute"), tmp_path / "base.fmu", kind=kind, fmi=fmi, reference=False)
-    found = fmpy.simulate_fmu(
-        path, stop_time=0.5, output_interval=0.02, start_values={"A.torque": 40.0}, output=["bar1.angle"]
-    )
+    path = alfmu.export(on_base("absolute"), tmp_path / "base.fmu", kind=kind, fmi=fmi, reference=False)
+    given = {"A.torque": 40.0, **law}
+    found = fmpy.simulate_fmu(path, stop_time=0.5, output_interval=0.02, start_values=given, output=["bar1.angle"])
     assert found["bar1.angle"] == pytest.approx(right, abs=1e-7)
 
 
@@ -223,10 +246,7 @@ def test_in_an_fmu(fmi: int, kind: str, tmp_path: Path) -> None:
 def test_what_is_read_changes_no_step(coordinates: str) -> None:
     ends = []
     for reads in (False, True):
-        i = alfmu.Instance(on_base(BASES["5 Hz"][0], coordinates))
-        for name, value in (("solver.method", "rk4"), ("solver.step_size", 1e-3), ("A.torque", 40.0)):
-            i.set(name, value)
-        i.initialize()
+        i = initialized(alfmu.Instance(on_base(coordinates)), {**BASES["5 Hz"][0], **rk4(1e-3), "A.torque": 40.0})
         for _ in range(600):
             i.step(1e-3)
             if reads:
@@ -239,7 +259,6 @@ def test_what_is_read_changes_no_step(coordinates: str) -> None:
 def test_oracle_takes_limits_in_the_same_direction() -> None:
     law, acceleration = BASES["from rest"]
     right = crank_on_base(acceleration, 40.0, [0.0, 0.0], 0.2)
-    given = {"solver.method": "rk4", "solver.step_size": 1e-3}
-    e = alfmu.derive(on_base(law, "absolute"))
+    e, given = alfmu.derive(on_base("absolute")), {**law, **rk4(1e-3)}
     found = alfmu.simulate(e, 0.2, 0.02, parameters=given, inputs={"A.torque": 40.0}, kernel="oracle")
     assert found["bar1.angle"] == pytest.approx(right, abs=1e-10)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from oracles.exact_reactions import exact
+from pairs import pairs
 from scenes import derived, initialized, readings
 from scipy.spatial.transform import Rotation
 from turned import Linkage, four_bar, slider_crank
@@ -15,6 +16,8 @@ from alfmu.equations.specialisation import specialised
 
 PENALTIES = (0.0, 1e2, 1e4, 1e6)
 """Over the largest mass; 0 takes the default."""
+
+METHODS = "auto", "rk4"
 
 MATTERS = 1e-5
 """Error over the largest reaction, below which the estimate may be more than 100 times the error."""
@@ -51,11 +54,12 @@ def check(found: np.ndarray) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["auto", "rk4"])
-@pytest.mark.parametrize("ratio", PENALTIES)
-@pytest.mark.parametrize(("name", "coordinates"), [("four_bar", "joint"), ("four_bar", "mixed"), ("five_bar", "mixed")])
-def test_beside_poles_and_singular_positions(name, coordinates, ratio, method):
-    found = []
+@pytest.mark.parametrize(
+    ("of", "ratio", "method"),
+    pairs([("four_bar", "joint"), ("four_bar", "mixed"), ("five_bar", "mixed")], PENALTIES, METHODS),
+)
+def test_beside_poles_and_singular_positions(of, ratio, method):
+    (name, coordinates), found = of, []
     for end in (1e-5, 1.8e-3, 7e-3, 0.03, 0.3):
         given = {"solver.method": method, "start.angle": end - 0.1, "start.angular_velocity": 2.0}
         given |= {"A.torque": 1.0} if name == "four_bar" else {}
@@ -66,9 +70,9 @@ def test_beside_poles_and_singular_positions(name, coordinates, ratio, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["auto", "rk4"])
-@pytest.mark.parametrize("ratio", PENALTIES)
-@pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
+@pytest.mark.parametrize(
+    ("coordinates", "ratio", "method"), pairs(["absolute", "joint", "mixed", "natural"], PENALTIES, METHODS)
+)
 def test_in_every_set_of_coordinates(coordinates, ratio, method):
     given = {"b": 0.2, "start.angle": 4.0, "start.angular_velocity": 6.0, "A.torque": 1.5, "solver.method": method}
     check(run(derived("slider_crank", coordinates=coordinates), given, 0.02, 20, ratio))
@@ -92,9 +96,7 @@ def far(place: float) -> alfmu.Equations:
     return alfmu.derive(m)
 
 
-@pytest.mark.parametrize("method", ["auto", "rk4"])
-@pytest.mark.parametrize("ratio", PENALTIES)
-@pytest.mark.parametrize("place", [0.0, 16.0, 128.0])
+@pytest.mark.parametrize(("place", "ratio", "method"), pairs([0.0, 16.0, 128.0], PENALTIES, METHODS))
 def test_far_from_the_origin(place, ratio, method):
     check(run(far(place), {"solver.method": method}, 0.02, 20, ratio))
 
@@ -125,15 +127,16 @@ def of_the_aligned(build, linkage: Linkage, R: np.ndarray, i: alfmu.Instance) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", PENALTIES)
-@pytest.mark.parametrize("absolute", ["", "lc"])
-@pytest.mark.parametrize("place", [0.0, 1.0, 100.0])
-@pytest.mark.parametrize("build", [four_bar, slider_crank])
-def test_of_turned_linkages_in_space(build, place, absolute, ratio):
+@pytest.mark.parametrize(
+    ("build", "place", "absolute", "methods"),
+    pairs([four_bar, slider_crank], [0.0, 1.0, 100.0], ["", "lc"], [METHODS, METHODS[::-1]]),
+)
+def test_of_turned_linkages_in_space(build, place, absolute, methods):
     """Points on the ground carry round-off of their own there."""
     linkage, turn = build(np.random.default_rng(3)), Rotation.random(random_state=5)
     if absolute:
         linkage.rate = 0.0
     equations = alfmu.derive(linkage.declared(turn, (place, -0.8 * place, 0.6 * place), absolute))
     true = lambda i: of_the_aligned(build, linkage, turn.as_matrix(), i)  # noqa: E731
-    check(np.vstack([run(equations, {"solver.method": x}, 0.02, 10, ratio, true) for x in ("auto", "rk4")]))
+    for ratio, method in zip(PENALTIES, 2 * methods, strict=True):
+        check(run(equations, {"solver.method": method}, 0.02, 10, ratio, true))

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import ode
-from scenes import derived, made, multipliers, parameters, readings, started
+from pairs import ALL
+from scenes import derived, initialized, made, multipliers, parameters, readings, started
 from scipy.spatial.transform import Rotation
 
 import alfmu
@@ -84,8 +85,7 @@ def in_space(build) -> alfmu.Equations:
 @pytest.mark.parametrize(("build", "kernel"), [(bennett_in_space, "vm"), (door, "vm"), (door, "oracle")])
 def test_the_length_of_euler_parameters_changes_nothing_that_hinges_carry(build, kernel):
     """Least forces and moments over the longest arm, to 1e-12 of the largest; with the other rows, 1e-2 off or more."""
-    i = made(in_space(build), kernel)
-    i.initialize()
+    i = initialized(made(in_space(build), kernel))
     i.step(0.1)
     lam, scale = multipliers(i), np.abs(multipliers(i)).max()
     hinges = np.array([row.name.startswith("hinge") for row in i.equations.rows])
@@ -107,10 +107,8 @@ def test_the_length_of_euler_parameters_has_no_share_by_compliance():
     shares = []
     for length in (1e-2, 1e2):
         compliance[e.lengths] = length
-        i = alfmu.Instance(e)
-        for variable, x in zip(e.compliances, compliance, strict=True):
-            i.set(variable.name, x)
-        i.initialize()
+        given = {variable.name: x for variable, x in zip(e.compliances, compliance, strict=True)}
+        i = initialized(alfmu.Instance(e), given)
         shares.append(multipliers(i))
     weights = np.sqrt(compliance)
     weights[e.lengths] = 0.0
@@ -206,21 +204,22 @@ COPIED = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [0.02, 0.0025])
 @pytest.mark.parametrize(("name", "options", "given", "inputs"), COPIED)
-def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, given, inputs, step):
-    """Through singular positions over 3 s by RK4, to 1e-12 rad."""
+def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, given, inputs):
+    """Through singular positions over 3 s by RK4 in long steps and in short ones, to 1e-12 rad."""
     angles = []
     for copies in (1, 2, 5):
         m = alfmu.load(name, **options)
         row = {c.name: c for c in m.closures}["rod.length" if "natural" in options.values() else "C"]
         for k in range(1, copies):
             alfmu.Mechanism.closures.of(m).append(replace(row, **({"name": f"C{k}"} if isinstance(row, Joint) else {})))
-        parameters = {**given, "solver.method": "rk4", "solver.step_size": step}
-        r = alfmu.simulate(alfmu.derive(m), 3.0, 0.02, parameters=parameters, inputs=inputs)
-        angles.append(r[next(n for n in r.names if n.endswith("angle"))])
+        for step in (0.02, 0.0025):
+            parameters = {**given, "solver.method": "rk4", "solver.step_size": step}
+            r = alfmu.simulate(m, 3.0, 0.02, parameters=parameters, inputs=inputs)
+            angles.append(r[next(n for n in r.names if n.endswith("angle"))])
     assert np.ptp(angles[0]) > 2.9
-    assert angles[1:] == [pytest.approx(angles[0], abs=1e-12)] * 2
+    assert angles[2::2] == [pytest.approx(angles[0], abs=1e-12)] * 2
+    assert angles[3::2] == [pytest.approx(angles[1], abs=1e-12)] * 2
 
 
 # Coordinates ----------------------------------------------------------------------------------------------------------
@@ -365,11 +364,11 @@ def vectors(i: alfmu.Instance, R: np.ndarray) -> np.ndarray:
     ("build", "redundant"), [(four_hinges, 3), (two_hinges, 5), (two_rails, 5), (welded, 3), (sarrus, 1)]
 )
 def test_loads_turn_with_the_mechanism(build, redundant):
-    """A hundred directions; turned back, all joints carry the same to 1e-9 of the largest load."""
+    """Twenty directions; turned back, all joints carry the same to 1e-9 of the largest load."""
     by_rk4 = with_defaults(alfmu.derive(build()), {"solver.method": "rk4"})
     e = prepared(specialised(by_rk4, ["*.force.*", "*.moment.*"]), "vm")
     usual = None
-    for k in range(100):
+    for k in range(100 if ALL else 20):
         R = np.eye(3) if not k else Rotation.random(random_state=k).as_matrix()
         i = started(e, {f"r{a}{b}": R[a, b] for a in range(3) for b in range(3)})
         assert i.mobility().redundant == redundant
@@ -417,40 +416,37 @@ def test_all_sets_of_coordinates_share_alike(which):
         assert max(abs(other[name] - x) for name, x in found[0].items()) <= 1e-11 * scale
 
 
-def table(size: float, heavy: float, way: int) -> alfmu.Mechanism:
+@cache
+def table(way: int) -> alfmu.Equations:
     """A table on three rails, of any size; another of them is closed by its coordinate the other way round."""
     m = alfmu.Mechanism("table")
+    size, heavy = m.parameter("size", 1.0, "m"), m.parameter("heavy", 1.0, "1")
     mass = {"mass": heavy, "inertia": [heavy * size**2 * x for x in (0.3, 0.2, 0.4)]}
     top = m.spatial_body("top", **mass, center=(0.1 * size, 0.2 * size, 0.3 * size), relative=True)
-    q = m.coordinate("x", "m", start=0.2 * size, independent=True, rate=size)
+    q = m.coordinate("x", "m", start=0.2, independent=True)
     for name, y, z in (("A", 0.0, 0.0), ("B", 0.7, 0.1), ("C", 0.3, 0.9))[::way]:
         ends = m.spatial_ground.at(0, y * size, z * size), top.at(0, y * size, z * size)
         given = {"coordinate": q} if name == ("A" if way == 1 else "C") else {}
         m.spatial_prismatic(name, *ends, axis=(1, 0, 0), **given)
     m.force(top.at(0, size, 0), heavy, -2 * heavy, 3 * heavy)
     m.gravity(0.0, 0.0, -9.81)
-    return m
+    return specialised(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}), ["*.force.*", "*.moment.*"])
 
 
-def shares(m: alfmu.Mechanism, size: float, heavy: float) -> dict[str, float]:
+def shares(size: float, heavy: float, way: int) -> dict[str, float]:
     """Forces over the mass, and moments over the mass and the size."""
-    y = readings(started(with_defaults(alfmu.derive(m), {"solver.method": "rk4"})))
-    return {
-        name: x / heavy / (size if ".moment" in name else 1.0)
-        for name, x in y.items()
-        if ".force." in name or ".moment." in name
-    }
+    y = readings(started(table(way), {"size": size, "heavy": heavy, "start.x": 0.2 * size, "start.x_rate": size}))
+    return {name: x / heavy / (size if ".moment" in name else 1.0) for name, x in y.items()}
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:table. a point of top")
-@pytest.mark.parametrize("size", [1e-3, 1e-1, 10.0, 1e3])
-def test_shares_are_in_proportion_to_the_size(size):
-    usual = shares(table(1.0, 1.0, 1), 1.0, 1.0)
+def test_shares_are_in_proportion_to_the_size():
+    usual = shares(1.0, 1.0, 1)
     assert max(abs(x) for name, x in usual.items() if "moment" in name) > 0.5
-    for heavy, way in ((1.0, 1), (100.0, 1), (size**3, -1)):
-        found = shares(table(size, heavy, way), size, heavy)
-        assert max(abs(found[name] - x) for name, x in usual.items()) <= 1e-9 * max(map(abs, usual.values()))
+    for size in (1e-3, 1e-1, 10.0, 1e3):
+        for heavy, way in ((1.0, 1), (100.0, 1), (size**3, -1)):
+            found = shares(size, heavy, way)
+            assert max(abs(found[name] - x) for name, x in usual.items()) <= 1e-9 * max(map(abs, usual.values())), size
 
 
 def test_equal_motors_share_alike():

@@ -1,6 +1,7 @@
 """Dry friction in space: a mechanism of the plane in space, closed forms of a hinge, a guide and a screw."""
 
 import math
+from functools import cache
 
 import casadi as ca
 import fmpy
@@ -175,6 +176,7 @@ def test_a_guide_carries_moments_by_edges_and_a_key(axis, relative):
 # A screw -------------------------------------------------------------------------------------------------------------
 
 
+@cache
 def loaded_screw() -> Mechanism:
     m = Mechanism("jack", "A load on a screw")
     mu, torque = m.parameter("mu", 0.15, "1"), m.parameter("torque", 0.0, "N.m")

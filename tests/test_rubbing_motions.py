@@ -1,6 +1,7 @@
 """Dry friction beside prescribed motions and places that depend on time: closed forms, Newton and Euler, jams, FMUs."""
 
 import math
+from functools import cache
 
 import casadi as ca
 import fmpy
@@ -37,6 +38,7 @@ def test_the_torque_of_a_crank_at_constant_speed_carries_all_friction():
 STIFFNESS, SPEED, COULOMB, STATIC = 200.0, 0.1, 0.3, 0.6
 
 
+@cache
 def belt(moved: str) -> Mechanism:
     """A block of 1 kg that a spring holds back on a belt."""
     m = Mechanism("belt", "A block on a belt that a law moves")

@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import ode
-from oracles.free_body import SpatialBalance
 from scenes import evaluate, readings, started
 from scipy.spatial.transform import Rotation
 
@@ -103,82 +102,7 @@ def test_a_thrown_body_turns_by_eulers_equations():
     assert errors[-1] < 1e-6
 
 
-# Every joint, a spring, drives ----------------------------------------------------------------------------------------
-
-AXIS, SECOND = (1.0, 2.0, -0.5), (0.3, -1.0, 0.4)
-AT, ON = (0.1, -0.2, 0.3), (-0.05, 0.1, 0.2)
-CENTERS = {"base": (0.1, 0.0, -0.1), "arm": (0.05, -0.02, 0.03)}
-
-
-def pair(kind: str) -> alfmu.Mechanism:
-    """A free base and an arm on it by one joint; a spring-damper to the ground, another between the bodies."""
-    m = alfmu.Mechanism("pair")
-    base, arm = (m.spatial_body(n, mass=MASS, inertia=INERTIA, center=c) for n, c in CENTERS.items())
-    first, second = base.at(*AT), arm.at(*ON)
-    if kind == "spherical":
-        m.spherical("J", first, second)
-    elif kind == "revolute":
-        m.drive(m.spatial_revolute("J", first, second, axis=AXIS, second_axis=SECOND), 3.0)
-    elif kind == "cylindrical":
-        m.cylindrical("J", first, second, axis=AXIS, second_axis=SECOND)
-    else:
-        m.drive(m.spatial_prismatic("J", first, second, axis=AXIS), 3.0)
-    m.spring_damper((m.spatial_ground.at(0, 0, 1), arm.at(0.2, 0, 0)), stiffness=40.0, damping=2.0, rest=0.3)
-    m.spring_damper((base.at(0, 0.4, 0), arm.at(0, 0, 0.5)), stiffness=70.0, damping=3.0, rest=0.2)
-    m.gravity(0.5, 0.0, -G)
-    return m
-
-
-@pytest.mark.parametrize("kind", ["spherical", "revolute", "cylindrical", "prismatic"])
-@pytest.mark.parametrize("seed", range(3))
-def test_every_body_balances_and_every_joint_holds(kind, seed):
-    """At a random state: forces and moments on both bodies add up, and the joint is kept by the accelerations."""
-    random = np.random.default_rng(seed)
-    unit = np.array(AXIS) / np.linalg.norm(AXIS)
-    base, w1 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
-    axis = base.apply(unit)
-    along = spin = 0.0
-    if kind == "spherical":
-        arm, w2 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
-    elif kind == "prismatic":
-        arm, w2, along, spin = base, w1, 0.4, 1.1
-    else:
-        second = np.array(SECOND) / np.linalg.norm(SECOND)
-        turn = Rotation.from_rotvec(0.9 * axis) * Rotation.align_vectors([axis], [second])[0]
-        arm, w2 = turn, w1 + 1.7 * axis
-        along, spin = (0.4, 1.1) if kind == "cylindrical" else (0.0, 0.0)
-    r1, v1 = random.normal(size=(2, 3))
-    meet = r1 + base.apply(np.array(AT) - CENTERS["base"]) + along * axis
-    speed = v1 + np.cross(w1, meet - r1) + spin * axis
-    lever = arm.apply(np.array(ON) - CENTERS["arm"])
-    q1, qd1 = moving(r1, base, v1, w1)
-    q2, qd2 = moving(meet - lever, arm, speed - np.cross(w2, lever), w2)
-    e = alfmu.derive(pair(kind))
-    r = evaluate(e, q1 + q2, qd1 + qd2)
-    b = SpatialBalance(r, {n: (MASS, INERTIA, c) for n, c in CENTERS.items()}, (0.5, 0.0, -G))
-    drive = {"revolute": ((0.0,) * 3, 3.0 * axis), "prismatic": (3.0 * axis, (0.0,) * 3)}
-    b.joint("J", "base", "arm", ON, *drive.get(kind, ()))
-    b.spring(("ground", (0, 0, 1)), ("arm", (0.2, 0, 0)), 40.0, 2.0, 0.3)
-    b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
-    assert b.lack() <= 1e-12
-    # The joint: reactions do no work along its freedoms, and the relative motion stays along them.
-    force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
-    apart = b.acceleration("arm", ON) - b.acceleration("base", AT)
-    if kind in ("cylindrical", "prismatic"):
-        assert abs(force @ axis) <= 1e-12 * b.largest
-        offset = along * axis
-        carried = np.cross(b.vector("base.angular_acceleration."), offset)
-        carried += np.cross(w1, np.cross(w1, offset)) + 2 * np.cross(w1, spin * axis)
-        apart = np.cross(axis, apart - carried)
-    assert np.abs(apart).max() <= 1e-11 * b.largest
-    if kind in ("revolute", "cylindrical"):
-        assert abs(moment @ axis) <= 1e-12 * b.largest
-    if kind == "revolute":
-        relative = b.vector("arm.angular_acceleration.") - b.vector("base.angular_acceleration.")
-        assert r["J.angular_velocity"] == pytest.approx(1.7, rel=1e-12)
-        assert r["J.angular_acceleration"] == pytest.approx(axis @ relative, abs=1e-12 * b.largest)
-    if kind == "prismatic":
-        assert [r["arm.position"], r["arm.velocity"]] == pytest.approx([0.4, 1.1], rel=1e-12)
+# In the plane ---------------------------------------------------------------------------------------------------------
 
 
 def double_pendulum(space: bool) -> alfmu.Mechanism:
@@ -244,112 +168,75 @@ def test_a_mechanism_in_a_plane_of_space_is_the_planar_one():
 # What is refused ------------------------------------------------------------------------------------------------------
 
 
-def _plate(m: alfmu.Mechanism) -> spatial.SpatialBody:
-    return m.spatial_body("plate", mass=1.0, inertia=INERTIA)
-
-
-def _with_inertia(m: alfmu.Mechanism, inertia) -> None:
-    m.spatial_body("plate", mass=1.0, inertia=inertia)
-
-
-def _relative(m: alfmu.Mechanism, name: str = "link") -> spatial.SpatialBody:
-    return m.spatial_body(name, mass=1.0, inertia=INERTIA, relative=True)
-
-
-def _with_link(m: alfmu.Mechanism) -> alfmu.Mechanism:
-    _plate(m)
-    _relative(m)
-    return m
-
-
-def _placed_twice(m: alfmu.Mechanism) -> None:
-    link, th = _relative(m), m.coordinate("th", "rad")
-    for name in "JK":
-        m.spatial_revolute(name, m.spatial_ground.at(), link.at(), axis=(0, 0, 1), coordinate=th)
-
-
-def _inertia(m: alfmu.Mechanism) -> None:
-    k = m.parameter("k", 3.0)
-    m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0, k))
-
-
 @pytest.mark.parametrize(
-    ("declare", "says"),
+    ("line", "says"),
     [
-        (_inertia, r"odd: no body has the principal moments of inertia \[1.0, 1.0, 3.0\] that plate is given"),
-        (lambda m: m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0)), "give three"),
-        (lambda m: m.spatial_body("x", mass=1.0, inertia=(m.time, 1.0, 1.0)), "expression in parameters"),
-        (lambda m: m.spherical("J", m.ground.at(), _plate(m).at()), "J joins bodies in space"),
-        (lambda m: m.spherical("J", _plate(m).at(), m.spatial_ground.at()), "ends on the ground"),
-        (lambda m: m.spherical("J", *[_plate(m).at()] * 2), "connects plate to itself"),
+        ("body(1.0, 1.0, m.parameter('k', 3.0))", r"odd: .* inertia \[1.0, 1.0, 3.0\] that plate is given"),
+        ("body(1.0, 1.0)", "give three"),
+        ("body(m.time, 1.0, 1.0)", "expression in parameters"),
+        ("m.spherical('J', m.ground.at(), plate().at())", "J joins bodies in space"),
+        ("m.spherical('J', plate().at(), ground)", "ends on the ground"),
+        ("m.spherical('J', *[plate().at()] * 2)", "connects plate to itself"),
+        ("m.spherical('J', plate(other).at(), plate().at())", "a body of another mechanism"),
+        ("m.spatial_revolute('J', ground, plate().at(), axis=(0, 0, 0))", "no direction"),
+        ("m.drive(m.spherical('J', ground, plate().at()), 1.0)", "J is a spherical"),
+        ("m.spring_damper((m.ground.at(), plate().at()), stiffness=1.0)", "a point in the plane to one in space"),
+        ("body([1, 0.1, 0], [0.2, 1, 0], [0, 0, 1])", r"not symmetric: 0.1 stands at \(1, 2\)"),
+        ("plate(inertia=np.diag([1.0, 1.0, 2.5]))", r"moments of inertia \[1.0, 1.0, 2.5\] .* by its matrix"),
+        ("body([1, 1.1, 0], [1.1, 1, 0], [0, 0, 1])", r"moments of inertia \[-0.1, 1.0, 2.1\]"),
+        ("body([1, 0], [0, 1], [0, 0])", "a row of the inertia of plate is 2 numbers; give three"),
+        ("plate(inertia=np.array(5.0))", "the inertia of plate is a ndarray; give three"),
+        ("m.torque(plate(), 1.0)", "the torque on plate, a body in space, is 1.0; give three"),
+        ("m.force(flat.at(), 0.0, 0.0, 1.0)", "flat, a body in the plane, has a part along z"),
+        ("link().position", "nothing places link yet"),
+        ("[plate(), link(), derive(m)]", r"nothing places link \(.*test_spatial.py, line \d+\)"),
+        ("link(position=(1.0, 0, 0))", "link is relative and has a position"),
         (
-            lambda m: m.spherical("J", _plate(alfmu.Mechanism("other")).at(), _plate(m).at()),
-            "a body of another mechanism",
-        ),
-        (lambda m: m.spatial_revolute("J", m.spatial_ground.at(), _plate(m).at(), axis=(0, 0, 0)), "no direction"),
-        (lambda m: m.drive(m.spherical("J", m.spatial_ground.at(), _plate(m).at()), 1.0), "J is a spherical"),
-        (
-            lambda m: m.spring_damper((m.ground.at(), _plate(m).at()), stiffness=1.0),
-            "a point in the plane to one in space",
-        ),
-        (lambda m: _with_inertia(m, [[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]]), r"not symmetric: 0.1 stands at \(1, 2\)"),
-        (
-            lambda m: _with_inertia(m, np.diag([1.0, 1.0, 2.5])),
-            r"moments of inertia \[1.0, 1.0, 2.5\] .* by its matrix",
-        ),
-        (lambda m: _with_inertia(m, [[1, 1.1, 0], [1.1, 1, 0], [0, 0, 1]]), r"moments of inertia \[-0.1, 1.0, 2.1\]"),
-        (
-            lambda m: _with_inertia(m, [[1, 0], [0, 1], [0, 0]]),
-            "a row of the inertia of plate is 2 numbers; give three",
-        ),
-        (lambda m: _with_inertia(m, np.array(5.0)), "the inertia of plate is a ndarray; give three"),
-        (lambda m: m.torque(_plate(m), 1.0), "the torque on plate, a body in space, is 1.0; give three"),
-        (
-            lambda m: m.force(m.body("flat", mass=1.0).at(), 0.0, 0.0, 1.0),
-            "flat, a body in the plane, has a part along z",
-        ),
-        (lambda m: _relative(m).position, "nothing places link yet"),
-        (lambda m: alfmu.derive(_with_link(m)), r"nothing places link \(.*test_spatial.py, line \d+\)"),
-        (
-            lambda m: m.spatial_body("x", mass=1.0, inertia=INERTIA, relative=True, position=(1.0, 0, 0)),
-            "x is relative and has a position",
-        ),
-        (
-            lambda m: m.spatial_prismatic("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), coordinate=0.0),
+            "m.spatial_prismatic('J', ground, plate().at(), axis=x, coordinate=0.0)",
             "plate has seven coordinates of its own; declare the body with relative=True",
         ),
         (
-            lambda m: m.spatial_prismatic(
-                "J", _relative(m).at(), _relative(m, "two").at(), axis=(1, 0, 0), coordinate=0
-            ),
+            "m.spatial_prismatic('J', link().at(), link('two').at(), axis=x, coordinate=0)",
             "J places two on link, which nothing places yet",
         ),
-        (lambda m: m.clutch("c", m.spatial_ground, _plate(m)), "clutch c couples bodies in the plane, and ground is"),
-        (_placed_twice, "joint K has a coordinate, but link has its place by J; leave"),
+        ("m.clutch('c', m.spatial_ground, plate())", "clutch c couples bodies in the plane, and ground is"),
         (
-            lambda m: m.cylindrical("J", m.spatial_ground.at(), _relative(m).at(), axis=(1, 0, 0), coordinates=[0.0]),
+            "[m.spatial_revolute(name, ground, one.at(), axis=x, coordinate=th) for one in [link()] for name in 'JK']",
+            "joint K has a coordinate, but link has its place by J; leave",
+        ),
+        (
+            "m.cylindrical('J', ground, link().at(), axis=x, coordinates=[0.0])",
             r"the coordinates of J, a cylindrical joint, are 1 numbers; give 2 \[rad, m\]",
         ),
         (
-            lambda m: m.universal("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), second_axis=(1, 1, 0)),
+            "m.universal('J', ground, plate().at(), axis=x, second_axis=(1, 1, 0))",
             "make an angle of 45 degrees; those of a universal joint are perpendicular",
         ),
         (
-            lambda m: m.spatial_screw("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), lead=0),
+            "m.spatial_screw('J', ground, plate().at(), axis=x, lead=0)",
             "the lead of J is zero; take spatial_revolute",
         ),
         (
-            lambda m: m.lock(m.cylindrical("J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0))),
+            "m.lock(m.cylindrical('J', ground, plate().at(), axis=x))",
             r'J is a cylindrical joint, which has several free motions; take J.freedom\("angle"\) or J',
         ),
         (
-            lambda m: m.universal(
-                "J", m.spatial_ground.at(), _plate(m).at(), axis=(1, 0, 0), second_axis=(0, 1, 0)
-            ).freedom("angle"),
+            "m.universal('J', ground, plate().at(), axis=x, second_axis=(0, 1, 0)).freedom('angle')",
             "J, a universal joint, has no free motion 'angle'; it has angle1 or angle2",
         ),
     ],
 )
-def test_a_declaration_in_space_that_makes_no_sense_says_why(declare, says):
+def test_a_declaration_in_space_that_makes_no_sense_says_why(line, says):
+    m, other = alfmu.Mechanism("odd"), alfmu.Mechanism("other")
+
+    def plate(m=m, inertia=INERTIA):
+        return m.spatial_body("plate", mass=1.0, inertia=inertia)
+
+    def link(name="link", **more):
+        return m.spatial_body(name, mass=1.0, inertia=INERTIA, relative=True, **more)
+
+    names = {"m": m, "other": other, "plate": plate, "link": link, "body": lambda *rows: plate(inertia=rows)}
+    names |= {"ground": m.spatial_ground.at(), "x": (1, 0, 0), "np": np, "derive": alfmu.derive}
+    names |= {"flat": m.body("flat", mass=1.0), "th": m.coordinate("th", "rad")}
     with pytest.raises(alfmu.DeclarationError, match=says):
-        declare(alfmu.Mechanism("odd"))
+        eval(line, names)

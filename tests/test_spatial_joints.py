@@ -1,11 +1,13 @@
 """Every joint in space, closed by constraints and by coordinates, with loads, springs, drives and matrices of inertia:
 Newton's and Euler's laws for each body, and each way of coordinates against the other."""
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
 from oracles.free_body import SpatialBalance
-from scenes import by_the_oracle, evaluate, started
+from scenes import by_the_oracle, evaluate, initialized, started
 from scipy.spatial.transform import Rotation
 
 import alfmu
@@ -82,6 +84,11 @@ def pair(kind: str, relative: bool, leaning: bool = False) -> alfmu.Mechanism:
     return m
 
 
+@cache
+def paired(kind: str, relative: bool, leaning: bool = False) -> alfmu.Equations:
+    return alfmu.derive(pair(kind, relative, leaning))
+
+
 BODIES = {"base": (MASS, INERTIA, CENTERS["base"]), "arm": (MASS, INERTIA, CENTERS["arm"])}
 BODIES["tool"] = 0.4, (0.02, 0.03, 0.04), CENTERS["tool"]
 
@@ -123,12 +130,11 @@ def absolute(r: dict[str, float]) -> tuple[list[float], list[float]]:
 def test_axes_are_expressions_in_parameters_as_well(kind):
     """At another value than the default, closed by constraints and by coordinates, against axes that are numbers."""
     q, v = state(kind, 1)
-    leaning, plain = (alfmu.derive(pair(kind, True, each)) for each in (True, False))
+    leaning, plain = paired(kind, True, True), paired(kind, True)
     r, s = evaluate(leaning, q, v, [1.5, -2.0], p=[0.0]), evaluate(plain, q, v, [1.5, -2.0])
     largest = max(map(abs, s.values()))
     assert max(abs(r[name] - x) for name, x in s.items()) < 1e-12 * largest
-    closed = alfmu.derive(pair(kind, False, True))
-    c = evaluate(closed, *absolute(r), [1.5, -2.0], p=[0.0])
+    c = evaluate(paired(kind, False, True), *absolute(r), [1.5, -2.0], p=[0.0])
     assert max(abs(c[name] - s[name]) for name in s if ".force." in name or ".moment." in name) < 1e-8 * largest
     drawn = geometry(pair(kind, True, True), {"lean": 0.0}).space
     assert next(x for x in drawn.pivots if x.name == "J").axis == AXIS
@@ -151,7 +157,7 @@ def test_an_axis_that_moves_or_has_to_be_numbers_is_refused():
 def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     """At a random state: accelerations and reactions in relative and in absolute coordinates, and Newton and Euler."""
     q, v = state(kind, seed)
-    tree, loop = (alfmu.derive(pair(kind, relative)) for relative in (True, False))
+    tree, loop = paired(kind, True), paired(kind, False)
     u = [1.5, -2.0]
     r = evaluate(tree, q, v, u)
     s = evaluate(loop, *absolute(r), u)
@@ -178,6 +184,14 @@ def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
     for w, along in directions(kind, b).values():
         assert abs(w @ moment + along @ force) <= 1e-12 * b.largest
+    # What the joint reads is its freedom.
+    if kind == "prismatic":
+        assert [r["arm.position"], r["arm.velocity"]] == pytest.approx([q[7], v[7]], rel=1e-12)
+    if kind == "revolute":
+        turn = b.vector("arm.angular_acceleration.") - b.vector("base.angular_acceleration.")
+        [(axis, _)] = directions(kind, b).values()
+        assert r["J.angular_velocity"] == pytest.approx(v[7], rel=1e-12)
+        assert r["J.angular_acceleration"] == pytest.approx(axis @ turn, abs=1e-12 * b.largest)
 
 
 def freedoms(kind: str, q: np.ndarray, v: np.ndarray) -> list[tuple[str, float, float]]:
@@ -214,7 +228,7 @@ def efforts(kind: str, b: SpatialBalance, pushed: dict[str, float]) -> tuple[np.
 def test_velocities_and_accelerations_are_derivatives(kind):
     """Of places and attitudes along a parabola in the coordinates, by differences of second order."""
     q, v = state(kind, 5)
-    e = alfmu.derive(pair(kind, True))
+    e = paired(kind, True)
     a = np.random.default_rng(6).normal(size=len(q))
     lam, u = np.zeros(e.l), np.zeros(2)
     names = [x.name for x in e.outputs]
@@ -419,7 +433,8 @@ def test_the_turns_of_a_screw_are_told_by_its_way_also_where_constraints_close_i
     thread = m.spatial_screw("thread", **pair, lead=0.05)
     m.spring_damper(thread, stiffness=0.1, rest=70.0, name="spring")
     pitch = 0.05 / (2 * np.pi)
-    run = alfmu.simulate(m, 1.0, 0.1, parameters={"solver.relative_tolerance": 1e-9})
+    tight, names = {"solver.relative_tolerance": 1e-9}, ["thread.angle", "nut.z", "spring.torque"]
+    run = alfmu.simulate(m, 1.0, 0.1, parameters=tight, outputs=names)
     middle, pace = 70.0 - 1.5 * 9.81 * pitch / 0.1, np.sqrt(0.1 / (3e-4 + 1.5 * pitch**2))
     angle = middle + (0.5 / pitch - middle) * np.cos(pace * run.time)
     assert run["thread.angle"] == pytest.approx(angle, abs=1e-6)
@@ -495,8 +510,9 @@ def every_joint() -> alfmu.Mechanism:
 def test_pictures_show_every_joint():
     """Each joint has a piece where it is, and the drawing beside a result is taken back as it was."""
     m = every_joint()
-    start = Probe.of(alfmu.derive(m)).numbers
-    r = evaluate(alfmu.derive(m), start["q"], start["v"], np.zeros(3))
+    e = alfmu.derive(m)
+    start = Probe.of(e).numbers
+    r = evaluate(e, start["q"], start["v"], np.zeros(3))
     shapes = geometry(m)
     assert from_data(as_data(shapes)) == shapes
     view = view_of(shapes, r)
@@ -519,8 +535,5 @@ def test_an_axis_that_parameters_turn_onto_its_normal_is_told():
     m = alfmu.Mechanism("tilted")
     tilt, arm = m.parameter("tilt", 0.0), m.spatial_body("arm", mass=MASS, inertia=INERTIA)
     m.spatial_revolute("J", m.spatial_ground.at(), arm.at(), axis=(tilt, 0, 1 - tilt))
-    unit = alfmu.Instance(m)
-    unit.set("solver.method", "rk4")
-    unit.set("tilt", 1.0)
     with pytest.raises(alfmu.AssemblyError, match="tilted: at the start guess the gap of J is not finite"):
-        unit.initialize()
+        initialized(alfmu.Instance(m), {"solver.method": "rk4", "tilt": 1.0})

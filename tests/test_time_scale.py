@@ -11,10 +11,11 @@ from scenes import sliding
 import alfmu
 
 
-def pendulum(T: float) -> alfmu.Mechanism:
+def pendulum() -> alfmu.Mechanism:
     """It swings with viscous and dry friction until it sticks."""
     m = alfmu.Mechanism("pendulum")
-    th = m.coordinate("th", "rad", start=0.9, rate=0.5 / T, independent=True)
+    T = m.parameter("T", 1.0, "1")
+    th = m.coordinate("th", "rad", start=0.9, independent=True)
     bar = m.bar("bar", mass=1.3, length=0.8)
     m.friction(m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th), 0.02 / T, coulomb=0.3, radius=0.1)
     m.gravity(0, -9.81 / T**2)
@@ -22,10 +23,11 @@ def pendulum(T: float) -> alfmu.Mechanism:
     return m
 
 
-def stopped(T: float) -> alfmu.Mechanism:
+def stopped() -> alfmu.Mechanism:
     """A four-bar whose crank swings between two stops."""
     m = alfmu.Mechanism("stopped")
-    a = m.coordinate("a", "rad", start=1.0, rate=1.0 / T, independent=True)
+    T = m.parameter("T", 1.0, "1")
+    a = m.coordinate("a", "rad", start=1.0, independent=True)
     b, c = m.coordinate("b", "rad", start=-0.6), m.coordinate("c", "rad", start=1.2)
     one, two, three = (
         m.bar("one", mass=1.0, length=0.4),
@@ -44,10 +46,11 @@ def stopped(T: float) -> alfmu.Mechanism:
     return m
 
 
-def slider_crank(T: float) -> alfmu.Mechanism:
+def slider_crank() -> alfmu.Mechanism:
     """Its slide rubs, under a torque that depends on time."""
     m = alfmu.Mechanism("slider")
-    a = m.coordinate("a", "rad", start=0.5, rate=3.0 / T, independent=True)
+    T = m.parameter("T", 1.0, "1")
+    a = m.coordinate("a", "rad", start=0.5, independent=True)
     b, s = m.coordinate("b", "rad", start=-0.7), m.coordinate("s", "m", start=1.0)
     crank, rod, block = (
         m.bar("crank", mass=1.0, length=0.3),
@@ -65,9 +68,10 @@ def slider_crank(T: float) -> alfmu.Mechanism:
     return m
 
 
-def belt(T: float) -> alfmu.Mechanism:
+def belt() -> alfmu.Mechanism:
     """A block that a spring pulls, whose other end moves evenly: it sticks and slips."""
-    m, _, slide, x = sliding("belt", joint="slide", place="x", start=0.0, rate=0.1 / T, independent=True)
+    m, _, slide, x = sliding("belt", joint="slide", place="x", start=0.0, independent=True)
+    T = m.parameter("T", 1.0, "1")
     m.friction(slide, coulomb=0.3, static=0.4)
     m.spring_damper(slide, stiffness=20.0 / T**2, damping=0.0, rest=0.2 * m.time / T)
     m.gravity(0, -9.81 / T**2)
@@ -77,16 +81,22 @@ def belt(T: float) -> alfmu.Mechanism:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "tolerance", "within", "fewer", "more"),
-    [("rk4", 1e-6, 1e-9, 0.85, 1.15), ("auto", 1e-6, 1e-6, 0.7, 1.4), ("auto", 1e-9, 1e-9, 0.6, 1.5)],
+    ("build", "rate"),
+    [(pendulum, {"th": 0.5}), (stopped, {"a": 1.0}), (slider_crank, {"a": 3.0}), (belt, {"x": 0.1})],
 )
-@pytest.mark.parametrize("build", [pendulum, stopped, slider_crank, belt])
 @pytest.mark.filterwarnings("ignore")
-def test_the_motion_is_the_same_in_proportion(build, method, tolerance, within, fewer, more):
-    runs = []
-    for T in (1.0, 1e-3, 1e3):
-        given = {"solver.method": method, "solver.step_size": 0.02 * T, "solver.relative_tolerance": tolerance}
-        runs.append(alfmu.simulate(build(T), 4 * T, 0.02 * T, parameters=given))
-    for run in runs[1:]:
-        assert np.abs(run["place"] - runs[0]["place"]).max() <= within
-        assert fewer <= run.counters.evaluations / runs[0].counters.evaluations <= more
+def test_the_motion_is_the_same_in_proportion(build, rate):
+    m, [(of, at_one)] = build(), rate.items()
+    for method, tolerance, within, fewer, more in (
+        ("rk4", 1e-6, 1e-9, 0.85, 1.15),
+        ("auto", 1e-6, 1e-6, 0.7, 1.4),
+        ("auto", 1e-9, 1e-9, 0.6, 1.5),
+    ):
+        runs = []
+        for T in (1.0, 1e-3, 1e3):
+            given = {"solver.method": method, "solver.step_size": 0.02 * T, "solver.relative_tolerance": tolerance}
+            given |= {"T": T, f"start.{of}_rate": at_one / T}
+            runs.append(alfmu.simulate(m, 4 * T, 0.02 * T, parameters=given))
+        for run in runs[1:]:
+            assert np.abs(run["place"] - runs[0]["place"]).max() <= within, (method, tolerance)
+            assert fewer <= run.counters.evaluations / runs[0].counters.evaluations <= more, (method, tolerance)
