@@ -9,6 +9,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
+from archives import changed
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from scenes import derived, hinged, sliding
 
@@ -82,26 +83,24 @@ def sources_of(path: Path) -> dict[str, str]:
         return {Path(n).name: archive.read(n).decode() for n in names}
 
 
-def compiled(files: dict[str, str], library: Path, level: str = "-Og") -> None:
+def compiled(files: dict[str, str], library: Path, *options: str) -> None:
     """The library of these sources, which have no warnings; some take an optimisation to be found."""
     folder = library.with_suffix(".sources")
     folder.mkdir(parents=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="ascii")
     names = [name for name in files if name.endswith(".c")]
-    command = [*build.compiler(), level, *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
+    command = [*build.compiler(), *options, *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def with_library(path: Path, files: dict[str, str], other: Path) -> Path:
+def with_library(path: Path, files: dict[str, str], other: Path, *options: str) -> Path:
     """The FMU with the library of these sources in place of its own."""
     library = other.with_suffix(".so")
-    compiled(files, library, "-O0")
-    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(other, "w") as made:
-        for name in archive.namelist():
-            made.writestr(name, library.read_bytes() if name.startswith("binaries/") else archive.read(name))
-    return other
+    compiled(files, library, "-O0", *options)
+    binary = library.read_bytes()
+    return changed(path, other, lambda name, data: binary if name.startswith("binaries/") else data)
 
 
 @pytest.mark.slow
@@ -169,7 +168,7 @@ def test_each_feature_can_be_left_out_beside_each_other(tmp_path, group):
     """But for derivatives, without which there is no Jacobian."""
     left_out = {name for name, groups in GROUPS.items() if group in groups}
     more = {"INTERFACE_JACOBIAN"} if "DERIVATIVES" in left_out else set()
-    compiled(native.sources(3, left_out | more), tmp_path / "library.so")
+    compiled(native.sources(3, left_out | more), tmp_path / "library.so", "-Og")
 
 
 @pytest.mark.slow
