@@ -85,8 +85,8 @@ COMPILED = {"five_bar": ({}, 0.02), "end_stop": ({}, 0.1), "n_four_bar": ({"loop
 @pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled_members_are_interpreted_ones_to_the_bit(name, monkeypatch):
-    """Also where some of them take other ways than the rest: they have other loads and steps."""
-    monkeypatch.setenv("CC", "gcc -O0")
+    """Also where some of them take other ways than the rest: they have other loads and steps. There is no warning."""
+    monkeypatch.setenv("CC", "gcc -O0 -std=c99 -Wall -Wextra -Wpedantic -Werror")
     options, h = COMPILED[name]
     mechanism = alfmu.load(name, **options)
     found = []
