@@ -12,7 +12,6 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 
 import fmpy
@@ -87,8 +86,11 @@ CASES = {
 }
 
 
-def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
-    """Return the command that runs the fuzzer on a scene, without seed, calls and threads: program and arguments."""
+def built(name: str, fmi: int, folder: Path, watched: str, runtime: Path) -> list[str]:
+    """Return the command that runs the fuzzer on a scene, without seed, calls and threads: program and arguments.
+
+    The program contains the object files of a folder `runtime`, which `compiled` has made.
+    """
     case = CASES[name]
     path = folder / f"{name}_{fmi}.fmu"
     how = {"parameters": case.parameters, "outputs": case.outputs}
@@ -96,9 +98,7 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
     place, program = path.with_suffix(""), path.with_suffix(f".{watched}")
     with zipfile.ZipFile(path) as archive:
         archive.extractall(place)
-    sources = {each.name: each.read_bytes() for each in (place / "sources").iterdir()}
-    objects = Path(watching(frozenset(sources.items()), watched).name).glob("*.o")
-    host = [f"-DFUZZ_FMI={fmi}", f"-I{HEADERS}", f"-I{place / 'sources'}", str(SOURCE), *map(str, sorted(objects))]
+    host = [f"-DFUZZ_FMI={fmi}", f"-I{HEADERS}", str(SOURCE), *objects(runtime, fmi)]
     subprocess.run([*compiling(watched), *host, "-lm", "-pthread", "-o", str(program)], check=True)
     described = fmpy.read_model_description(str(path))
     variables = [v for v in described.modelVariables if v.causality != "independent"]
@@ -115,15 +115,18 @@ def compiling(watched: str) -> list[str]:
     return [*build.compiler(), *flags, *CHECKS[watched]]
 
 
-@cache
-def watching(sources: frozenset[tuple[str, bytes]], watched: str) -> tempfile.TemporaryDirectory[str]:
-    """Return a folder with the object files of an FMU's sources, cached because most FMUs have the same sources."""
-    made = tempfile.TemporaryDirectory(prefix="alfmu_")
-    for name, text in sources:
-        Path(made.name, name).write_bytes(text)
-    files = sorted(name for name, _ in sources if name.endswith(".c"))
-    subprocess.run([*compiling(watched), f"-I{HEADERS}", "-c", *files], cwd=made.name, check=True)
-    return made
+def compiled(folder: Path, watched: str) -> Path:
+    """Compile the runtime with sanitizers into a folder, and return it: all features, for every scene and version."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [str(path) for path in build.sources() if path.suffix == ".c"]
+    command = [*compiling(watched), *build.including(), "-fPIC", "-ffp-contract=off", "-c", *files]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    return folder
+
+
+def objects(runtime: Path, fmi: int) -> list[str]:
+    """Return the object files of a version of FMI, or of Python (0), in a folder that `compiled` has made."""
+    return [str(runtime / f"{path.stem}.o") for path in build._files(build.HERE, fmi)]
 
 
 KINDS = ("input", "output")
@@ -160,11 +163,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     shares = {name: CASES[name].share for name in given.only}
     total, failed = 0, 0
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        runtimes = {watched: compiled(Path(folder, watched), watched) for watched in CHECKS}
         for name, share in shares.items():
             for fmi in (2, 3):
                 for watched, threads, part in (("address", 1, 0.9), ("thread", 4, 0.1)):
                     calls = int(given.calls * share / sum(shares.values()) / 2 * part) + 1
-                    made, said = fuzzed(built(name, fmi, Path(folder), watched), given.seed, calls, threads)
+                    made, said = fuzzed(
+                        built(name, fmi, Path(folder), watched, runtimes[watched]), given.seed, calls, threads
+                    )
                     print(f"{name}, {watched}: {said}", flush=True)
                     total, failed = total + made, failed + (not made)
     print(f"{total} calls without a report, {failed} runs with one")

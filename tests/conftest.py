@@ -5,13 +5,16 @@ import hashlib
 import os
 import shlex
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
+from studies import script
 
 import alfmu
 from alfmu.model.cache import VARIABLE
@@ -91,6 +94,17 @@ def names_parsed_once() -> Iterator[None]:
         yield
 
 
+def once(path: Path, make: Callable[[], object]) -> Path:
+    """A file or folder that one of all workers makes, as a whole."""
+    while not path.exists():
+        with exclusive(path.parent) as mine:
+            if mine and not path.exists():
+                make()
+        if not mine:
+            time.sleep(0.05)
+    return path
+
+
 @pytest.fixture(scope="session")
 def fmu_of(shared_folder: Path) -> Callable[..., Path]:
     """`fmu_of("five_bar", kind="native")`: the path of an FMU, exported at first use by one of all workers.
@@ -104,13 +118,35 @@ def fmu_of(shared_folder: Path) -> Callable[..., Path]:
         assert declared, f"{name} cannot be told from other mechanisms; export it in the test"
         key = hashlib.sha256(repr((declared, sorted((options or {}).items()), sorted(given.items()))).encode())
         path = folder / key.hexdigest()[:16] / f"{'_'.join([name, *(options or {}).values()])}.fmu"
-        while not path.exists():  # which it does as a whole
-            with exclusive(path.parent) as mine:
-                if mine and not path.exists():
-                    alfmu.export(mechanism, path, options=options, **given)
-            if not mine:
-                time.sleep(0.05)
-        return path
+        return once(path, lambda: alfmu.export(mechanism, path, options=options, **given))
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def fuzz() -> Iterator[ModuleType]:
+    """The script as a module."""
+    yield from script("fuzz")
+
+
+@pytest.fixture(scope="session")
+def sanitized(shared_folder: Path, fuzz: Any) -> Callable[[str], Path]:
+    """`sanitized("address")`: the folder of the runtime compiled with these sanitizers at first use, by one of all
+    workers; `fuzz.objects` are its files for a version of FMI. Skips where the compiler has none."""
+
+    def get(watched: str) -> Path:
+        path = shared_folder / "sanitized" / watched
+
+        def make() -> None:
+            try:
+                fuzz.compiled(path.with_name(f"{watched}.part"), watched).rename(path)
+            except subprocess.CalledProcessError as error:
+                if "sanitize" in error.stderr or "cannot find" in error.stderr:
+                    pytest.skip("this compiler has no sanitizers")
+                raise AssertionError(error.stderr[-2000:]) from error
+
+        path.parent.mkdir(exist_ok=True)
+        return once(path, make)
 
     return get
 

@@ -1,5 +1,5 @@
 /* Calls every function of a native FMU in legal and illegal order, with values, references, sizes, times and states
-   that make sense or do not, and compares each status with the expected ones. Linked with the FMU's sources, under
+   that make sense or do not, and compares each status with the expected ones. Linked with the runtime, under
    sanitizers. FUZZ_FMI is 2 or 3. argv: GUID, seed, calls, threads, number of variables, first and number of the Real
    inputs, first and number of the Real outputs. The unpacked FMU is beside the program, in a folder with its name
    without the suffix. Prints the seed, the number of calls, the number of each status, the longest call, and all

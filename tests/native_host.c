@@ -1,7 +1,7 @@
 /* A host that treats a native FMU (FMI 2.0) badly: illegal orders, bad handles, references and values, many instances,
-   threads. Linked with the FMU's sources; references HOST_REAL_INPUT, HOST_REAL_OUTPUT, HOST_PARAMETER, HOST_TEXT and
-   HOST_SWITCH, the identity HOST_GUID, the mechanism HOST_SCENE and the URI HOST_RESOURCES of the folder with its scene
-   are given when it is compiled. Says what went wrong, and returns how often. */
+   threads. Linked with the runtime, compiled with MOST_STEPS; references HOST_REAL_INPUT, HOST_REAL_OUTPUT,
+   HOST_PARAMETER, HOST_TEXT and HOST_SWITCH, the identity HOST_GUID, the mechanism HOST_SCENE and the URI HOST_RESOURCES
+   of the folder with its scene are given when it is compiled. Says what went wrong, and returns how often. */
 
 #include <math.h>
 #include <pthread.h>
@@ -12,9 +12,9 @@
 
 #include "fmi2Functions.h"
 
-#ifndef INSTANCES
-#define INSTANCES 10000 /* each reads its scene from the file */
-#endif
+#define INSTANCES 1000 /* each reads its scene from the file; far more than files may be open */
+#define TEXT(x) TEXT_OF(x)
+#define TEXT_OF(x) #x
 #define THREADS 4
 #define STEPS 300
 
@@ -84,8 +84,8 @@ static void instantiation(void)
     CHECK(!strcmp(fmi2GetTypesPlatform(), "default"));
     CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "differs from that of its scene"));
-    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
-    CHECK(strstr(said, "supports co-simulation only"));
+    CHECK(!fmi2Instantiate("one", (fmi2Type)2, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "2 is not a type of FMU"));
     CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "instance name is empty"));
     CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
@@ -244,7 +244,7 @@ static void bad_values(void)
     CHECK(fmi2DoStep(c, 0.0, INFINITY, fmi2True) == fmi2Discard);
     CHECK(fmi2DoStep(c, 0.0, 1e300, fmi2True) == fmi2Discard);
     CHECK(fmi2DoStep(c, 0.0, 1e5, fmi2True) == fmi2Discard);
-    CHECK(strstr(said, "internal steps, more than 1000000"));
+    CHECK(strstr(said, "internal steps, more than " TEXT(MOST_STEPS)));
     CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &value) == fmi2OK && value == 0.0);
     CHECK(got(c, HOST_REAL_OUTPUT) == before);
     CHECK(set(c, HOST_REAL_INPUT, 1e300) == fmi2OK); /* finite, but no motion bears it */

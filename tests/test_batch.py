@@ -17,7 +17,7 @@ from scenes import double_pendulum, initialized
 import alfmu
 from alfmu import AlfmuError, Batch, InputError, Instance
 from alfmu.fmi import constants
-from alfmu.runtime.build import including, sources
+from alfmu.runtime.build import including
 from alfmu.runtime.pipeline import packed
 from alfmu.runtime.sweeps import Sweeps
 
@@ -85,8 +85,8 @@ COMPILED = {"five_bar": ({}, 0.02), "end_stop": ({}, 0.1), "n_four_bar": ({"loop
 @pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled_members_are_interpreted_ones_to_the_bit(name, monkeypatch):
-    """Also where some of them take other ways than the rest: they have other loads and steps."""
-    monkeypatch.setenv("CC", "gcc -O0")
+    """Also where some of them take other ways than the rest: they have other loads and steps. There is no warning."""
+    monkeypatch.setenv("CC", "gcc -O0 -std=c99 -Wall -Wextra -Wpedantic -Werror")
     options, h = COMPILED[name]
     mechanism = alfmu.load(name, **options)
     found = []
@@ -363,10 +363,7 @@ def test_members_whose_redundant_constraints_would_brake():
         (lambda b: b.step(0.1), "four_bar: member 0 is not initialised; initialise it first"),
         (lambda b: b.set("m2", 1.0, [7]), "four_bar: there are no such members in a batch of 3"),
         (lambda b: (b.initialize(), b.set("m2", 1.0)), "four_bar: m2 is fixed once a member is initialised"),
-        (
-            lambda b: (b.initialize(), b.step(-0.1)),
-            "four_bar: a communication step of -0.1 s; it must be a finite",
-        ),
+        (lambda b: (b.initialize(), b.step(-0.1)), "four_bar: a communication step of -0.1 s; it must be a finite"),
         (lambda b: b.restore(np.zeros((1, 8), np.uint8), [0]), "four_bar"),
         (lambda b: b.restore(np.zeros((2, 8), np.uint8), [0]), "four_bar: 2 states for 1 members"),
         (lambda b: b.set("m2", [1.0, 2.0]), r"four_bar: m2 takes one number, or numbers \(3,\)"),
@@ -418,17 +415,14 @@ def test_what_is_wrong_is_named(call, message):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux" or not shutil.which("gcc"), reason="needs gcc and its sanitizers")
-def test_sanitizers_find_nothing_in_a_batch(tmp_path):
+def test_sanitizers_find_nothing_in_a_batch(tmp_path, sanitized, fuzz):
     """Fibers too, which address sanitizers follow from one stack to another."""
     batch = Batch("slider_crank", COUNT)
     (tmp_path / "scene.bin").write_bytes(packed(batch.equations))
     references = [batch._scene.references[name] for name in ("start.angle", "crank.angle")]
-    checks = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-ffp-contract=off"]
-    files = [str(path) for path in sources() if path.suffix == ".c"]
-    library, host = str(tmp_path / "libalfmu.so"), str(tmp_path / "host")
-    compiler = ["gcc", "-std=c99", *checks, *including()]
-    subprocess.run([*compiler, "-fPIC", "-shared", *files, "-lm", "-o", library], check=True)
-    subprocess.run([*compiler, HOST, library, f"-Wl,-rpath,{tmp_path}", "-o", host], check=True)
+    host = str(tmp_path / "host")
+    made = [*fuzz.compiling("address"), *including(), HOST, *fuzz.objects(sanitized("address"), 0)]
+    subprocess.run([*made, "-lm", "-pthread", "-o", host], check=True)
     start = batch.variable("start.angle").start
     asked = [host, str(tmp_path / "scene.bin"), *map(str, references), repr(start)]
     done = subprocess.run(asked, capture_output=True, text=True, check=False)
@@ -538,10 +532,7 @@ def test_names_of_an_environment_are_checked():
         ({"actions": {"A.torque": (5.0, -5.0)}}, r"four_bar: bounds of A.torque are \(5.0, -5.0\)"),
         ({"actions": {"A.torque": 5.0}}, "four_bar: bounds of A.torque are 5.0; give its least and largest value"),
         ({"render_mode": "human"}, "there is no render_mode 'human'"),
-        (
-            {"reward": lambda values, actions: np.ones((2, 1))},
-            r"four_bar: reward takes one number, or numbers \(2,\)",
-        ),
+        ({"reward": lambda values, actions: np.ones((2, 1))}, r"four_bar: reward takes one number, or numbers \(2,\)"),
         ({"reward": lambda values, actions: None}, "four_bar: reward is nan for member 0; it must be finite"),
         ({"done": lambda values: np.zeros((2, 1), bool)}, r"four_bar: done takes one number, or numbers \(2,\)"),
         ({"done": lambda values: None}, "four_bar: done is None; it must be true or false for each member"),

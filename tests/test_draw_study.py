@@ -1,11 +1,14 @@
 """Random parameters, starts and inputs: no run is wrong in silence, and with error control none is wrong."""
 
+import os
 from contextlib import nullcontext
 
 import pytest
 from studies import script
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compiler")]
+DRAWS = int(os.environ.get("DRAWS", "8"))
+"""`DRAWS=20 pytest tests/test_draw_study.py` draws more."""
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +19,7 @@ def study():
 
 @pytest.mark.parametrize("name", ["particle_on_circle", "slider_crank", "four_bar"])
 def test_fixed_steps_are_right_or_warned_about(study, name):
-    found = study.counted(name, 20, "rk4", 2.0, 1)
+    found = study.counted(name, max(DRAWS, 10), "rk4", 2.0, 1)
     assert found["silent"] == found["traceback"] == 0
     assert found["right"] > 0
     assert found["warned"] + found["ended"] > 0
@@ -24,8 +27,8 @@ def test_fixed_steps_are_right_or_warned_about(study, name):
 
 @pytest.mark.parametrize("name", ["particle_on_circle", "slider_crank", "four_bar"])
 def test_with_error_control_all_that_start_are_right(study, name):
-    found = study.counted(name, 20, "explicit", 2.0, 1)
-    assert found["right"] + found["refused"] == 20
+    found = study.counted(name, DRAWS, "explicit", 2.0, 1)
+    assert found["right"] + found["refused"] == DRAWS
 
 
 def test_the_script_prints_its_counts(study, capsys):
@@ -36,7 +39,7 @@ def test_the_script_prints_its_counts(study, capsys):
 
 
 def test_processes_count_the_same(study):
-    alone, together = (study.counted("four_bar", 6, "rk4", 1.0, 1, jobs=jobs) for jobs in (1, 2))
+    alone, together = (study.counted("particle_on_circle", 6, "rk4", 1.0, 1, jobs=jobs) for jobs in (1, 2))
     assert alone == together
     assert sum(alone.values()) == 6
 
@@ -44,5 +47,5 @@ def test_processes_count_the_same(study):
 def test_a_silent_run_is_seen(study, monkeypatch, capsys):
     """With nothing heard, what was warned about counts as silent."""
     monkeypatch.setattr(study, "collected", lambda: nullcontext([]))
-    assert study.main(["--draws", "20", "--only", "particle_on_circle", "--method", "rk4", "--jobs", "1"]) == 1
+    assert study.main(["--draws", "10", "--only", "particle_on_circle", "--method", "rk4", "--jobs", "1"]) == 1
     assert "silent" in capsys.readouterr().err

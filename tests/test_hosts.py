@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from drives import drive
 from fmpy.fmi1 import FMICallException
+from scenes import by_rk4
 from test_motion import crank
 from test_rubbing_motions import belt
 from test_source import with_binary
@@ -27,6 +28,7 @@ from alfmu.runtime import build
 from alfmu.runtime.compiled import compiled_scene
 from alfmu.runtime.pipeline import packed
 from alfmu.runtime.shipped import there
+from alfmu.simulation import prepared
 
 on_glibc = pytest.mark.skipif(
     not (sys.platform == "linux" and os.uname().machine == "x86_64"), reason="it calls glibc for x86-64"
@@ -35,15 +37,14 @@ kinds = pytest.mark.parametrize("kind", ["native2", "native3", "python2"])
 
 
 @pytest.fixture(scope="session")
-def made(fmu_of, tmp_path_factory) -> Callable[..., Path]:
+def made(fmu_of) -> Callable[..., Path]:
     """`made("native3", "five_bar", ...)`: the path of that FMU."""
 
     def get(kind: str, name: str = "five_bar", outputs: tuple[str, ...] = ("*",), **parameters) -> Path:
-        given = {f"solver.{each}": value for each, value in parameters.items()}
-        path = fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, outputs=outputs, reference=False)
         if kind.startswith("source"):
-            return with_binary(path, int(kind[-1]), tmp_path_factory.mktemp("built") / "own.fmu")
-        return path
+            return with_binary(fmu_of(name, kind="source", fmi=int(kind[-1])), int(kind[-1]))
+        given = {f"solver.{each}": value for each, value in parameters.items()}
+        return fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, outputs=outputs, reference=False)
 
     return get
 
@@ -91,10 +92,16 @@ class Host:
 # Last steps -----------------------------------------------------------------------------------------------------------
 
 
+LAST = [
+    (kind, method, *((1.0, 0.1), (5.0, 0.02), (10.0, 0.1))[(i + j) % 3])
+    for i, kind in enumerate(("native2", "native3", "python2"))
+    for j, method in enumerate(("auto", "rk4", "stiff"))
+]
+"""Kind, method, end and step [s]: every two of them occur together."""
+
+
 @pytest.mark.slow
-@kinds
-@pytest.mark.parametrize("method", ["auto", "rk4", "stiff"])
-@pytest.mark.parametrize(("end", "step"), [(1.0, 0.1), (5.0, 0.02), (10.0, 0.1)])
+@pytest.mark.parametrize(("kind", "method", "end", "step"), LAST)
 def test_the_last_step_that_round_off_leaves_is_made(made, kind, method, end, step):
     """A master that ends at `end` and sums up its steps; nothing moves in no time, and forces change by as much as they
     are inexact: at 10 s, beside a singular position, by 1e-9 N."""
@@ -377,7 +384,7 @@ def test_libraries_run_where_glibc_is_old():
     """The newest version among their symbols, also by what stands in their tables of strings."""
     libraries = [there(build.HERE, fmi) for fmi in build.VERSIONS]
     if build.compiler():
-        equations = alfmu.Instance("four_bar").equations
+        equations = prepared(by_rk4("four_bar"))
         libraries.append(compiled_scene(equations, packed(equations)))
     for path in libraries:
         data = path.read_bytes()

@@ -92,17 +92,17 @@ def test_a_motion_without_mass_is_refused_among_many() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_large_scenes_in_every_kind_of_fmu(kind, tmp_path) -> None:
-    """153 coordinates: a valid FMU, the motion of the one degree of freedom, the numbers of the library."""
-    options, given = {"loops": 25, "coordinates": "absolute"}, {"start.angle": 1.3}
+    """105 coordinates: a valid FMU, the motion of the one degree of freedom, the numbers of the library."""
+    options, given = {"loops": 17, "coordinates": "absolute"}, {"start.angle": 1.3}
     path = alfmu.export("n_four_bar", tmp_path / "large.fmu", options=options, kind=kind)
     assert validate(path) == []
-    names = ["crank1.angle", "crank26.angle", "A12.force.y"]
+    names = ["crank1.angle", "crank18.angle", "A12.force.y"]
     arguments = {"stop_time": 0.1, "output_interval": 0.02, "output": names, "start_values": given}
     found = simulate_fmu(str(path), **arguments)
     times = np.asarray(found["time"])
 
     def rate(x: float, v: float) -> float:
-        return -(3 * 25 + 1) / 2 * 9.81 * np.cos(x) / ((4 * 25 + 1) / 3)
+        return -(3 * 17 + 1) / 2 * 9.81 * np.cos(x) / ((4 * 17 + 1) / 3)
 
     exact = ode.motion(lambda t, x, v: rate(x, v), 1.3, -1.0, times)[:, 0]
     assert max(np.abs(found[name] - exact).max() for name in names[:2]) <= 1e-8

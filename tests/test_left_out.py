@@ -1,12 +1,16 @@
 """What a native FMU leaves out of the runtime, as its scene does not use it, and the same numbers without it."""
 
+import ctypes
 import re
 import subprocess
 import zipfile
+from itertools import combinations
 from pathlib import Path
 
 import casadi as ca
 import pytest
+from archives import changed
+from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from scenes import derived, hinged, sliding
 
 import alfmu
@@ -79,26 +83,24 @@ def sources_of(path: Path) -> dict[str, str]:
         return {Path(n).name: archive.read(n).decode() for n in names}
 
 
-def compiled(files: dict[str, str], library: Path, level: str = "-Og") -> None:
+def compiled(files: dict[str, str], library: Path, *options: str) -> None:
     """The library of these sources, which have no warnings; some take an optimisation to be found."""
     folder = library.with_suffix(".sources")
     folder.mkdir(parents=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="ascii")
     names = [name for name in files if name.endswith(".c")]
-    command = [*build.compiler(), level, *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
+    command = [*build.compiler(), *options, *WARNINGS, "-shared", "-fPIC", *names, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def with_library(path: Path, files: dict[str, str], other: Path) -> Path:
+def with_library(path: Path, files: dict[str, str], other: Path, *options: str) -> Path:
     """The FMU with the library of these sources in place of its own."""
     library = other.with_suffix(".so")
-    compiled(files, library, "-O0")
-    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(other, "w") as made:
-        for name in archive.namelist():
-            made.writestr(name, library.read_bytes() if name.startswith("binaries/") else archive.read(name))
-    return other
+    compiled(files, library, "-O0", *options)
+    binary = library.read_bytes()
+    return changed(path, other, lambda name, data: binary if name.startswith("binaries/") else data)
 
 
 @pytest.mark.slow
@@ -106,12 +108,19 @@ def with_library(path: Path, files: dict[str, str], other: Path) -> Path:
 @each_case
 def test_the_sources_that_a_scene_uses_give_its_numbers(fmu_of, tmp_path, case):
     """To the last bit, by a library of these sources alone."""
-    mechanism, given, _ = CASES[case]
+    mechanism, given, needed = CASES[case]
     path = fmu_of(mechanism(), kind="native", reference=False, **given)
     with Fmu(path) as fmu, Fmu(with_library(path, sources_of(path), tmp_path / "own.fmu")) as own:
         found = run(fmu, 1.0, 0.02)
         assert found.values.tobytes() == run(own, 1.0, 0.02).values.tobytes()
         assert found.values.std(axis=0).max() > 0.01  # it moves
+        if "MODEL_EXCHANGE" not in needed:
+            said, callbacks = [], fmi2CallbackFunctions()
+            callbacks.logger = fmi2CallbackLoggerTYPE(lambda *told: said.append(told[4]))
+            folder = (own._folder / "resources").as_uri().encode()
+            given = own.description.guid.encode(), folder, ctypes.byref(callbacks), 0, 0
+            assert not own.slave.fmi2Instantiate(b"one", 0, *given)
+            assert b"supports co-simulation only" in said[-1]
 
 
 @each_case
@@ -136,12 +145,30 @@ def test_features_are_files_of_the_runtime_with_headers_for_others():
     assert named == native.FEATURES.keys()
 
 
+WAYS = [each for each in combinations(range(6), 3) if each not in ((0, 2, 3), (1, 2, 3))]
+GROUPS = dict(zip(reversed(native.FEATURES), WAYS, strict=False))
+"""The compilations that leave a feature out: each other feature is in one of them, also the Jacobian, which is left out
+with derivatives, too."""
+
+
+def test_features_are_left_out_beside_each_other():
+    def out(name: str) -> set[int]:
+        more = GROUPS["DERIVATIVES"] if name == "INTERFACE_JACOBIAN" else ()
+        return {*GROUPS[name], *more}
+
+    assert GROUPS.keys() == native.FEATURES.keys()
+    pairs = {(one, other) for one in GROUPS for other in GROUPS if not out(one) - out(other) and one != other}
+    assert pairs == {("DERIVATIVES", "INTERFACE_JACOBIAN")}
+
+
 @pytest.mark.slow
 @by_a_compiler
-@pytest.mark.parametrize("name", native.FEATURES)
-def test_each_feature_can_be_left_out_alone(tmp_path, name):
-    more = {"INTERFACE_JACOBIAN"} if name == "DERIVATIVES" else set()
-    compiled(native.sources(3, {name, *more}), tmp_path / "library.so")
+@pytest.mark.parametrize("group", range(6))
+def test_each_feature_can_be_left_out_beside_each_other(tmp_path, group):
+    """But for derivatives, without which there is no Jacobian."""
+    left_out = {name for name, groups in GROUPS.items() if group in groups}
+    more = {"INTERFACE_JACOBIAN"} if "DERIVATIVES" in left_out else set()
+    compiled(native.sources(3, left_out | more), tmp_path / "library.so", "-Og")
 
 
 @pytest.mark.slow

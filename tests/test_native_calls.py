@@ -3,9 +3,9 @@ that go on."""
 
 import ctypes
 import math
-import subprocess
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -13,15 +13,14 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from conftest import once
 from scenes import initialized
-from test_native import summed
+from test_left_out import by_a_compiler, sources_of, with_library
+from test_native import summed, unit_of
 
 import alfmu
 from alfmu.fmi.drive import Fmu
 from alfmu.model.settings import FORMULATIONS
-from alfmu.runtime import build
-
-by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
 @pytest.fixture(scope="session")
@@ -35,20 +34,10 @@ def made(fmu_of) -> Callable[..., Path]:
     return get
 
 
-def rebuilt(path: Path, folder: Path, *flags: str) -> Path:
-    """The same FMU, its library built from its sources again."""
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
-        names = archive.namelist()
-    library = next(folder / name for name in names if name.startswith("binaries/"))
-    sources = [str(folder / name) for name in names if name.endswith(".c")]
-    command = [*build.compiler(), "-shared", "-fPIC", *flags, *sources, "-lm"]
-    subprocess.run([*command, "-o", str(library)], check=True)
-    again = folder / "again.fmu"
-    with zipfile.ZipFile(again, "w") as archive:
-        for name in names:
-            archive.write(folder / name, name)
-    return again
+def bounded(path: Path) -> Path:
+    """The same FMU, its library built from its sources again, with 50 internal steps of one call at most."""
+    made = partial(with_library, path, sources_of(path), path.with_name("made.fmu"), "-DMOST_STEPS=50")
+    return once(other := path.with_name("bounded.fmu"), lambda: made().rename(other))
 
 
 def cart() -> alfmu.Mechanism:
@@ -149,9 +138,8 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
 @pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize(("method", "said"), [("rk4", "internal steps, more than 50"), ("explicit", "more than 50")])
-def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
-    path = rebuilt(made("four_bar", method=method), tmp_path, "-DMOST_STEPS=50")
-    with Fmu(path) as fmu:
+def test_the_work_of_a_step_is_bounded(made, method, said):
+    with Fmu(bounded(made("four_bar", method=method))) as fmu:
         initialized(fmu, {"start.angle": 0.5})
         fmu.step(0.02, 0.0)
         before, state = fmu.read(), fmu.save()
@@ -169,10 +157,9 @@ def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
 
 @pytest.mark.slow
 @by_a_compiler
-def test_tries_of_error_control_are_bounded_too(made, tmp_path):
+def test_tries_of_error_control_are_bounded_too(made):
     """A tolerance of 1e-13 takes more tries than the largest step would."""
-    path = rebuilt(made("four_bar", method="explicit"), tmp_path, "-DMOST_STEPS=50")
-    with Fmu(path) as fmu:
+    with Fmu(bounded(made("four_bar", method="explicit"))) as fmu:
         initialized(fmu, {"solver.relative_tolerance": 1e-13, "solver.step_size": 1.0})
         before = fmu.read()
         with pytest.raises(alfmu.StepError, match=r"four_bar, t = .*more than 50 internal steps.*take shorter"):
@@ -237,19 +224,6 @@ def test_numbers_of_a_state_that_index_are_checked(made, value):
 # FMI 3 ------------------------------------------------------------------------------------------------------------
 
 
-def instance(path: Path, log: list, **given) -> fmpy.fmi3.FMU3Slave:
-    described = fmpy.read_model_description(str(path))
-    unit = fmpy.fmi3.FMU3Slave(
-        instanceName="one",
-        guid=described.guid,
-        unzipDirectory=fmpy.extract(str(path)),
-        modelIdentifier=described.coSimulation.modelIdentifier,
-    )
-    unit.instantiate(logMessage=lambda *said: log.append(said[-1].decode()), **given)
-    unit.references = {v.name: v.valueReference for v in described.modelVariables}
-    return unit
-
-
 def test_intermediate_updates_come_at_every_internal_step_without_early_return_too(made):
     path, seen, log = made("five_bar", 3), [], []
 
@@ -262,7 +236,7 @@ def test_intermediate_updates_come_at_every_internal_step_without_early_return_t
         seen.append((time, set_requested, get_allowed, finished, can_return, angle))
         wanted[0] = True  # which nobody allowed
 
-    unit, plain, alone = instance(path, log, intermediateUpdate=look), instance(path, log), instance(path, log)
+    unit, plain, alone = unit_of(path, log, intermediateUpdate=look), unit_of(path, log), unit_of(path, log)
     for each in (unit, plain, alone):
         each.enterInitializationMode()
         each.exitInitializationMode()
@@ -289,7 +263,7 @@ def test_a_step_that_fails_half_way_is_taken_back_where_no_early_return_is_allow
     def look(environment, time, *rest):
         seen.append(time)
 
-    unit = instance(path, log, intermediateUpdate=look)
+    unit = unit_of(path, log, intermediateUpdate=look)
     unit.enterInitializationMode()
     unit.exitInitializationMode()
     names = [unit.references[name] for name in ("root", "time")]
@@ -308,7 +282,7 @@ def test_the_time_of_an_early_return_is_respected(made):
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
         wanted[0], until[0] = bool(can_return), 0.05
 
-    unit = instance(made("five_bar", 3), [], intermediateUpdate=look, earlyReturnAllowed=True)
+    unit = unit_of(made("five_bar", 3), [], intermediateUpdate=look, earlyReturnAllowed=True)
     unit.enterInitializationMode()
     unit.exitInitializationMode()
     _, _, early, reached = unit.doStep(0.0, 0.2)
@@ -320,7 +294,7 @@ def test_the_time_of_an_early_return_is_respected(made):
 def test_why_an_instance_is_not_made(made):
     path, log = made("five_bar", 3), []
     with pytest.raises(Exception, match="instantiate"):
-        instance(path, log, eventModeUsed=True)
+        unit_of(path, log, eventModeUsed=True)
     assert log[-1].startswith("cannot be instantiated: it has no event mode")
 
 

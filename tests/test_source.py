@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import once
 from scenes import initialized, sliding
 from test_left_out import WARNINGS, block, by_a_compiler, led
 
@@ -110,23 +111,27 @@ def names_of(path: Path) -> list[str]:
         return archive.namelist()
 
 
-def with_binary(path: Path, fmi: int, other: Path) -> Path:
-    """The FMU of sources with a library of them, as an importer compiles them."""
-    folder = other.with_suffix("")
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
-    (sources,) = (folder / "sources").glob("*.c")
-    platform = build.PLATFORMS[build.HERE]
-    binary = folder / "binaries" / (build.HERE if fmi == 2 else platform.fmi3) / f"{sources.stem}{platform.suffix}"
-    binary.parent.mkdir(parents=True)
-    compiled([*WARNINGS, "-O1", "-shared", "-fPIC", str(sources), "-o", str(binary), "-lm"], folder)
-    return Path(shutil.make_archive(str(folder), "zip", folder)).rename(other)
+def with_binary(path: Path, fmi: int) -> Path:
+    """The FMU of sources with a library of them, as an importer compiles them, made once; unpacked beside it."""
+    folder = path.parent / "built" / path.stem
+
+    def make() -> None:
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder)
+        (sources,) = (folder / "sources").glob("*.c")
+        platform = build.PLATFORMS[build.HERE]
+        binary = folder / "binaries" / (build.HERE if fmi == 2 else platform.fmi3) / f"{sources.stem}{platform.suffix}"
+        binary.parent.mkdir(parents=True)
+        compiled([*WARNINGS, "-O1", "-shared", "-fPIC", str(sources), "-o", str(binary), "-lm"], folder)
+        Path(shutil.make_archive(str(folder), "zip", folder)).rename(folder.with_suffix(".fmu"))
+
+    return once(folder.with_suffix(".fmu"), make)
 
 
 @pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, tmp_path, fmi):
+def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, fmi):
     native = fmu_of("five_bar", kind="native", fmi=fmi, reference=False, parameters=RK4)
     path = fmu_of("five_bar", kind="source", fmi=fmi)
     assert [each for each in names_of(path) if each.endswith((".c", ".h"))] == ["sources/five_bar.c"]
@@ -134,7 +139,7 @@ def test_an_fmu_of_sources_gives_the_numbers_of_the_native_one(fmu_of, tmp_path,
     with zipfile.ZipFile(path) as archive:
         described = archive.read(f"{'modelDescription' if fmi == 2 else 'sources/buildDescription'}.xml").decode()
     assert described.count('name="five_bar.c"') == 1
-    with Fmu(native) as one, Fmu(with_binary(path, fmi, tmp_path / "own.fmu")) as own:
+    with Fmu(native) as one, Fmu(with_binary(path, fmi)) as own:
         found = run(own, 2.0, 0.02)
         assert found.values.tobytes() == run(one, 2.0, 0.02).values.tobytes()
         state = own.save()
@@ -204,9 +209,9 @@ def test_a_mechanism_without_parameters_compiles_without_warnings_and_is_called_
 
 @pytest.mark.slow
 @by_a_compiler
-def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
-    path = with_binary(fmu_of("five_bar", kind="source"), 2, tmp_path / "own.fmu")
-    guid = re.search(r'guid="(.*?)"', (tmp_path / "own" / "modelDescription.xml").read_text())[1].encode()
+def test_there_is_memory_for_one_instance_at_a_time(fmu_of):
+    path = with_binary(fmu_of("five_bar", kind="source", fmi=2), 2)
+    guid = re.search(r'guid="(.*?)"', (path.with_suffix("") / "modelDescription.xml").read_text())[1].encode()
     library = ctypes.CDLL(str(next((path.with_suffix("") / "binaries").rglob("five_bar.*"))))
     library.fmi2Instantiate.restype = ctypes.c_void_p
 
@@ -222,11 +227,11 @@ def test_there_is_memory_for_one_instance_at_a_time(fmu_of, tmp_path):
 
 @pytest.mark.slow
 @by_a_compiler
-def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of, tmp_path):
+def test_an_intermediate_update_takes_no_memory_of_saved_states(fmu_of):
     """A host that looks into steps of several internal ones still has both states; the third is refused with what to
     do."""
     given = {"kind": "source", "fmi": 3, "parameters": {"solver.step_size": 0.005}}
-    path, said = with_binary(fmu_of("five_bar", **given), 3, tmp_path / "own.fmu"), list[str]()
+    path, said = with_binary(fmu_of("five_bar", **given), 3), list[str]()
     folder = path.with_suffix("")
     token = re.search(r'instantiationToken="(.*?)"', (folder / "modelDescription.xml").read_text())[1].encode()
     library = ctypes.CDLL(str(next((folder / "binaries").rglob("five_bar.*"))))

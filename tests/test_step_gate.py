@@ -10,7 +10,6 @@ import pytest
 from test_left_out import by_a_compiler
 from test_source import CASES, compiled, with_binary
 
-import alfmu
 from alfmu.runtime import build
 
 
@@ -19,13 +18,15 @@ from alfmu.runtime import build
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="it is about Linux")
 @pytest.mark.parametrize("kind", ["native", "source"])
 @pytest.mark.parametrize("case", CASES)
-def test_a_step_allocates_nothing_and_does_not_lock_or_call_the_system(tmp_path, case, kind):
+def test_a_step_allocates_nothing_and_does_not_lock_or_call_the_system(tmp_path, fmu_of, case, kind):
     host = tmp_path / "host"
     compiled(
         ["-O1", "-w", "-rdynamic", str(Path(__file__).with_name("step_gate.c")), "-o", str(host), "-ldl"], tmp_path
     )
-    path = alfmu.export(CASES[case](), tmp_path / f"{case}.fmu", kind=kind, reference=False)
-    path = with_binary(path, 2, tmp_path / "own.fmu") if kind == "source" else path
+    mechanism = case if case in ("five_bar", "slider_crank") else CASES[case]()
+    given = {"kind": "native", "reference": False} if kind == "native" else {"kind": "source", "fmi": 2}
+    path = fmu_of(mechanism, **given)
+    path = with_binary(path, 2) if kind == "source" else path
     folder = tmp_path / "unpacked"
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archives import changed, replaced
 from drives import WANTED, drive, first_order, spindle
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv
@@ -199,7 +200,7 @@ def test_a_switch_is_held_and_a_run_may_begin_later():
 # Descriptions -------------------------------------------------------------------------------------------------------
 
 
-def changed(described: Path, old: str, new: str, folder: Path) -> Path:
+def told(described: Path, old: str, new: str, folder: Path) -> Path:
     text = described.read_text()
     assert old in text
     path = folder / "changed.toml"
@@ -232,7 +233,7 @@ def changed(described: Path, old: str, new: str, folder: Path) -> Path:
     ],
 )
 def test_what_describes_no_system_is_refused(described, tmp_path, old, new, said):
-    path = changed(described, old, new, tmp_path)
+    path = told(described, old, new, tmp_path)
     with pytest.raises(InputError) as raised:
         System.load(path).simulate(stop_time=0.01)
     assert said in str(raised.value).replace("\n", " ")
@@ -260,19 +261,19 @@ def test_another_unit_of_an_fmu_asks_for_conversion(tmp_path):
     Its type says that it is a difference, for which the offset of a unit does not count.
     """
     plain = alfmu.export(first_order("tool"), tmp_path / "plain.fmu", kind="native", reference=False)
-    other = tmp_path / "tool.fmu"
-    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(other, "w") as target:
-        for name in source.namelist():
-            data = source.read(name)
-            if name == "modelDescription.xml":
-                text = data.decode().replace('name="rad/s"', 'name="r/min"')
-                text = text.replace('unit="rad/s"', 'declaredType="Change" unit="r/min"')
-                change = '<SimpleType name="Change"><Real unit="r/min" relativeQuantity="true" /></SimpleType>'
-                text = text.replace("<TypeDefinitions>", f"<TypeDefinitions>{change}")
-                base = '<BaseUnit rad="1" s="-1"'
-                assert base in text
-                data = text.replace(f"{base} />", f'{base} factor="0.10471975511965977" offset="7" />').encode()
-            target.writestr(name, data)
+
+    def described(name: str, data: bytes) -> bytes:
+        if name != "modelDescription.xml":
+            return data
+        text = data.decode().replace('name="rad/s"', 'name="r/min"')
+        text = text.replace('unit="rad/s"', 'declaredType="Change" unit="r/min"')
+        change = '<SimpleType name="Change"><Real unit="r/min" relativeQuantity="true" /></SimpleType>'
+        text = text.replace("<TypeDefinitions>", f"<TypeDefinitions>{change}")
+        base = '<BaseUnit rad="1" s="-1"'
+        assert base in text
+        return text.replace(f"{base} />", f'{base} factor="0.10471975511965977" offset="7" />').encode()
+
+    other = changed(plain, tmp_path / "tool.fmu", described)
     link = Connection("source.y", "tool.u")
     parts_ = {"source": first_order("source"), "tool": other}
     with pytest.raises(InputError, match='with convert = "rad/s -> r/min"'):
@@ -350,15 +351,7 @@ DTD = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
     ],
 )
 def test_an_ssp_is_not_trusted(ssp, tmp_path, old, new, said):
-    path = tmp_path / "bad.ssp"
-    with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            data = source.read(name)
-            if name == "SystemStructure.ssd":
-                text = data.decode()
-                assert old in text
-                data = text.replace(old, new, 1).encode()
-            target.writestr(name, data)
+    path = replaced(ssp, tmp_path / "bad.ssp", "SystemStructure.ssd", old, new)
     with pytest.raises((InputError, ExportError)) as raised:
         System.load(path).simulate(stop_time=0.01)
     assert said in str(raised.value)
@@ -377,11 +370,7 @@ def test_an_ssp_is_not_trusted(ssp, tmp_path, old, new, said):
     ],
 )
 def test_values_in_a_parameter_set_are_not_trusted(ssp, tmp_path, old, new, said):
-    path = tmp_path / "bad.ssp"
-    with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            data = source.read(name)
-            target.writestr(name, data.replace(old.encode(), new.encode()) if name.endswith("controller.ssv") else data)
+    path = replaced(ssp, tmp_path / "bad.ssp", "controller.ssv", old, new)
     with pytest.raises(InputError) as raised:
         System.load(path).simulate(stop_time=0.01)
     assert said in str(raised.value)
