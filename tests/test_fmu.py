@@ -58,6 +58,28 @@ def test_the_fmu_gives_the_numbers_of_the_library_to_the_last_bit(exported, name
     assert np.abs(library.values).max() > 0.1
 
 
+def test_fmpy_simulate_holds_the_bar_of_the_five_bar(exported):
+    """20 s at dt = 0.02 s: the exact angle within 1.5e-5 rad, |Phi| below 1e-13 (tests/test_five_bar.py: reactions)."""
+    from scipy.integrate import solve_ivp
+
+    output = ["link1.angle", "monitor.position_error", "multiplier[1]", "A.force.x"]
+    result = fmpy.simulate_fmu(str(exported("five_bar")), stop_time=20.0, output_interval=0.02, output=output)
+    assert result["time"][-1] == pytest.approx(20.0)
+    # (m1/3 + m3/3 + m2 + m4/4) th'' = -(m1/2 + m3/2 + m2 + m4/2) g cos th with unit masses and length.
+    exact = solve_ivp(
+        lambda t, y: [y[1], -2.5 * 9.81 * np.cos(y[0]) / (2 / 3 + 1.25)],
+        (0, 20.0 + 1e-9),
+        [0.0, 2.0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+        t_eval=np.minimum(result["time"], 20.0),
+    ).y[0]
+    assert np.abs(result["link1.angle"] - exact).max() < 1.5e-5
+    assert result["monitor.position_error"].max() < 1e-13
+    assert result["link1.angle"].min() < -np.pi  # beyond both singular positions, 0 and -pi
+
+
 def test_communication_steps_of_any_length_keep_time_and_order(exported):
     """Steps that change, are no multiple of the internal step, or are shorter than it: RK4's error all the same."""
     lengths = np.tile([0.013, 0.05, 0.002, 0.0351], 10)
