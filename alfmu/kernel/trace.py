@@ -8,7 +8,7 @@ reaction outputs, no work if nothing does work.
 A step is a program (`alfmu.kernel.form`) of small functions: `stage` combines rates into the state of a stage,
 `evaluate` and `iterate` contain the method, `place` and `settle` (or `correct`) the projection (10), `close` the
 checks. Near singular positions each stage is brought to the branch of the motion by the same functions and by `return`,
-and `probe` determines where the limit of the accelerations is taken, from `places` before and after, as their weighted
+and `margin_at` tells where the limit of the accelerations is taken, from `places` before and after, as their weighted
 `mean`.
 """
 
