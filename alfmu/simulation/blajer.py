@@ -290,7 +290,7 @@ class Method(runtime.Instance):
     # Singular positions -------------------------------------------------------------------------------------------
 
     def factor(self, q: NDArray) -> NDArray:
-        """Return Cholesky's factor (n, n) of H at q (n,) over the scales of coordinates, in the order of elimination."""
+        """Return Cholesky's factor (n, n) of H at q (n,) over the scales, in the order of elimination."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
         order, scales = elimination_order(self.equations), np.sqrt(self.scales)
         H = method.augmented_mass(M, C, self.alpha) / np.outer(scales, scales)
