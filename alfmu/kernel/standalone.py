@@ -152,14 +152,14 @@ class _Patient(Alternatives):
         plan = self.kernel["quick"].plan
         calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
 
-        def margin_of(D: SX, watch: SX) -> SX:
-            near, margin = careful.scene.margin(D)
+        def margin_of(D: SX, L: SX, watch: SX) -> SX:
+            near, margin = careful.scene.margin(D, L)
             return Watch.of(watch)._replace(near=near, margin=margin).vector()
 
         self._unpacked(calls)
         Tracer.evaluation(self, calls, "0")
         calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
-        careful("margin_told", "k D watch0", "watch0", margin_of)
+        careful("margin_told", "k D L watch0", "watch0", margin_of)
         calls.made += careful.made
         known = spaced("z u p k C xi a0 lam0 watch0 singular", self.losses)
         if self.redundant:

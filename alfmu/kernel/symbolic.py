@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -256,7 +256,7 @@ class Scene:
         """Return the results of `evaluated` for given M, C, F, xi, without power."""
         D, L = self.factors(self.augmented_mass(*terms[:2]))
         a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
-        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(D))
+        watch = Watch(self.squares(a), self.squares(a), ca.mmin(D), *self.margin(D, L))
         return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
 
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
@@ -292,7 +292,7 @@ class Scene:
         M, C, _, xi = self.terms(t, q, v, u)
         D, L = self.factors(self.augmented_mass(M, C))
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
-        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(D)).vector()
+        return found, Watch(self.squares(change), self.squares(found), ca.mmin(D), *self.margin(D, L)).vector()
 
     def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
         """Return the number of failed convergence checks; `limit` is the error allowed after few iterations, by default
@@ -538,26 +538,25 @@ class Scene:
 
     # Singular positions --------------------------------------------------------------------------------------------
 
-    def margin(self, pivots: SX) -> tuple[SX, SX]:
+    def margin(self, D: SX, L: SX) -> tuple[SX, SX]:
         """S2: return whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         if not self.e.functions["C"].jac_sparsity(0, 0).nnz():  # joints of open chains: no position changes their rank
             return SX(0), SX(1)
-        ratios = pivots * self.inverse_scales[elimination_order(self.e)]
-        near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
-        if self.kind == "plain" and not self.e.turns:  # the quick step only needs to know whether it may continue
-            return near, SX(1)
-        small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
+        scales, freedom = self.inverse_scales[elimination_order(self.e)], self.settings.freedom
+        ratios, few = D * scales, self.e.n <= DENSE
+        near, small = freedom < ca.sum1(ratios < branch.BRANCH_MARGIN), ratios < branch.SMALL_PIVOT
+        beyond = freedom < ca.sum1(small)
         if self.e.turns:
             irregular = (ca.log(_product(ratios)) if few else ca.sum1(ca.log(ratios))) < self.settings.regular
-            near, small = near * irregular, small * irregular
-        more = ca.sum1(small) - self.settings.freedom
-        if self.e.turns:
-            more = ca.fmin(more, loops(self.e))
-        # the product of many could overflow
-        logarithm = (
-            ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
-        )
-        return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
+            near, beyond = near * irregular, beyond * irregular
+        if self.kind == "plain":  # the quick step only needs to know whether it may continue
+            return near, SX(1)
+        among = ca.fmin(ca.fmax(ratios, 1 - small), 1)
+        logarithm = ca.log(_product(among)) if few else ca.sum1(ca.log(among))  # the product of many could overflow
+        # What large pivots leave of the diagonal entry of a coordinate is large where it shares a small pivot.
+        left = ratios + scales * (L.T**2 @ (small * D))
+        more = ca.fmax(ca.sum1(left < branch.SMALL_PIVOT) - freedom, 1)
+        return near, ca.fmin(ca.if_else(beyond, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
 
     def irregular(self, q: SX) -> SX:
         """Return whether more constraints may be dependent at q than at regular positions, for any masses.
@@ -589,8 +588,8 @@ class Scene:
 
     def margin_at(self, q: SX) -> SX:
         """S2: return the margin at a position."""
-        D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
-        return self.margin(D)[1]
+        H = self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p))
+        return self.margin(*self.factors(H))[1]
 
     def directed(self, v: SX) -> SX:
         """S4: return the direction along which limits are taken."""
@@ -609,13 +608,9 @@ class Scene:
         ]
         return ca.fmax(ca.mmax(ca.fabs(ca.vertcat(*sizes))), _TINY)
 
-    def probed(self, q: SX) -> tuple[SX, ...]:
-        """Return the margin at q, whether a limit may have to be taken there, a zero spacing, and q after a correction
-        (10), which shares most of this computation."""
-        here = self.margin_at(q)
-        farthest = branch.LIMIT_ZONE * self.settings.least_distance
-        near = 1 - (ca.sqrt(here) >= farthest)
-        return here, near, SX(0), self.placed(q)
+    def may_be_near(self, here: SX) -> tuple[SX, SX]:
+        """Return whether a limit may have to be taken at a position of this margin, and a zero spacing."""
+        return 1 - (ca.sqrt(here) >= branch.LIMIT_ZONE * self.settings.least_distance), SX(0)
 
     def aside(self, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
         """S2: return the positions one spacing along v before and after q."""

@@ -8,7 +8,7 @@ reaction outputs, no work if nothing does work.
 A step is a program (`alfmu.kernel.form`) of small functions: `stage` combines rates into the state of a stage,
 `evaluate` and `iterate` contain the method, `place` and `settle` (or `correct`) the projection (10), `close` the
 checks. Near singular positions each stage is brought to the branch of the motion by the same functions and by `return`,
-and `probe` determines where the limit of the accelerations is taken, from `places` before and after, as their weighted
+and `margin_at` tells where the limit of the accelerations is taken, from `places` before and after, as their weighted
 `mean`.
 """
 
@@ -427,6 +427,7 @@ class Tracer:
         if kept:
             names |= {"q0": f"q{i}", "v0": f"v{i}"}
         else:
+            self.place(calls, f"q{i}", "placed")
             self._brought(calls, f"q{i}", "placed", f"v{i}")
         self.evaluation(calls, "0", names)
         self._supply(calls, "0", names, f"supplied{i}", whole=True)
@@ -479,7 +480,8 @@ class Tracer:
     def _probe(self, calls: Calls, i: str, length: str) -> None:
         """Compute whether a limit has to be taken, and the spacing of its positions; `length` is the base of the
         spacing."""
-        calls("probe", f"q{i} p k", f"here zone{i} spacing placed", calls.scene.probed)
+        calls("margin_at", f"q{i} p k", "here", calls.scene.margin_at)
+        calls("probe", "here k", f"zone{i} spacing", calls.scene.may_be_near)
         if self.doubles(calls.plan):
             self._approach_until_told(calls, i, length)
         else:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import runtime
 from ..equations import Equations
 from ..equations.arrays import ArrayFunction, ArrayFunctions
-from ..equations.evaluation import elimination_order, loops, telling
+from ..equations.evaluation import elimination_order, telling
 from ..equations.interface import Counters
 from ..kernel.memory import GROSS, SETTINGS, TURN
 from ..kernel.thresholds import PATIENT, REGULAR, TORN
@@ -289,26 +289,32 @@ class Method(runtime.Instance):
 
     # Singular positions -------------------------------------------------------------------------------------------
 
-    def pivots(self, q: NDArray) -> NDArray:
-        """Return the pivots (n,) of H at q (n,) over the scales of their coordinates, in the order of elimination."""
+    def factor(self, q: NDArray) -> NDArray:
+        """Return Cholesky's factor (n, n) of H at q (n,) over the scales, in the order of elimination."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
-        order = elimination_order(self.equations)
+        order, scales = elimination_order(self.equations), np.sqrt(self.scales)
+        H = method.augmented_mass(M, C, self.alpha) / np.outer(scales, scales)
         try:
-            pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[np.ix_(order, order)]).diagonal() ** 2
+            return np.linalg.cholesky(H[np.ix_(order, order)])
         except np.linalg.LinAlgError:
-            pivots = np.zeros(len(q))
-        return np.maximum(pivots / self.scales[order], 1e-300)
+            return np.zeros_like(H)
+
+    def pivots(self, q: NDArray) -> NDArray:
+        """Return the pivots (n,) of this matrix."""
+        return np.maximum(self.factor(q).diagonal() ** 2, 1e-300)
 
     def margin(self, q: NDArray) -> tuple[bool, float]:
         """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
-        ratios = self.pivots(q)
+        factor = self.factor(q) ** 2
+        ratios = np.maximum(factor.diagonal(), 1e-300)
         if self.equations.turns and np.log(ratios).sum() >= self.regular:
             return False, 1.0
-        near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
-        more = len(small) - self.freedom
-        if self.equations.turns:
-            more = min(more, loops(self.equations))
-        return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
+        near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios < branch.SMALL_PIVOT
+        if small.sum() <= self.freedom:
+            return near, 1.0
+        left = factor[small][:, small].sum(axis=1)  # of the diagonal of H, by large pivots
+        more = max((left < branch.SMALL_PIVOT).sum() - self.freedom, 1)
+        return near, math.exp(min((np.log(ratios[small]).sum() - self.masses) / more, 0.0))
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
         """Return the distance to a singular position, its change per spacing, and a spacing (n,) long enough to measure

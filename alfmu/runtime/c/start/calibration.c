@@ -253,9 +253,11 @@ static void survey_along(
             memcpy(places + survey->count++ * n, near, n * sizeof *near);
     }
     /* One of the motions that cross at a singular position may leave coordinates free that constraints touch where
-       angles differ. */
-    for (int c = 0; c < s->n; c++)
-        there[c] = q[c] + (coordinate_is_angle(s, c) ? side_places[SIDE_PLACES - 1] * random[c] : 0.0);
+       others differ. */
+    for (int c = 0; c < s->n; c++) {
+        const double size = coordinate_is_angle(s, c) ? 1.0 : coordinate_is_length(s, c) ? *i->loop : 0.0;
+        there[c] = q[c] + size * side_places[SIDE_PLACES - 1] * random[c];
+    }
     raise_scales(i, there, HARDLY, survey);
     if (rest) {
         share_of_turns(s, survey->scales);
