@@ -60,7 +60,7 @@ SMALL = Effort(
     factors=(2.0, 1.0, 0.5),
     tolerances=(1e-5,),
     limit=0.3,
-    repeats=2,
+    repeats=1,
     reference=exact.Effort(parts=40),
     paper=replace(paper.QUICK, stop=0.1, counted=0.1, driven=0.1, phases=2, states=1),
     stability=MAPS,
