@@ -98,9 +98,10 @@ def setup(app: Any) -> None:
     app.connect("build-finished", _live)
     app.connect("source-read", _without_gallery)
     if GALLERY:
-        from films import small
+        from films import checked, small
 
-        app.connect("builder-inited", small, priority=900)  # after sphinx-gallery has made the pages
+        for made in (checked, small):
+            app.connect("builder-inited", made, priority=900)  # after sphinx-gallery has made the pages
     app.add_html_math_renderer(
         "mathml",
         inline_renderers=(lambda self, node: _formula(self, node, True), None),

@@ -55,6 +55,9 @@ from alfmu.studies.tables import Row, environment, markdown, paragraph, rounded,
 KERNELS = ("vm", "compiled")
 """Kernels: functions of a scene interpreted by the runtime, or compiled."""
 
+OPTIMISED = "-O2"
+"""How the host of a native FMU is compiled."""
+
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 """Folder of the FMI headers, for hosts."""
 
@@ -428,7 +431,7 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> Results:
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
     """Return medians [s] of an initialisation, a doStep, and a step of the kernel with outputs, timed in turns."""
     unpacked = top / "native"
-    flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", "-DNDEBUG", f'-DGUID="{guid}"', f"-I{HEADERS}"]
+    flags = [OPTIMISED, "-fno-math-errno", "-ffp-contract=off", "-DNDEBUG", f'-DGUID="{guid}"', f"-I{HEADERS}"]
     flags += [f"-I{unpacked / 'sources'}", str(SCRIPTS / "native_bench.c"), str(unpacked / "sources" / "files.c")]
     libraries = ["-lm", *["-ldl"] * sys.platform.startswith("linux")]
     subprocess.run([*compiler(), *flags, "-o", str(top / "host"), *libraries], check=True)

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import csv
+import io
 import json
 import os
 import pty
@@ -12,6 +13,7 @@ import sys
 import termios
 import zipfile
 from collections import OrderedDict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +46,14 @@ def read(path: Path) -> dict[str, np.ndarray]:
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     return {name: np.array([float(row[i]) for row in rows[1:]]) for i, name in enumerate(rows[0])}
+
+
+@cache
+def info(*arguments: str) -> str:
+    """What `alfmu info` says, asked once."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(["info", *arguments]) == 0
+    return out.getvalue()
 
 
 @pytest.mark.slow
@@ -121,19 +131,25 @@ def test_options_parameters_and_inputs_reach_the_run(here):
 
 
 @pytest.mark.slow
-def test_info_of_many_bodies_stays_short(capsys):
-    """One line for all that differ in numbers of names alone; every number of a few."""
-    assert main(["info", "n_four_bar", "--option", "loops=40", "--all"]) == 0
-    text = capsys.readouterr().out
+def test_info_of_many_bodies_stays_short():
+    """One line for all that differ in numbers of names alone; every number of a few; in short, how many were left."""
+    text = info("n_four_bar", "--option", "loops=12", "--all")
     assert len(text.splitlines()) < 120
-    assert "option loops = 40 (whole number)" in text
-    assert "coordinates (82): x1 [m], y1 [m], x2 [m]" in text
+    assert "option loops = 12 (whole number)" in text
+    assert "coordinates (26): x1 [m], y1 [m], x2 [m]" in text
     for line in (
-        r"coupler\{1\.\.40\}\.x +m +position of the centre of mass of coupler\{1\.\.40\} along x",
-        r"C\{1\.\.40\}\.force\.y +N +force along y on coupler\{1\.\.40\} from crank\{2\.\.41\}",
-        r"multiplier\[\{42\.\.81\}\] +N +multiplier of coupler\{1\.\.40\}\.length, length",
+        r"coupler\{1\.\.12\}\.x +m +position of the centre of mass of coupler\{1\.\.12\} along x",
+        r"C\{1\.\.12\}\.force\.y +N +force along y on coupler\{1\.\.12\} from crank\{2\.\.13\}",
+        r"multiplier\[\{14\.\.25\}\] +N +multiplier of coupler\{1\.\.12\}\.length, length",
     ):
         assert re.search(f"^  {line}$", text, re.M)
+    out = info("n_four_bar", "--option", "loops=12")
+    assert len(out.splitlines()) <= 20
+    assert max(map(len, out.splitlines())) < 130
+    assert "constraints (25): crank1.length length" in out
+    shown = re.search(r"constraints \(25\): (.*) and (\d+) more", out)
+    assert len(shown[1].split(", ")) + int(shown[2]) == 25
+    assert "crank{1..13}, coupler{1..12} (9 each)" in out
 
 
 def test_list_names_every_registered_mechanism_and_its_options(capsys):
@@ -145,13 +161,16 @@ def test_list_names_every_registered_mechanism_and_its_options(capsys):
 
 
 @pytest.mark.slow
-def test_info_counts_freedoms_and_redundancy_and_shows_names_and_units(capsys):
-    assert main(["info", "five_bar", "--all"]) == 0
-    out = capsys.readouterr().out
+def test_info_counts_freedoms_and_redundancy_and_says_which_reactions_are_unique():
+    out = info("five_bar", "--all")
     assert "degrees of freedom: 1, redundant constraints: 1, singular at the start: 2 motions possible" in out
     assert "E ---- link4 ---- F" in out
     for name in ("A.torque", "link4.angular_acceleration", "multiplier[8]", "monitor.energy", "solver.formulation"):
         assert name in out
+    (line,) = (x for x in out.splitlines() if x.startswith("not unique"))
+    names = line.split(": ")[1].split(", ")
+    assert names == [f"{joint}.force.x" for joint in "ABCDEF"] + [f"multiplier[{i}]" for i in (1, 3, 5, 7)]
+    assert "not unique" not in info("four_bar")
 
 
 @pytest.mark.parametrize("command", ["list", "info", "export", "simulate", "validate", "animate", "completion"])
@@ -348,20 +367,9 @@ def test_info_shows_what_fmus_carry(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_info_says_which_reactions_are_unique(capsys):
-    assert main(["info", "five_bar", "--all"]) == 0
-    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("not unique"))
-    names = line.split(": ")[1].split(", ")
-    assert names == [f"{joint}.force.x" for joint in "ABCDEF"] + [f"multiplier[{i}]" for i in (1, 3, 5, 7)]
-    assert main(["info", "four_bar"]) == 0
-    assert "not unique" not in capsys.readouterr().out
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", alfmu.mechanisms())
-def test_info_fits_on_a_screen(name, capsys):
-    assert main(["info", name]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_info_fits_on_a_screen(name):
+    lines = info(name).splitlines()
     assert len(lines) <= 20
     e = alfmu.derive(alfmu.load(name))
     assert lines[0] == f"{name}: {e.description}"
@@ -373,35 +381,20 @@ def test_info_fits_on_a_screen(name, capsys):
     assert f"run: {e.stop_time:g} s in steps of {e.interval:g} s, method " in text
 
 
-@pytest.mark.slow
-def test_info_in_short_says_what_was_left_out_of_its_lists(capsys):
-    assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
-    out = capsys.readouterr().out
-    assert len(out.splitlines()) <= 20
-    assert max(map(len, out.splitlines())) < 130
-    assert "constraints (81): crank1.length length" in out
-    shown = re.search(r"constraints \(81\): (.*) and (\d+) more", out)
-    assert len(shown[1].split(", ")) + int(shown[2]) == 81
-    assert "crank{1..41}, coupler{1..40} (9 each)" in out
-
-
-def test_info_counts_the_outputs_that_it_leaves_out(capsys):
-    assert main(["info", "four_bar"]) == 0
+def test_info_counts_the_outputs_that_it_leaves_out():
     named = "link1, link2, link3 (9 each); A, B, C, D (force.x, force.y)"
-    assert f"outputs (47): {named} and {47 - 3 * 9 - 4 * 2} more" in capsys.readouterr().out
+    assert f"outputs (47): {named} and {47 - 3 * 9 - 4 * 2} more" in info("four_bar")
 
 
 @pytest.mark.slow
-def test_info_in_full_has_no_empty_place_for_a_sketch_or_options(tmp_path, capsys):
+def test_info_in_full_has_no_empty_place_for_a_sketch_or_options(tmp_path):
     file = tmp_path / "held.py"
     file.write_text(
         "from alfmu import Mechanism\n\n\ndef held() -> Mechanism:\n    m = Mechanism('held')\n"
         "    x = m.coordinate('x', 'm', independent=True)\n    m.kinetic_energy(m.rate(x) ** 2)\n    return m\n"
     )
-    assert main(["info", str(file), "--all"]) == 0
-    assert "\n\n\n" not in capsys.readouterr().out
-    assert main(["info", "four_bar", "--all"]) == 0
-    assert "\n\n\n" not in capsys.readouterr().out
+    for name in (str(file), "four_bar"):
+        assert "\n\n\n" not in info(name, "--all")
 
 
 @pytest.mark.slow

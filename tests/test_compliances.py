@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oracles import stiff_joints
-from scenes import by_the_oracle, initialized, made, multipliers, parameters
+from scenes import by_the_oracle, initialized, made, multipliers, parameters, started
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -21,10 +21,8 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     """Six constraints of compliances over two decades, three of them redundant; the stiffer, the nearer."""
     e = with_compliances("bennett")
     compliance = 10 ** np.random.default_rng(2).uniform(-1, 1, 6)
-    i = alfmu.Instance(prepared(e, "oracle"))
-    for variable, x in zip(e.compliances, compliance, strict=True):
-        i.set(variable.name, x * 1e-9)
-    initialized(i, {"solver.method": "rk4", "solver.step_size": 1e-3})
+    given = {variable.name: x * 1e-9 for variable, x in zip(e.compliances, compliance, strict=True)}
+    i = started(e, given, step_size=1e-3)
     p, q, v = i.memory["p"], i.q.copy(), i.v.copy()
     i.step(0.03)
     shares = multipliers(i)
@@ -33,7 +31,7 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     ]
     assert errors[1] < 1e-4 * np.abs(shares).max()
     assert errors[0] / errors[1] > 2.5
-    plain = initialized(alfmu.Instance(prepared(e, "oracle")), {"solver.method": "rk4", "solver.step_size": 1e-3})
+    plain = started(e, step_size=1e-3)
     plain.step(0.03)
     assert np.abs(multipliers(plain) - shares).max() > 0.1 * np.abs(shares).max()  # else this would show nothing
     assert np.array_equal(plain.q, i.q)  # shares are read, the motion does not know them

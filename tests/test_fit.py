@@ -1,6 +1,7 @@
 """Parameters and start values fitted to measurements: from noisy data, in the library and on the command line."""
 
 import logging
+import os
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,9 @@ from alfmu.gradients.run import Runs
 TRUE = {"m2": 0.7, "l": 1.1, "start.angle": 0.35}
 NOISE = {"link1.angle": 0.01, "link2.x": 0.02}
 NAMES = (*NOISE, "A.torque")
+
+DRAWS = int(os.environ.get("DRAWS", "10"))
+"""Sets of noise; `DRAWS=200 pytest tests/test_fit.py` draws more."""
 
 
 def measured(seed: int = 1, noise: float = 1.0) -> alfmu.Result:
@@ -30,13 +34,13 @@ def measured(seed: int = 1, noise: float = 1.0) -> alfmu.Result:
 def fits() -> list[alfmu.Fit]:
     return [
         alfmu.fit("five_bar", measured(seed), {"m2": 1, "l": 1, "start.angle": 0.2}, deviations=NOISE)
-        for seed in range(20)
+        for seed in range(DRAWS)
     ]
 
 
 @pytest.mark.slow
 def test_parameters_are_recovered_within_their_deviations(fits):
-    """Over twenty sets of noise, errors have the size that each fit says, and no side on which they fall."""
+    """Over some sets of noise, errors have the size that each fit says, and no side on which they fall."""
     for name, true in TRUE.items():
         off = np.array([(found[name] - true) / found.errors[name] for found in fits])
         assert np.abs(off).max() < 4

@@ -35,10 +35,10 @@ CASES = [(m2, kernel) for kernel in ("vm", "oracle") for m2 in (1.0, 0.0)]
 
 @pytest.fixture(scope="module", params=CASES, ids=[f"m2={m2:g}-{kernel}" for m2, kernel in CASES])
 def run(request: pytest.FixtureRequest) -> tuple[Parallelogram, alfmu.Result]:
-    """20 s as in the paper, with link 2 and with a massless link 2, by the kernel and by the oracle."""
+    """20 s as in the paper, with link 2 and with a massless link 2, by the kernel; half of it by the oracle."""
     m2, kernel = request.param
-    given = {"m2": m2, "solver.method": "rk4"}
-    result = alfmu.simulate(derived("five_bar"), RUN, STEP, parameters=given, kernel=kernel)
+    given, stop = {"m2": m2, "solver.method": "rk4"}, RUN if kernel == "vm" else RUN / 2
+    result = alfmu.simulate(derived("five_bar"), stop, STEP, parameters=given, kernel=kernel)
     return Parallelogram(m2=m2), result
 
 
@@ -70,8 +70,8 @@ def test_singular_positions_are_passed(run: tuple) -> None:
     """th = 0 and th = -pi several times each."""
     _, r = run
     th = r["link1.angle"]
-    assert np.count_nonzero(np.diff(np.sign(th))) >= 6
-    assert np.count_nonzero(np.diff(np.sign(th + np.pi))) >= 6
+    assert np.count_nonzero(np.diff(np.sign(th))) >= 6 * r.time[-1] / RUN
+    assert np.count_nonzero(np.diff(np.sign(th + np.pi))) >= 6 * r.time[-1] / RUN
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_constraints(run: tuple) -> None:
     assert np.abs(r["monitor.position_error"]).max() == c.position_error < 1e-13
     assert c.velocity_error < 1e-13
     assert c.acceleration_error < 1e-8  # of limits, at the positions that are singular
-    assert c.steps == 1000
+    assert c.steps == round(r.time[-1] / STEP)
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_all_reactions(run: tuple) -> None:
         limit = room(th if k else READ_DISTANCE, max(abs(x) for x in exact.values()))
         assert max(abs(r[name][k] - x) for name, x in exact.items()) <= limit
         compared += limit < 1e-9
-    assert compared > 100
+    assert compared > 100 * r.time[-1] / RUN
 
 
 def test_start_at_the_singular_position() -> None:

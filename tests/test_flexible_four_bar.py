@@ -1,16 +1,15 @@
 """The four-bar with a flexible coupler: Newton's and Euler's laws on each bar, fast oscillation upon slow motion."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from oracles import ode
 from oracles.flexible_four_bar import FlexibleFourBar
-from scenes import derived, readings, started
+from scenes import by_rk4, derived, readings, started
 
 import alfmu
-from alfmu.simulation import prepared
 
 START = (0.5, 1e-3, 6.0, 0.0)
 """Angle of the crank, bend, and their rates."""
@@ -18,10 +17,8 @@ PLAIN = FlexibleFourBar()
 STIFF_AND_DAMPED = FlexibleFourBar(damping=300.0)
 
 
-@cache
-def scene() -> alfmu.Equations:
-    """The equations, traced once."""
-    return prepared(derived("flexible_four_bar"))
+scene = partial(by_rk4, "flexible_four_bar")
+"""The equations, traced once."""
 
 
 @cache

@@ -1,20 +1,20 @@
 """The flyball governor (IFToMM A05): three minimal coordinates, free bodies, the 10 s of the benchmark, and its FMU."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from oracles import flyball
 from oracles.flyball import Governor
 from oracles.free_body import SpatialBalance
-from scenes import by_the_oracle, derived, evaluate, readings, started
+from scenes import by_rk4, by_the_oracle, derived, evaluate, readings, started
 from scipy.spatial.transform import Rotation
 from test_spatial import moving
 
 import alfmu
 from alfmu.method.singular import BRANCH_MARGIN
-from alfmu.simulation import prepared
+from alfmu.simulation import prepared, with_defaults
 
 BENCHMARK = Governor()
 STEPS = np.array([2e-4, 1e-4, 5e-5])
@@ -26,10 +26,8 @@ def exact(governor: Governor = BENCHMARK, stop: float = 0.1, rtol: float = 1e-12
     return governor.motion(np.linspace(0.0, stop, round(stop / 0.01) + 1), method="DOP853", rtol=rtol)
 
 
-@cache
-def scene() -> alfmu.Equations:
-    """The equations, traced once."""
-    return prepared(derived("flyball_governor"))
+scene = partial(by_rk4, "flyball_governor")
+"""The equations, traced once."""
 
 
 def simulated(step: float, stop: float = 0.1, **given: float) -> alfmu.Result:
@@ -167,7 +165,7 @@ def test_none_is_in_a_mechanism_of_many_coordinates():
         bob = m.spatial_body(f"bob{k}", mass=1.0, inertia=(0.1, 0.1, 0.1), center=(0, 0, -1), relative=True)
         angle = m.coordinate(f"swing{k}_angle", "rad", start=0.1)
         m.spatial_revolute(f"swing{k}", m.spatial_ground.at(k, 5, 0), bob.at(), axis=(0, 1, 0), coordinate=angle)
-    of = prepared(alfmu.derive(m))
+    of = prepared(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}))
     i = started(of, {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0})
     judge, small = by_the_oracle(of, {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0}), 0
     for k in range(50):

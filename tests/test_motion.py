@@ -637,8 +637,9 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize("law", range(len(LAWS)))
-@pytest.mark.parametrize("part", ["motion of A", "point of joint A"])
+@pytest.mark.parametrize(
+    ("part", "law"), [*(("motion of A", k) for k in range(len(LAWS))), ("point of joint A", 0), ("point of joint A", 3)]
+)
 def test_a_law_that_is_not_finite_is_named(part, law):
     """At the start, or in the step where it ends; with other parameters it is a law as any other."""
     given, broken = LAWS[law]

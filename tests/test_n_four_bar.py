@@ -1,6 +1,7 @@
 """The N-four-bar in both coordinate sets: accelerations, all joint forces and motion of its one degree of freedom."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -9,7 +10,6 @@ from oracles import ode
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.simulation import prepared
 from alfmu.view.picture import model_png
 
 COORDINATES = ("natural", "absolute")
@@ -74,6 +74,7 @@ class Row:
         }, left
 
 
+@cache
 def at(loops: int, coordinates: str, th: float, w: float, torque: float, **sizes: float) -> dict[str, float]:
     """All outputs at a state of the branch."""
     given = {"start.angle": th, "start.angular_velocity": w, "A1.torque": torque, **sizes}
@@ -141,7 +142,7 @@ def test_accelerations_and_forces(coordinates: str, loops: int, th: float, w: fl
 @states
 def test_both_sets_of_coordinates_say_the_same(loops: int, th: float, w: float, torque: float) -> None:
     """Everything that both can read, but multipliers and what the run itself took."""
-    natural, absolute = (at(loops, c, th, w, torque) for c in COORDINATES)
+    natural, absolute = (at(loops, c, th, w, torque, m=0.7, l=1.2) for c in COORDINATES)
     names = [n for n in natural if not n.startswith(("multiplier", "monitor"))]
     assert set(names) == {n for n in absolute if not n.startswith(("multiplier", "monitor"))}
     largest = max(abs(natural[n]) for n in names)
@@ -168,22 +169,20 @@ def test_motion(coordinates: str, loops: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("coordinates", "loops"), [("natural", 100), ("absolute", 40)])
-def test_a_hundred_loops(coordinates: str, loops: int) -> None:
-    """All cranks of so many loops turn alike, by a kernel that is not one flat function."""
-    equations = derived("n_four_bar", loops=loops, coordinates=coordinates)
-    r = alfmu.simulate(equations, 0.2, 0.02)
-    exact = ode.motion(lambda t, th, w: Row(loops).acceleration(th), np.pi / 2, -1.0, r.time)[:, 0]
-    assert max(np.abs(r[f"crank{i}.angle"] - exact).max() for i in (1, loops // 2, loops + 1)) <= 1e-7
+def test_a_hundred_loops() -> None:
+    """All cranks of so many loops turn alike, by a kernel that is not one flat function; `test_large` has bodies."""
+    r = alfmu.simulate(derived("n_four_bar", loops=100), 0.2, 0.02)
+    exact = ode.motion(lambda t, th, w: Row(100).acceleration(th), np.pi / 2, -1.0, r.time)[:, 0]
+    assert max(np.abs(r[f"crank{i}.angle"] - exact).max() for i in (1, 50, 101)) <= 1e-7
     assert r.counters.position_error <= 1e-12
 
 
 @pytest.mark.slow
 @coordinate_sets
 def test_equations_grow_linearly_with_the_loops(coordinates: str) -> None:
-    """As many more entries of matrices and operations from 40 to 60 loops as from 20 to 40."""
+    """As many more entries of matrices and operations from 20 to 26 loops as from 14 to 20."""
     sizes = []
-    for loops in (20, 40, 60):
+    for loops in (14, 20, 26):
         e = derived("n_four_bar", loops=loops, coordinates=coordinates)
         matrices = [getattr(e, name).nnz_out() for name in ("M", "C", "gaps_matrix", "ties_matrix")]
         assert max(matrices) <= 24 * loops
@@ -219,7 +218,7 @@ def test_both_sets_of_coordinates_have_a_picture(loops: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turned", range(4))
+@pytest.mark.parametrize("turned", [0, 3])
 def test_reactions_where_three_bodies_share_a_point_do_not_depend_on_the_order_of_joints(turned):
     """Joints B and C from crank to coupler or from coupler to crank: natural coordinates against absolute ones."""
     values = []
@@ -259,8 +258,7 @@ def test_reactions_where_three_bodies_share_a_point_do_not_depend_on_the_order_o
             ):
                 m.revolute(f"{name}{i}", *(pair[::-1] if turned & bit else pair))
         m.gravity(0.0, -9.81)
-        instance = alfmu.Instance(alfmu.derive(m))
-        instance.initialize()
+        instance = started(alfmu.derive(m))
         names = [v.name for v in instance.outputs if ".force." in v.name]
         values.append({name: instance.get(name) for name in names})
     assert len(values[0]) == 14
@@ -281,10 +279,7 @@ def test_a_drive_at_one_crank_passes_singular_positions_at_full_order(loops):
     assert exact.min() < -np.pi
     errors = {}
     for coordinates, step in (("absolute", 0.005), ("natural", 0.005), ("natural", 0.0025)):
-        i = alfmu.Instance(prepared(derived("n_four_bar", loops=loops, coordinates=coordinates), "vm"))
-        for name, value in {"A1.torque": 6.0, "solver.method": "rk4", "solver.step_size": step}.items():
-            i.set(name, value)
-        i.initialize()
+        i = started(derived("n_four_bar", loops=loops, coordinates=coordinates), {"A1.torque": 6.0}, step_size=step)
         worst = 0.0
         for k in range(1, 101):
             i.step(times[k] - times[k - 1])

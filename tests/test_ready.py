@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import time
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -60,6 +61,27 @@ def test_functions_are_made_once():
     """
     e = prepared(alfmu.derive(absolute()))
     assert sum(len(Instructions.of(f)) for f in complete(e).functions.values()) < 403_000
+
+
+def test_what_was_made_is_not_made_again(tmp_path):
+    """Files of the cache, and forms of CasADi's listing, were counted by what was taken for constants: whatever was
+    written or traced made all that was in memory be forgotten, and gave its files names that no other process knew."""
+    code = """if True:
+        import alfmu
+        from alfmu.kernel import trace
+        from alfmu.runtime import pipeline, stored
+        made = []
+        pipeline.traced = lambda *given: made.append(given) or trace.traced(*given)
+        e = alfmu.derive(alfmu.load("particle_on_circle"))
+        scene, known = pipeline.prepared(e), stored.constants()
+        alfmu.simulate("slider_crank", 0.01)
+        assert pipeline.prepared(e) is scene
+        assert stored.constants() == known
+        print(len(made))
+        """
+    environment = {**os.environ, "ALFMU_CACHE": str(tmp_path)}
+    run = partial(subprocess.run, [sys.executable, "-c", code], env=environment, text=True, check=True)
+    assert [run(capture_output=True).stdout for _ in range(2)] == ["2\n", "0\n"]
 
 
 def test_time_of_an_operation_that_is_arranged():

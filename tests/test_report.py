@@ -60,7 +60,7 @@ SMALL = Effort(
     factors=(2.0, 1.0, 0.5),
     tolerances=(1e-5,),
     limit=0.3,
-    repeats=2,
+    repeats=1,
     reference=exact.Effort(parts=40),
     paper=replace(paper.QUICK, stop=0.1, counted=0.1, driven=0.1, phases=2, states=1),
     stability=MAPS,
@@ -333,27 +333,22 @@ def test_no_line_ends_within_a_number_of_a_page():
     assert "<td>some 1e-3 of it</td>" in html
 
 
-def test_maps_that_there_was_no_time_for_are_not_drawn():
+def test_maps_that_there_was_no_time_for_are_not_drawn_and_named_beside_those_that_are():
     study = Study("particle_on_circle", QUICK)
     study.files["reference"] = [{"note": "there was no time for one"}]
-    study.maps.rows = [{"class": stability.NOT_RUN}]
-    page = Page("late")
-    _chapter_of_page(page, study)
-    html = "".join(page._parts)
+
+    def shown(maps: list[dict]) -> str:
+        study.maps.rows, page = maps, Page("late")
+        _chapter_of_page(page, study)
+        return "".join(page._parts)
+
+    html = shown([{"class": stability.NOT_RUN}])
     assert "No cell of a map was run" in html
     assert 'class="map"' not in html
-
-
-def test_a_map_that_there_was_no_time_for_is_named_beside_those_that_are_drawn():
-    study = Study("particle_on_circle", QUICK)
-    study.files["reference"] = [{"note": "there was no time for one"}]
     where = {"across": "step", "down": "factor", "row": "1", "column": "0.1", "cut short": 0}
     classes = {"formulations": "exact", "springs": stability.NOT_RUN}
     study.maps.springs = ["k"]
-    study.maps.rows = [{**where, "map": title, "class": each} for title, each in classes.items()]
-    page = Page("late")
-    _chapter_of_page(page, study)
-    html = "".join(page._parts)
+    html = shown([{**where, "map": title, "class": each} for title, each in classes.items()])
     assert html.count('class="map"') == 1
     assert "There was no time for 1 more: springs." in html
     assert [one.title for one in stability.maps_of(study.maps)] == ["formulations"]

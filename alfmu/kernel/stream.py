@@ -183,8 +183,8 @@ def _atom(f: ca.Function, k: int, operation: int) -> list[int]:
 _SAMPLE = 3
 """Number of instructions compared with CasADi's calls, to detect a change of the listing."""
 
-_FORMS = {0: ca.OP_CONST}
-"""Operations by the form of their lines in CasADi's listing, for `alfmu_listing`."""
+_FORMS = OrderedDict({0: ca.OP_CONST})
+"""Operations by the form of their lines in CasADi's listing, for `alfmu_listing`, as they are met: no constant."""
 
 
 def _listed(f: ca.Function) -> NDArray | None:

@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 import tempfile
+from collections import OrderedDict
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -32,9 +33,9 @@ LEAST = 50_000
 _WRITERS = 10
 """Number of processes that may write to the cache at once without exceeding the limit."""
 
-_COUNTED: dict[Path, int] = {}
+_COUNTED = OrderedDict[Path, int]()
 """Largest possible size of each folder [bytes]: its size when counted, and what `_WRITERS` processes have written since
-if each wrote as much as this one."""
+if each wrote as much as this one. It is no constant."""
 
 _OFF = ("off", "0")
 

@@ -215,7 +215,10 @@ def _constants() -> _Constants:
 
 
 def _is_constant(space: dict[str, Any], name: str) -> bool:
-    """Return whether a name of a module is a constant: numbers, texts, or a collection of them."""
+    """Return whether a name of a module is a constant: numbers, texts, or a collection of them.
+
+    What grows in the course of a program is an `OrderedDict`.
+    """
     value = space[name]
     plain = isinstance(value, int | float | str | tuple) or type(value) is dict
     return name.isupper() and (plain or (is_dataclass(value) and not isinstance(value, type)))

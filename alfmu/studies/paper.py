@@ -24,7 +24,6 @@ from ..equations.derivation import derive
 from ..equations.interface import Counters
 from ..model.errors import StepError, needs
 from ..model.settings import Settings
-from ..simulation import prepared
 from ..simulation.oracle import Instance
 from ..view.plot import require, save
 from .tables import Row, number, paragraph, shown, write_csv
@@ -668,7 +667,7 @@ PROCEDURES = {"classic": replace(CLASSIC, max_iterations=PAPER_MOST), "residual"
 
 def four_bar(effort: Effort) -> Chapter:
     """Run the driven four-bar, case 6, in which another degree of freedom opens at each singular position."""
-    equations = prepared(derive(load("four_bar")), "auto")
+    equations = derive(load("four_bar"))
     exact = Parallelogram(m4=0.0, torque=TORQUE)
     rows, curves = [], {}
     for name, settings in PROCEDURES.items():
