@@ -1245,3 +1245,27 @@ def test_axes_of_gazebo_joints_are_in_the_named_frame(said: str, axis: tuple[int
     path.write_text(text.format('<xyz expressed_in="nowhere">0 0 1</xyz>') + "</gazebo></robot>")
     with pytest.raises(alfmu.InputError, match="nowhere"):
         alfmu.imported(path)
+
+
+def test_links_of_gazebo_hang_on_joints_of_gazebo(tmp_path: Path):
+    """A pendulum that only `<gazebo>` elements declare, against its equation of motion; its frame is turned."""
+    link = (
+        '<gazebo><link name="bob"><inertial><mass>2</mass><pose>0.3 0 0 0 0 0</pose><inertia><ixx>0.01</ixx>'
+        "<iyy>0.05</iyy><izz>0.05</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"
+        "<pose>0.1 0.2 1 0 0.5 0</pose></link></gazebo>"
+    )
+    joint = (
+        '<gazebo><joint name="pin" type="revolute"><parent>base</parent><child>bob</child><pose>0 0 0 0 0 0</pose>'
+        "<axis><xyz>0 1 0</xyz></axis></joint></gazebo>"
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(f'<robot name="r"><link name="base"/>{joint}{link}</robot>')
+    run = alfmu.simulate(str(path), 0.5, 0.1)
+    rate = 2 * 9.81 * 0.3 / (0.05 + 2 * 0.3**2)
+    fall = solve_ivp(lambda _, y: (y[1], rate * np.cos(y[0])), (0, 0.5), (0.5, 0), rtol=1e-12, atol=1e-12)
+    angle = fall.y[0, -1]
+    found = [run[f"bob.{x}"][-1] for x in "xyz"]
+    np.testing.assert_allclose(found, (0.1 + 0.3 * np.cos(angle), 0.2, 1 - 0.3 * np.sin(angle)), atol=1e-9)
+    path.write_text(f'<robot name="r"><link name="base"/>{link}{link}</robot>')
+    with pytest.raises(alfmu.InputError, match=r"link\[bob\]: line 1 has an element of this name"):
+        alfmu.imported(path)

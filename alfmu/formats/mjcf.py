@@ -365,7 +365,7 @@ class File:
         given = Reading(node)
         name = given.text("name", f"body{len(self.links) + 1}")
         if name in self.links:
-            node.fail(f"there is a body {shown(name[:60])} already; names are used once")
+            node.fail(f"there is a body {shown(name)} already; names are used once")
         link = Link(name, node, parent, pose @ self._pose(given), Inertial())
         childclass = given.text("childclass", childclass or "main")
         if given.flag("mocap", False):
@@ -464,7 +464,7 @@ class File:
         kind = "free" if free else given.choice("type", ("hinge", "slide", "ball", "free"), "hinge")
         name = given.text("name", f"{link.name}_joint{len(link.joints) + 1 if link.joints else ''}")
         if name in self.joints:
-            node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
+            node.fail(f"there is a joint {shown(name)} already; names are used once")
         scalar = kind in ("hinge", "slide")
         angle = self.settings.angle if kind == "hinge" else float
         point, axis = vector(given.numbers("pos", 3, (0, 0, 0))), vector(given.numbers("axis", 3, (0, 0, 1)))
@@ -709,7 +709,7 @@ class File:
         """Return the object that an attribute names; refuse, or leave out, what names a part of a flexible body."""
         name = given.text(which)
         if name not in there and name.startswith(tuple(self.soft)):
-            self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
+            self.linkage.skip("flexible", given.node, f"{which} {shown(name)} is part of a flexible body")
         return known(given.node, name, there, what)
 
     # Actuators --------------------------------------------------------------------------------------------------
