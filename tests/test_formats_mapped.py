@@ -1269,3 +1269,22 @@ def test_links_of_gazebo_hang_on_joints_of_gazebo(tmp_path: Path):
     path.write_text(f'<robot name="r"><link name="base"/>{link}{link}</robot>')
     with pytest.raises(alfmu.InputError, match=r"link\[bob\]: line 1 has an element of this name"):
         alfmu.imported(path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<site name="s"/>', '<site name="s" pos="0.3 0 0"/>'),
+        ('<geom name="s" size="0.1"/>', '<geom name="s" size="0.2"/>'),
+    ],
+)
+def test_a_name_of_mjcf_is_used_once(before: str, after: str, tmp_path: Path):
+    """An actuator at either of two sites moves differently."""
+    path = tmp_path / "s.xml"
+    for inside, more in ((after, ""), ("", '<default><default class="k"/></default>')):
+        path.write_text(
+            f'<mujoco><default><default class="k"/></default>{more}<worldbody><body name="a"><joint/><geom size="0.1"/>'
+            f"{before}{inside}</body></worldbody></mujoco>"
+        )
+        with pytest.raises(alfmu.InputError, match="names are used once"):
+            alfmu.imported(path)

@@ -20,7 +20,7 @@ from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import Closure, Coupling, Crank, Joint, Link, Linkage, Motor, Sum, Tendon, Wrench, moving, place
-from .markup import Includes, Node, Reading, found_file, known
+from .markup import Includes, Node, Reading, by_name, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .replicas import named, names_in, others, replicated
@@ -31,6 +31,8 @@ T = TypeVar("T")
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
 
+_LISTS = ("tendon", "actuator", "equality", "sensor")
+"""Sections whose elements are of several tags, but have names of one kind."""
 _MEDIUM = "alfmu has no medium around bodies"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
@@ -135,6 +137,14 @@ class File:
         if self.settings.total:
             self.linkage.causes += [str(doubt) for _, _, doubt in self.linkage.doubts]
         self._balanced()
+        kinds: dict[str, list[Node]] = {}
+        for node in root.below():
+            section = node.parent.tag if node.parent is not None else ""
+            kinds.setdefault(section if section in _LISTS else node.tag, []).append(node)
+        for kind, nodes in kinds.items():
+            with self.linkage.trying():
+                if kind not in ("body", "joint", "freejoint"):  # which are checked where they are read
+                    by_name(nodes)
         for each in self.models:
             every(each._parts("tendon"), each._tendon)
         if self.settings.off & {"equality", "constraint"}:
@@ -301,6 +311,8 @@ class File:
         name = given.text("class", None if parent else "main")
         if not parent and name != "main":
             given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
+        if parent and name in self.defaults:
+            given.fail("class", "there is a default class of this name already; names are used once")
         self.defaults[name] = dict(self.defaults[parent or "main"])
         for child in node.each():
             if child.tag != "default":

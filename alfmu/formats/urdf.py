@@ -83,8 +83,10 @@ class File:
         links, joints = root.all("link"), root.all("joint", "drake:joint")
         gazebo = root.all("gazebo")
         inside = [each for x in gazebo if "reference" not in x.attributes for each in x.all("link")]
+        cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
         by_name([*links, *inside])
-        nodes = {each.attributes["name"]: each for each in links}
+        by_name([*joints, *cut])
+        nodes = {Reading(each).text("name"): each for each in links}
         if "world" not in nodes and any(x.attributes.get("link") == "world" for j in joints for x in j.children):
             nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
         self.linkage.pass_over(root, _SECTIONS)
@@ -92,7 +94,6 @@ class File:
         every([each for each in root.children if not each.taken], self._section)
         with self.linkage.trying(root):
             self._tree(nodes, joints, base)
-        cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
         every(cut, lambda x: closures.append(self._loop(x)))
         every(root.all("coupling"), self._coupling)
         every(root.all("drake:ball_constraint"),
@@ -240,8 +241,6 @@ class File:
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
             node.fail("a floating joint maps only at the root of the tree")
-        if name in self.joints:
-            node.fail(f"there is a joint {shown(name)} already; names are used once")
         joint = Joint(name, _KINDS[kind], node)
         if kind == "floating":
             at = place(link.parent, {}, {}) @ link.pose
