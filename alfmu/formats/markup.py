@@ -281,11 +281,11 @@ def numbers(node: Node, what: str, text: str, count: int | range, finite: bool =
 
 
 def by_name(nodes: Sequence[Node]) -> dict[str, Node]:
-    """Return elements by their names, if they have one; reject the name of another."""
+    """Return elements by their names; reject one without a name, or with the name of another."""
     found: dict[str, Node] = {}
     for each in nodes:
-        name = each.attributes.get("name")
-        if (other := found.setdefault(name, each)) is not each and name:
+        name = each.attributes.get("name") or each.fail("it has no name; give one")
+        if (other := found.setdefault(name, each)) is not each:
             each.fail(f"line {other.line} has an element of this name; names are used once")
     return found
 

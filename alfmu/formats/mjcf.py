@@ -31,8 +31,6 @@ T = TypeVar("T")
 _VISUAL = {tag: tag for tag in ("visual", "statistic", "size", "custom")} | {"asset": "assets", "sensor": "sensors"}
 """Sections without effect on the motion."""
 
-_LISTS = ("tendon", "actuator", "equality", "sensor")
-"""Sections whose elements are of several tags, but have names of one kind."""
 _MEDIUM = "alfmu has no medium around bodies"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
@@ -140,11 +138,12 @@ class File:
         kinds: dict[str, list[Node]] = {}
         for node in root.below():
             section = node.parent.tag if node.parent is not None else ""
-            kinds.setdefault(section if section in _LISTS else node.tag, []).append(node)
-        for kind, nodes in kinds.items():
+            kind = section if section in ("tendon", "actuator", "equality", "sensor") else node.tag
+            if node.attributes.get("name") and kind not in ("body", "joint"):  # which are checked where they are read
+                kinds.setdefault(kind, []).append(node)
+        for nodes in kinds.values():
             with self.linkage.trying():
-                if kind not in ("body", "joint", "freejoint"):  # which are checked where they are read
-                    by_name(nodes)
+                by_name(nodes)
         for each in self.models:
             every(each._parts("tendon"), each._tendon)
         if self.settings.off & {"equality", "constraint"}:

@@ -188,8 +188,6 @@ class File:
                 each.attributes["name"] += "_joint"
                 self.linkage.note("joints with the name of a link have _joint added", each)
         self.nodes = by_name(node.all("link", "joint", "frame"))
-        if "" in self.nodes:
-            self.nodes[""].fail("it has no name; give one")
         if node.attributes.get("placement_frame"):
             node.fail("placement_frame does not map; give the pose of the model itself")
         own = node.one("pose")

@@ -84,9 +84,9 @@ class File:
         gazebo = root.all("gazebo")
         inside = [each for x in gazebo if "reference" not in x.attributes for each in x.all("link")]
         cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
+        nodes = by_name(links)
         by_name([*links, *inside])
         by_name([*joints, *cut])
-        nodes = {Reading(each).text("name"): each for each in links}
         if "world" not in nodes and any(x.attributes.get("link") == "world" for j in joints for x in j.children):
             nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
         self.linkage.pass_over(root, _SECTIONS)
