@@ -1288,3 +1288,13 @@ def test_a_name_of_mjcf_is_used_once(before: str, after: str, tmp_path: Path):
         )
         with pytest.raises(alfmu.InputError, match="names are used once"):
             alfmu.imported(path)
+
+
+def test_a_loop_with_the_name_of_a_joint_does_not_hide_the_new_name_of_the_joint(tmp_path: Path):
+    path = tmp_path / "r.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="r"><joint name="r"/><geom size="0.1"/></body></worldbody>'
+        '<equality><connect name="r" body1="r" anchor="0 0 0"/></equality></mujoco>'
+    )
+    found = alfmu.imported(path)
+    assert found.mechanism.coordinates[0].name == f"{found.renamed['joint r']}_angle"
