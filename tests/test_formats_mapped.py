@@ -1245,3 +1245,56 @@ def test_axes_of_gazebo_joints_are_in_the_named_frame(said: str, axis: tuple[int
     path.write_text(text.format('<xyz expressed_in="nowhere">0 0 1</xyz>') + "</gazebo></robot>")
     with pytest.raises(alfmu.InputError, match="nowhere"):
         alfmu.imported(path)
+
+
+def test_links_of_gazebo_hang_on_joints_of_gazebo(tmp_path: Path):
+    """A pendulum that only `<gazebo>` elements declare, against its equation of motion; its frame is turned."""
+    link = (
+        '<gazebo><link name="bob"><inertial><mass>2</mass><pose>0.3 0 0 0 0 0</pose><inertia><ixx>0.01</ixx>'
+        "<iyy>0.05</iyy><izz>0.05</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"
+        "<pose>0.1 0.2 1 0 0.5 0</pose></link></gazebo>"
+    )
+    joint = (
+        '<gazebo><joint name="pin" type="revolute"><parent>base</parent><child>bob</child><pose>0 0 0 0 0 0</pose>'
+        "<axis><xyz>0 1 0</xyz></axis></joint></gazebo>"
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(f'<robot name="r"><link name="base"/>{joint}{link}</robot>')
+    run = alfmu.simulate(str(path), 0.5, 0.1)
+    rate = 2 * 9.81 * 0.3 / (0.05 + 2 * 0.3**2)
+    fall = solve_ivp(lambda _, y: (y[1], rate * np.cos(y[0])), (0, 0.5), (0.5, 0), rtol=1e-12, atol=1e-12)
+    angle = fall.y[0, -1]
+    found = [run[f"bob.{x}"][-1] for x in "xyz"]
+    np.testing.assert_allclose(found, (0.1 + 0.3 * np.cos(angle), 0.2, 1 - 0.3 * np.sin(angle)), atol=1e-9)
+    path.write_text(f'<robot name="r"><link name="base"/>{link}{link}</robot>')
+    with pytest.raises(alfmu.InputError, match=r"link\[bob\]: line 1 has an element of this name"):
+        alfmu.imported(path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<site name="s"/>', '<site name="s" pos="0.3 0 0"/>'),
+        ('<geom name="s" size="0.1"/>', '<geom name="s" size="0.2"/>'),
+    ],
+)
+def test_a_name_of_mjcf_is_used_once(before: str, after: str, tmp_path: Path):
+    """An actuator at either of two sites moves differently."""
+    path = tmp_path / "s.xml"
+    for inside, more in ((after, ""), ("", '<default><default class="k"/></default>')):
+        path.write_text(
+            f'<mujoco><default><default class="k"/></default>{more}<worldbody><body name="a"><joint/><geom size="0.1"/>'
+            f"{before}{inside}</body></worldbody></mujoco>"
+        )
+        with pytest.raises(alfmu.InputError, match="names are used once"):
+            alfmu.imported(path)
+
+
+def test_a_loop_with_the_name_of_a_joint_does_not_hide_the_new_name_of_the_joint(tmp_path: Path):
+    path = tmp_path / "r.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="r"><joint name="r"/><geom size="0.1"/></body></worldbody>'
+        '<equality><connect name="r" body1="r" anchor="0 0 0"/></equality></mujoco>'
+    )
+    found = alfmu.imported(path)
+    assert found.mechanism.coordinates[0].name == f"{found.renamed['joint r']}_angle"

@@ -213,7 +213,7 @@ class _Declaring:
         name = next(name for name in tries if not any(name + each in self.taken for each in beside))
         self.taken.update(name + each for each in beside)
         if name != wanted:
-            self.renamed[f"{otherwise} {wanted}"] = name
+            self.renamed.setdefault(f"{otherwise} {wanted}", name)  # a loop may have the name of a joint
         return name
 
     def _zero(self, link: Link | None) -> Pose:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..model.errors import InputError
 from .markup import Node, UnknownName, known
-from .poses import Array, Pose, about, of_quaternion
+from .poses import Array, Pose, about, of_quaternion, quaternion
 from .solids import Inertial, together
 
 ANYWHERE = 1e15
@@ -122,6 +122,11 @@ class Link:
                 return Pose(np.array(values[joint][:3]), of_quaternion(values[joint][3:])) if joint in values else pose
             pose = pose @ joint.moved(values.get(joint, joint.zero))
         return pose
+
+    def float(self, name: str, node: Node) -> None:
+        """Let it move freely from its pose on the ground, by a joint of this name."""
+        start = *self.pose.place.tolist(), *quaternion(self.pose.turn).tolist()
+        self.joints.append(Joint(name, "free", node, start=start, rates=(0.0,) * 6))
 
 
 def moving(link: Link | None) -> Link | None:

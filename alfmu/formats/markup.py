@@ -280,6 +280,16 @@ def numbers(node: Node, what: str, text: str, count: int | range, finite: bool =
     return found
 
 
+def by_name(nodes: Sequence[Node]) -> dict[str, Node]:
+    """Return elements by their names; reject one without a name, or with the name of another."""
+    found: dict[str, Node] = {}
+    for each in nodes:
+        name = each.attributes.get("name") or each.fail("it has no name; give one")
+        if (other := found.setdefault(name, each)) is not each:
+            each.fail(f"line {other.line} has an element of this name; names are used once")
+    return found
+
+
 def _value(word: str) -> float:
     try:
         return float(word)
@@ -322,12 +332,12 @@ def found_file(node: Node, name: str, where: Sequence[Path], allowed: Sequence[P
     inside = [path for path in paths if any(path.is_relative_to(folder) for folder in allowed)]
     if Path(name).is_absolute() or not inside:
         node.fail(
-            f"{shown(name[:60])} is outside the folder of the file; alfmu includes files in it alone, and in those of "
+            f"{shown(name)} is outside the folder of the file; alfmu includes files in it alone, and in those of "
             "--option folders=FOLDER"
         )
     found = next((path for path in inside if path.is_file()), None)
     if found is None:
-        node.fail(f"there is no file {shown(name[:60])}; --option folders=FOLDER names other folders to look in")
+        node.fail(f"there is no file {shown(name)}; --option folders=FOLDER names other folders to look in")
     return found
 
 
@@ -433,5 +443,5 @@ def _tree(path: Path, content: bytes) -> Node:
 def known(node: Node, name: str, there: Mapping[str, T], what: str) -> T:
     """Return the object of a name; reject an undefined name."""
     if name not in there:
-        raise UnknownName(f"{node.where}: there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")
+        raise UnknownName(f"{node.where}: there is no {what} {shown(name)}; {there_is(name, list(there))}")
     return there[name]

@@ -20,7 +20,7 @@ from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import Closure, Coupling, Crank, Joint, Link, Linkage, Motor, Sum, Tendon, Wrench, moving, place
-from .markup import Includes, Node, Reading, found_file, known
+from .markup import Includes, Node, Reading, by_name, found_file, known
 from .meshes import hull, solid, triangles
 from .poses import Array, Pose, about, of_quaternion, quaternion, turned, vector
 from .replicas import named, names_in, others, replicated
@@ -135,6 +135,15 @@ class File:
         if self.settings.total:
             self.linkage.causes += [str(doubt) for _, _, doubt in self.linkage.doubts]
         self._balanced()
+        kinds: dict[str, list[Node]] = {}
+        for node in root.below():
+            section = node.parent.tag if node.parent is not None else ""
+            kind = section if section in ("tendon", "actuator", "equality", "sensor") else node.tag
+            if node.attributes.get("name") and kind not in ("body", "joint"):  # which are checked where they are read
+                kinds.setdefault(kind, []).append(node)
+        for nodes in kinds.values():
+            with self.linkage.trying():
+                by_name(nodes)
         for each in self.models:
             every(each._parts("tendon"), each._tendon)
         if self.settings.off & {"equality", "constraint"}:
@@ -301,6 +310,8 @@ class File:
         name = given.text("class", None if parent else "main")
         if not parent and name != "main":
             given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
+        if parent and name in self.defaults:
+            given.fail("class", "there is a default class of this name already; names are used once")
         self.defaults[name] = dict(self.defaults[parent or "main"])
         for child in node.each():
             if child.tag != "default":
@@ -365,7 +376,7 @@ class File:
         given = Reading(node)
         name = given.text("name", f"body{len(self.links) + 1}")
         if name in self.links:
-            node.fail(f"there is a body {shown(name[:60])} already; names are used once")
+            node.fail(f"there is a body {shown(name)} already; names are used once")
         link = Link(name, node, parent, pose @ self._pose(given), Inertial())
         childclass = given.text("childclass", childclass or "main")
         if given.flag("mocap", False):
@@ -464,7 +475,7 @@ class File:
         kind = "free" if free else given.choice("type", ("hinge", "slide", "ball", "free"), "hinge")
         name = given.text("name", f"{link.name}_joint{len(link.joints) + 1 if link.joints else ''}")
         if name in self.joints:
-            node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
+            node.fail(f"there is a joint {shown(name)} already; names are used once")
         scalar = kind in ("hinge", "slide")
         angle = self.settings.angle if kind == "hinge" else float
         point, axis = vector(given.numbers("pos", 3, (0, 0, 0))), vector(given.numbers("axis", 3, (0, 0, 1)))
@@ -709,7 +720,7 @@ class File:
         """Return the object that an attribute names; refuse, or leave out, what names a part of a flexible body."""
         name = given.text(which)
         if name not in there and name.startswith(tuple(self.soft)):
-            self.linkage.skip("flexible", given.node, f"{which} {shown(name[:60])} is part of a flexible body")
+            self.linkage.skip("flexible", given.node, f"{which} {shown(name)} is part of a flexible body")
         return known(given.node, name, there, what)
 
     # Actuators --------------------------------------------------------------------------------------------------

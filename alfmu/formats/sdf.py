@@ -17,8 +17,8 @@ from ..model.errors import InputError
 from ..model.words import shown
 from . import solids
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage
-from .markup import Children, Includes, Node, Reading, known, numbers
-from .poses import Array, Pose, of_quaternion, quaternion, turned, vector
+from .markup import Children, Includes, Node, Reading, by_name, known, numbers
+from .poses import Array, Pose, of_quaternion, turned, vector
 from .solids import Inertial
 
 _KINDS = {
@@ -96,7 +96,7 @@ class File:
                 self.linkage.without("includes", node, "")
             elif "://" in plain:
                 node.fail(
-                    f"{shown(uri[:60])} is a network address, which alfmu does not read; --option leave=includes "
+                    f"{shown(uri)} is a network address, which alfmu does not read; --option leave=includes "
                     "leaves it out"
                 )
             else:
@@ -109,10 +109,10 @@ class File:
         name = next((name for name in choices for each in where if (each / name).is_file()), plain)
         root = includes.root(node, name, where, self.folders)
         if root.tag != "sdf":
-            node.fail(f"{shown(name[:60])} begins with <{root.tag[:40]}>; alfmu includes files in SDF")
+            node.fail(f"{shown(name)} begins with <{root.tag[:40]}>; alfmu includes files in SDF")
         models = root.all("model")
         if len(models) != 1:
-            node.fail(f"{shown(name[:60])} has {len(models)} models; alfmu includes files with one")
+            node.fail(f"{shown(name)} has {len(models)} models; alfmu includes files with one")
         model = models[0]
         for each in node.all("name", "placement_frame"):
             model.attributes[each.tag] = each.text.strip()
@@ -187,11 +187,7 @@ class File:
             if each.attributes.get("name") in links:  # as libsdformat does
                 each.attributes["name"] += "_joint"
                 self.linkage.note("joints with the name of a link have _joint added", each)
-        self.nodes = {each.attributes.get("name", ""): each for each in node.all("link", "joint", "frame")}
-        if "" in self.nodes:
-            self.nodes[""].fail("it has no name; give one")
-        if len(self.nodes) < len(node.all("link", "joint", "frame")):
-            node.fail("two of its links, joints and frames have the same name; names are used once")
+        self.nodes = by_name(node.all("link", "joint", "frame"))
         if node.attributes.get("placement_frame"):
             node.fail("placement_frame does not map; give the pose of the model itself")
         own = node.one("pose")
@@ -260,7 +256,7 @@ class File:
             if found.tag == "link":
                 return name
             if name in seen:
-                node.fail(f"its <{tag}> is {shown(name[:60])}, which leads to no link")
+                node.fail(f"its <{tag}> is {shown(name)}, which leads to no link")
             seen.add(name)
             name = found.attributes.get("attached_to", "") if found.tag == "frame" else Children(found).text("child")
             if name in ("", "__model__"):
@@ -285,9 +281,7 @@ class File:
             if step is None:
                 name = next(each for each in nodes if each not in placed)
                 link = self._made(nodes[name], None, self.base @ self._pose(name, nodes[name]))
-                flying = Joint(f"{name}_free", "free", nodes[name], rates=(0.0,) * 6)
-                flying.start = (*link.pose.place.tolist(), *quaternion(link.pose.turn).tolist())
-                link.joints.append(flying)
+                link.float(f"{name}_free", nodes[name])
                 placed.add(name)
                 continue
             left.remove(step)

@@ -1,7 +1,7 @@
 """URDF: a tree of links, and the extensions by which files close loops.
 
 Loops: `<loop_joint>` with two links, `<drake:ball_constraint>`, `<loop>` and `<coupling>` of URDF+, `<constraint>` as
-proposed for URDF, and joints of SDF inside `<gazebo>`. `<mimic>` lets a joint follow another. Joints with a
+proposed for URDF, and links and joints of SDF inside `<gazebo>`. `<mimic>` lets a joint follow another. Joints with a
 `<transmission>` get an input.
 """
 
@@ -16,7 +16,7 @@ from ..model.errors import InputError
 from ..model.words import shown
 from .linkage import ANYWHERE, Closure, Coupling, Joint, Link, Linkage, place
 from .loops import listed
-from .markup import Children, Node, Reading, known, numbers
+from .markup import Children, Node, Reading, by_name, known, numbers
 from .poses import Array, Pose, about, quaternion, turned, vector
 from .sdf import ball_constraint, closing, follow, jointed
 from .solids import Inertial
@@ -81,9 +81,12 @@ class File:
         self.other = self._other(root.file, loops)
         self.changed = dict(zip(self.other.get("joint_name", []), self.other.get("joint_type", []), strict=False))
         links, joints = root.all("link"), root.all("joint", "drake:joint")
-        nodes = {each.attributes.get("name", ""): each for each in links}
-        if len(nodes) < len(links) or "" in nodes:
-            root.fail("two of its links have the same name, or one has none; names are used once")
+        gazebo = root.all("gazebo")
+        inside = [each for x in gazebo if "reference" not in x.attributes for each in x.all("link")]
+        cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
+        nodes = by_name(links)
+        by_name([*links, *inside])
+        by_name([*joints, *cut])
         if "world" not in nodes and any(x.attributes.get("link") == "world" for j in joints for x in j.children):
             nodes["world"] = Node("link", {"name": "world"}, root.file, root.line, root)
         self.linkage.pass_over(root, _SECTIONS)
@@ -91,12 +94,12 @@ class File:
         every([each for each in root.children if not each.taken], self._section)
         with self.linkage.trying(root):
             self._tree(nodes, joints, base)
-        cut = root.all("loop_joint", "drake:loop_joint", "loop", "constraint")
         every(cut, lambda x: closures.append(self._loop(x)))
         every(root.all("coupling"), self._coupling)
         every(root.all("drake:ball_constraint"),
               lambda x: closures.append(ball_constraint(x, self.links, len(closures))))  # fmt: skip
-        every(root.all("gazebo"), self._gazebo)
+        every(inside, self._gazebo_link)
+        every(gazebo, self._gazebo)
         every(root.all("transmission"), self._transmission)
         with self.linkage.trying():
             self._closed()
@@ -151,8 +154,7 @@ class File:
         node = nodes[roots[0]]
         link = self._link(node, None, Pose())
         if base == "floating":
-            flying = Joint(f"{link.name}_free", "free", node, start=(0, 0, 0, 1, 0, 0, 0), rates=(0.0,) * 6)
-            link.joints.append(flying)
+            link.float(f"{link.name}_free", node)
         waiting = [name for name in nodes if name in ends]
         mimics: list[tuple[Node, Joint]] = []
         while waiting:
@@ -239,8 +241,6 @@ class File:
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
             node.fail("a floating joint maps only at the root of the tree")
-        if name in self.joints:
-            node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
         joint = Joint(name, _KINDS[kind], node)
         if kind == "floating":
             at = place(link.parent, {}, {}) @ link.pose
@@ -387,6 +387,8 @@ class File:
         for child in node.each():
             if child.tag == "joint" and not refers:
                 self.linkage.closures.append(self._gazebo_joint(child))
+            elif child.tag == "link" and not refers:
+                continue
             elif child.tag == "plugin":
                 self.linkage.warn("plugins, which are programs", child)
             else:
@@ -398,6 +400,21 @@ class File:
                 if child.tag in _MOVING and child.text.strip().lower() not in ("", "0", "0.0", "false"):
                     child.fail(f"<{child.tag}> does not map: {_MOVING[child.tag]}")
                 self.linkage.leave("settings for Gazebo", child)
+
+    def _gazebo_link(self, node: Node) -> None:
+        """Read an SDF link, posed in the root link, as one of URDF that floats until joints of Gazebo hold it."""
+        inertial = node.need("inertial")
+        mass, inertia = inertial.need("mass"), inertial.need("inertia")
+        mass.attributes["value"] = mass.text
+        inertia.attributes.update((each.tag, each.text) for each in inertia.each())
+        for each in (node, inertial):
+            for pose in each.all("pose"):
+                x = pose.text.split()
+                each.add("origin", {"xyz": " ".join(x[:3]), "rpy": " ".join(x[3:])})
+        link = self._link(node, None, place(self.linkage.links[0], {}, {}) @ self._origin(node))
+        link.float(f"{link.name}_free", node)
+        if not Children(node).flag("gravity", True):
+            self.linkage.lifted[link] = 1.0
 
     def _gazebo_joint(self, node: Node) -> Closure:
         """Return an SDF joint: its pose and its axes are in the frame of the child."""

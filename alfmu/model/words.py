@@ -49,7 +49,9 @@ def shown(value: Any) -> str:
     """Return a value as a message shows it: short, with its type if that is not obvious."""
     if hasattr(value, "is_symbolic"):  # of CasADi
         return f"the symbol {value}" if value.is_symbolic() else f"an expression ({type(value).__name__})"
-    text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
+    if isinstance(value, str):
+        return repr(value if len(value) <= _WIDEST else f"{value[: _WIDEST - 3]}...")
+    text = repr(value) if isinstance(value, bytes | int | float | complex | tuple | list | None) else ""
     kind = type(value).__name__
     return text if 0 < len(text) <= _WIDEST else f"{'an' if kind[0] in _VOWELS else 'a'} {kind}"
 
@@ -84,7 +86,7 @@ def _brief(value: Any) -> str:
         entries = [_brief(each) for each in value[:_SHOWN]] + ["..."] * (len(value) > _SHOWN)
         return f"({', '.join(entries)})"
     if isinstance(value, str | int | float | None):
-        return repr(value if not isinstance(value, str) or len(value) <= _WIDEST else f"{value[: _WIDEST - 3]}...")
+        return shown(value) if isinstance(value, str) else repr(value)
     name = getattr(value, "name", None)
     if isinstance(value, Brief) and not isinstance(name, str):
         return repr(value)
