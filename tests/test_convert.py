@@ -110,16 +110,19 @@ HELD = {
 }
 """Mechanisms that formats hold."""
 
+FEW = [*BUILT, "four_bar, joint", "five_bar, mixed", "slider_crank, absolute", "slider_crank, natural"]
+"""Mechanisms of which each is in the plane in some of its coordinates; accelerations are compared in all of them."""
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "name"),
-    [(suffix, name) for name in ALL for suffix, names in HELD.items() if name in names],  # so each is derived once
+    [(suffix, name) for name in FEW for suffix, names in HELD.items() if name in names],  # so each is derived once
 )
 def test_what_is_read_back_moves_alike(suffix: str, name: str, tmp_path: Path):
     mjcf = suffix == ".xml"
     given = starts(name, 0, rests=not mjcf)
-    path = alfmu.convert(ALL[name](), tmp_path / f"file{suffix}", parameters=given)
+    path = alfmu.convert(measured(ALL[name]()), tmp_path / f"file{suffix}", parameters=given)
     back = alfmu.imported(path, **({"key": "start"} if mjcf else {}))
     assert not back.moved
     one = motions(ALL[name](), 0.3, given)
@@ -202,7 +205,7 @@ def test_a_flying_base_with_a_loop_moves_as_in_pinocchio(tmp_path: Path):
         assert abs(found[joint] - reference[joint]) < 1e-10 * max(map(abs, reference.values()))
 
 
-FILES = {"five_bar.xml": FORMS, "carried.xml": FORMS, "slider_crank.xml": FORMS[:2], "slider_crank.sdf": FORMS,
+FILES = {"five_bar.xml": FORMS[2:], "carried.xml": FORMS, "slider_crank.xml": FORMS[1:2], "slider_crank.sdf": FORMS,
          "four_bar.urdf": FORMS, "spatial.xml": FORMS[:1], "coupled.xml": FORMS[:1]}  # fmt: skip
 
 
