@@ -39,7 +39,6 @@ def methods(*names: str, compiled: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(("method", "kernel"), [(x, "compiled" if x == compiled else "vm") for x in names])
 
 
-
 @cache
 def scene(name: str, method: str, kernel: str, order: int) -> alfmu.Equations:
     """A mechanism with a method and an order of inputs in its kernel."""

@@ -112,10 +112,7 @@ NUMBERS = [
 ]
 
 SYMBOLS = [
-    (
-        'm.revolute("B", m.ground.at(u, 0), rod.end)',
-        "joint B uses is in m, and the input u in N.m; give one in m",
-    ),
+    ('m.revolute("B", m.ground.at(u, 0), rod.end)', "joint B uses is in m, and the input u in N.m; give one in m"),
     (
         'm.revolute("B", m.ground.at(2 * u, 0), rod.end)',
         "the input u is in N.m, and an input that prescribes motion is in m, rad or 1",

@@ -159,8 +159,7 @@ def test_stabilisation_and_projection_are_numbers_of_the_instance(built, formula
     forced = {-1.0: None, 0.0: False, 1.0: True}[projects]
     values = {"solver.formulation": formulation, "start.angle": 0.4, **SOFT}
     library = oracle.Instance(
-        prepared(equations, "oracle"),
-        Settings(method="rk4", step_size=0.02, zeta=zeta, omega=omega, projection=forced),
+        prepared(equations, "oracle"), Settings(method="rk4", step_size=0.02, zeta=zeta, omega=omega, projection=forced)
     )
     for name, value in values.items():
         library.set(name, value)

@@ -844,10 +844,7 @@ TABLE = {"A": (np.linspace(0.0, 1.0, 11), np.linspace(2.0, 2.1, 11))}
         (lambda: kinematics(five_bar(), ["tool"]), "tool has 2 values and cannot be actuated as a whole"),
         (lambda: kinematics(five_bar(), "AB"), "robot: the actuated joints are 'AB'; give a list of names"),
         (lambda: kinematics(five_bar(), watch=["E.force"]), "has no place 'E.force'"),
-        (
-            lambda: kinematics(five_bar(), []),
-            "robot: no joint is actuated by a drive or a motion; name those",
-        ),
+        (lambda: kinematics(five_bar(), []), "robot: no joint is actuated by a drive or a motion; name those"),
         (lambda: kinematics(alfmu.derive(five_bar())), "robot: equations alone do not define a drawing"),
         (lambda: kinematics("robot.fmu"), "an FMU does not contain its equations"),
         (lambda: kinematics(five_bar()).forward({"tool.x": 1.0}), "robot: 'tool.x' is not actuated; it has A, B"),
