@@ -61,27 +61,30 @@ def measured(mechanism: Mechanism) -> Mechanism:
     return mechanism
 
 
+def named(mechanism: Mechanism, pattern: str) -> list[str]:
+    """Outputs that match, as scenes with all of them take longer to make; the mechanism is measured then."""
+    return [x.name for x in alfmu.derive(measured(mechanism)).outputs if re.fullmatch(pattern, x.name)]
+
+
 def readings(mechanism: Mechanism, given: dict[str, float], inputs: dict[str, float]) -> list[dict[str, float]]:
     """Accelerations and rates at the start, by the names of joints in files."""
-    run = alfmu.simulate(measured(mechanism), 1e-4, 1e-4, parameters=given | EXACT, inputs=inputs)
+    asked = named(mechanism, r"(?!monitor)\w+\.(angular_)?(acceleration|velocity)\d?")
+    given = given | {"solver.method": "rk4"}
+    run = alfmu.simulate(mechanism, 1e-4, 1e-4, parameters=given, inputs=inputs, outputs=asked)
     found: dict[str, dict[str, float]] = {"acceleration": {}, "velocity": {}}
-    for output in run.names:
-        match = re.fullmatch(r"(\w+)\.(angular_)?(acceleration|velocity)(\d?)", output)
-        if match and match[1] != "monitor":
-            base, turns, what, digit = match.groups()
-            word = ("angle" if turns else "position") + digit
-            found[what][base] = found[what][f"{base}.{word}"] = run[output][0]
+    for output in asked:
+        base, turns, what, digit = re.fullmatch(r"(\w+)\.(angular_)?(acceleration|velocity)(\d?)", output).groups()
+        word = ("angle" if turns else "position") + digit
+        found[what][base] = found[what][f"{base}.{word}"] = run[output][0]
     return [*found.values()]
 
 
 def motions(
     mechanism: Mechanism, seconds: float, given: dict[str, float] | None = None, inputs: dict[str, float] | None = None
 ) -> dict[str, np.ndarray]:
-    """Displacements of joints by output; other outputs are left out, as scenes with them take longer to make."""
-    step, known = seconds / 10, alfmu.derive(measured(mechanism)).outputs
-    asked = [x.name for x in known if re.fullmatch(r"\w+\.(angle|position)\d?", x.name)]
-    given = EXACT | (given or {})
-    run = alfmu.simulate(mechanism, seconds, step, parameters=given, inputs=inputs, outputs=asked)
+    """Displacements of joints by output."""
+    asked, given = named(mechanism, r"\w+\.(angle|position)\d?"), EXACT | (given or {})
+    run = alfmu.simulate(mechanism, seconds, seconds / 10, parameters=given, inputs=inputs, outputs=asked)
     return {x: run[x] for x in asked}
 
 
@@ -137,7 +140,7 @@ def test_accelerations_are_those_of_mujoco(name: str, tmp_path: Path):
 
     for seed in range(3):
         given = starts(name, seed)
-        path = alfmu.convert(ALL[name](), tmp_path / "file.xml", parameters=given)
+        path = alfmu.convert(measured(ALL[name]()), tmp_path / "file.xml", parameters=given)
         model = mujoco.MjModel.from_xml_path(str(path))
         key, controls = model.key("start"), np.zeros(model.nu)
         inputs = {x.name: 0.3 - 0.2 * k for k, x in enumerate(ALL[name]().inputs)}
@@ -176,7 +179,7 @@ def test_displacements_keep_their_numbers_in_mujoco(name: str, tmp_path: Path):
 def test_accelerations_are_those_of_pinocchio(name: str, tmp_path: Path):
     for seed in range(3):
         given = starts(name, seed)
-        path = alfmu.convert(ALL[name](), tmp_path / "file.urdf", parameters=given)
+        path = alfmu.convert(measured(ALL[name]()), tmp_path / "file.urdf", parameters=given)
         root = ElementTree.parse(path).getroot()
         inputs = {x.name: 0.3 - 0.2 * k for k, x in enumerate(ALL[name]().inputs)}
         efforts = {x.find("joint").get("name"): inputs[x.get("name")] for x in root.findall("transmission")}

@@ -517,7 +517,7 @@ def pantograph(inner: float) -> alfmu.Mechanism:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("off", "between"), [(0.0, False), (0.4, False), (-0.4, False), (math.pi, True), (-3.0, True)])
+@pytest.mark.parametrize(("off", "between"), [(0.4, False), (-0.4, False), (math.pi, True), (-3.0, True)])
 def test_a_guess_between_two_assemblies_is_warned_of(off, between):
     """Half a turn off in one bar, a pantograph closes as an antiparallelogram, to which its guess is nearer in rad."""
     said = told_at_the_start(pantograph(-1.7 + off))
@@ -613,8 +613,7 @@ def arm(links: int, tip: float) -> alfmu.Mechanism:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("links", [3, 18])
-@pytest.mark.parametrize("method", ["rk4", "auto"])
+@pytest.mark.parametrize(("links", "method"), [(3, "rk4"), (18, "auto")])
 def test_a_mass_below_round_off_of_the_others_is_said(links, method):
     """Up to and beyond 50 coordinates."""
     says = "arm, t = 0 s: the augmented mass matrix is singular; give the massless body a mass"

@@ -31,9 +31,9 @@ from alfmu.view.shapes import geometry
 NAMELESS = [pytest.param(True, id="nameless"), pytest.param(False, id="named")]
 
 
-@pytest.fixture(scope="module")
-def native(tmp_path_factory) -> Path:
-    return alfmu.export("slider_crank", tmp_path_factory.mktemp("native") / "native.fmu", kind="native")
+@pytest.fixture(scope="session")
+def native(built, tmp_path_factory) -> Path:
+    return Path(shutil.copy(built("slider_crank"), tmp_path_factory.mktemp("native") / "native.fmu"))
 
 
 def there(folder: Path) -> set[str]:

@@ -192,8 +192,9 @@ def test_the_joint_that_carries_a_motor_feels_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["hinge", "closed hinge", "screw"])
-@pytest.mark.parametrize("flywheel", [0.0, 0.04])
+@pytest.mark.parametrize(
+    ("kind", "flywheel"), [("hinge", 0.0), ("closed hinge", 0.04), ("screw", 0.0), ("screw", 0.04)]
+)
 def test_a_load_on_a_joint_in_space(kind, flywheel):
     """Viscous friction and a fan brake what turns, by the closed form of w' J = -b w - c w^2."""
     b, c, w0 = 0.05, 0.02, 5.0
