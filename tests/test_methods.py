@@ -202,7 +202,7 @@ def test_what_cannot_be_is_refused():
     i.initialize()
     assert i.choices["solver.method"] == "stiff"
     with pytest.raises(alfmu.InputError, match="takes up to 50 coordinates"):
-        prepared(with_defaults(derived("n_four_bar", loops=40), {"solver.method": "stiff"}))
+        prepared(with_defaults(derived("n_four_bar", loops=25), {"solver.method": "stiff"}))
     assert set(METHODS) >= {"rk4", "explicit", "stiff", "auto"}
 
 
