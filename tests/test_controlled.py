@@ -3,6 +3,7 @@
 import ctypes
 import math
 import subprocess
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -123,21 +124,26 @@ def test_newtons_method_goes_on_as_long_as_it_gains():
         assert [bool(x) for x in newton(ca.DM(change), ca.DM(before), ca.if_else)] == [converged, worth]
 
 
-@pytest.mark.parametrize(("n", "s"), [(1, 1), (3, 1), (7, 5), (4, 2), (28, 5)])
-def test_the_linear_algebra_of_the_runtime(tmp_path, n, s):
-    """Against LAPACK, on matrices of blocks that need pivoting, to a small multiple of their condition."""
-    command = build.compiler() or pytest.skip("no compiler")
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Callable[..., None]:
+    """Factorises and solves."""
+    command, place = build.compiler() or pytest.skip("no compiler"), tmp_path_factory.mktemp("linear")
     source = (
         '#include "linear.h"\n'
         "void both(int n, int s, int terms, const double *w, const double *const *parts, double *a,\n"
         "    double *o, const double *const *b, double *x)\n{\n"
         "    linear_factor(n, s, terms, w, parts, a, o);\n    linear_solve(n, s, a, o, b, x);\n}\n"
     )
-    (tmp_path / "both.c").write_text(source)
+    (place / "both.c").write_text(source)
     folder = Path(runtime.__file__).parent / "c" / "core"
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", f"-I{folder}", "both.c", folder / "linear.c"]
-    subprocess.run([*command, *flags, "-o", "both.so", "-lm"], cwd=tmp_path, check=True)
-    both = ctypes.CDLL(str(tmp_path / "both.so")).both
+    subprocess.run([*command, *flags, "-o", "both.so", "-lm"], cwd=place, check=True)
+    return ctypes.CDLL(str(place / "both.so")).both
+
+
+@pytest.mark.parametrize(("n", "s"), [(1, 1), (3, 1), (7, 5), (4, 2), (28, 5)])
+def test_the_linear_algebra_of_the_runtime(both, n, s):
+    """Against LAPACK, on matrices of blocks that need pivoting, to a small multiple of their condition."""
     random = np.random.default_rng(n * s)
     weights = random.standard_normal((2, s, s))
     parts = random.standard_normal((2, s, n, n))

@@ -257,8 +257,9 @@ def test_random_functions_give_the_bits_of_casadi(host, packed, seed):
 
 @pytest.mark.slow
 def test_places_have_16_bits_where_they_suffice_and_32_beyond(host, packed):
-    rng = np.random.default_rng(0)
-    few, many = random_function(rng, 300), random_function(rng, 40000)
+    """Beyond, by as many arguments, of which the first and last that have 16 bits are used, and those after them."""
+    few, x = random_function(np.random.default_rng(0), 300), ca.SX.sym("x", 70000)
+    many = ca.Function("many", [x], few.call([x[[0, 2**16 - 2, 2**16 - 1, 2**16, 69999]], x[40000]]))
     scene, first = packed(few, many)
     loaded = host.load(scene)
     assert [host.wide(loaded, first + k) for k in (0, 1)] == [False, True]
