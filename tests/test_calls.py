@@ -20,11 +20,8 @@ from alfmu.parts import blocks
 def workshop() -> SimpleNamespace:
     """A mechanism with a part of each kind, and what is not joined yet."""
     m = Mechanism("shop")
-    arm, cart, wheel = (
-        m.bar("arm", mass=1.0, length=1.0),
-        m.body("cart", mass=1.0),
-        m.body("wheel", mass=1.0, inertia=0.1),
-    )
+    arm, cart = m.bar("arm", mass=1.0, length=1.0), m.body("cart", mass=1.0)
+    wheel = m.body("wheel", mass=1.0, inertia=0.1)
     th, s = m.coordinate("th"), m.coordinate("s", "m")
     A = m.revolute("A", m.ground.at(), arm.start, coordinate=th)
     G = m.prismatic("G", m.ground.at(), cart.at(), coordinate=s)

@@ -196,19 +196,8 @@ def squeezer():
         m.coordinate(name, "rad", start=start, independent=name == "beta") for name, start in ANGLES.items()
     )
     xa, ya, xb, yb, xc, yc = -0.06934, -0.00227, -0.03635, 0.03273, 0.014, 0.072
-    d, da, e, ea, rr, ra, ss, sa, sb, sc, sd = (
-        0.028,
-        0.0115,
-        0.02,
-        0.01421,
-        0.007,
-        0.00092,
-        0.035,
-        0.01874,
-        0.01043,
-        0.018,
-        0.02,
-    )
+    d, da, e, ea, rr, ra = 0.028, 0.0115, 0.02, 0.01421, 0.007, 0.00092
+    ss, sa, sb, sc, sd = 0.035, 0.01874, 0.01043, 0.018, 0.02
     zf, zt, fa, ta, tb, u, ua, ub = 0.02, 0.04, 0.01421, 0.02308, 0.00916, 0.04, 0.01228, 0.00449
 
     def along(x, y, angle):

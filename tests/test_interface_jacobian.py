@@ -368,10 +368,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
 @pytest.mark.slow
 def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     for pattern, says in (
-        (
-            "link9.angle/A.torque",
-            "no output 'link9.angle' for the derivative 'link9.angle/A.torque' over a step; did you",
-        ),
+        ("link9.angle/A.torque", "no output 'link9.angle' for the derivative 'link9.angle/A.torque' over a step; did"),
         ("link1.angle/B.torque", "no input 'B.torque' for the derivative"),
         ("monitor.energy/A.torque", "no output 'monitor.energy' for the derivative"),
         ("link1.angle/", "no input '' for the derivative"),
@@ -428,13 +425,8 @@ def test_recipes_commands_and_runs_have_it(tmp_path, monkeypatch, capsys):
     ("one", "other", "name"),
     [
         *(("rad", "N.m", "rad/(N.m)"), ("m", "N", "m/N"), ("rad/s", "N.m", "rad/(s.N.m)"), ("N.m", "A", "N.m/A")),
-        *(
-            ("m/s2", "N", "m/(s2.N)"),
-            ("rad", "rad", "1"),
-            ("N", "1", "N"),
-            ("1", "V", "1/V"),
-            ("rad/s2", "m/s", "rad/(s.m)"),
-        ),
+        *(("m/s2", "N", "m/(s2.N)"), ("rad", "rad", "1"), ("N", "1", "N"), ("1", "V", "1/V")),
+        ("rad/s2", "m/s", "rad/(s.m)"),
     ],
 )
 def test_units_of_quotients(one, other, name):

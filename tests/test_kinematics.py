@@ -735,11 +735,8 @@ def test_dead_positions_of_the_rocker():
 @pytest.mark.slow
 def test_transmission_angle_of_a_slider_crank():
     m = Mechanism("slider")
-    crank, rod, slide = (
-        m.bar("crank", mass=1.0, length=0.1),
-        m.bar("rod", mass=1.0, length=0.3),
-        m.body("slide", mass=1.0),
-    )
+    crank, rod = m.bar("crank", mass=1.0, length=0.1), m.bar("rod", mass=1.0, length=0.3)
+    slide = m.body("slide", mass=1.0)
     A = m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=m.coordinate("angle", "rad", start=0.7))
     m.revolute("B", crank.end, rod.start, coordinate=m.coordinate("bend", "rad", start=-0.9))
     m.prismatic("guide", m.ground.at(0, 0.02), slide.at(0, 0), coordinate=m.coordinate("stroke", "m", start=0.35))
@@ -919,25 +916,8 @@ def test_command(tmp_path: Path, monkeypatch, capsys):
     assert set(found["positions"][0]["efforts"]) == {"left", "right"}
     assert main(["kinematics", path, "--at", "left=2.2,right=1.0", "--solutions"]) == 0
     assert "2 solutions found" in capsys.readouterr().out
-    assert (
-        main(
-            [
-                "kinematics",
-                path,
-                "--cycle",
-                "left",
-                "--rows",
-                "5",
-                "--span",
-                "2.0,2.2",
-                "-o",
-                "a.csv",
-                "--plot",
-                "a.png",
-            ]
-        )
-        == 0
-    )
+    cycle = "--cycle left --rows 5 --span 2.0,2.2 -o a.csv --plot a.png".split()
+    assert main(["kinematics", path, *cycle]) == 0
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     capsys.readouterr()
     assert main(["kinematics", path, "--watch", "left_elbow", "--cycle", "left", "--rows", "9", "--json"]) == 0
