@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import initialized
+from scenes import hinged, initialized
 
 import alfmu
 from alfmu import Mechanism
@@ -541,11 +541,8 @@ def test_a_guess_between_two_assemblies_is_warned_of(off, between):
 def test_of_assemblies_that_no_start_value_tells_apart_there_is_no_other():
     """A rod on a pin, guessed 2 m off, may have any angle."""
     m = alfmu.Mechanism("pinned")
-    x, y, th = (
-        m.coordinate("x", "m", start=2.0),
-        m.coordinate("y", "m", start=0.3),
-        m.coordinate("th", "rad", start=0.1),
-    )
+    x, y = m.coordinate("x", "m", start=2.0), m.coordinate("y", "m", start=0.3)
+    th = m.coordinate("th", "rad", start=0.1)
     rod = m.body("rod", mass=1.0, inertia=0.1, pose=(x, y, th))
     m.revolute("A", m.ground.at(), rod.at(-0.5, 0.0))
     assert told_at_the_start(m) == []
@@ -726,9 +723,8 @@ def test_a_length_is_doubted_once(recwarn):
 
 @pytest.mark.parametrize("gravity", [None, (0, 0), (0, -9.81)])
 def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
-    m = Mechanism(f"open{gravity is None}{sum(gravity or ())}".replace(".", "_").replace("-", "_"))
-    rod = m.bar("rod", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5, independent=True))
+    name = f"open{gravity is None}{sum(gravity or ())}".replace(".", "_").replace("-", "_")
+    m, *_ = hinged(name, weight=0.0, start=0.5, independent=True)
     if gravity is not None:
         m.gravity(*gravity)
     for stop in (0.02, 0.04):
@@ -740,10 +736,8 @@ def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
 @pytest.mark.slow
 def test_every_way_to_use_a_mechanism_tells_of_open_gravity_once(caplog, tmp_path):
     def weighed(name: str) -> Mechanism:
-        m = Mechanism(name)
-        k, th = m.parameter("k", 3.0, "N.m"), m.coordinate("th", "rad", start=0.5, independent=True)
-        rod = m.bar("rod", mass=1.0, length=1.0)
-        m.drive(m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th), -k * th)
+        m, _, A, th = hinged(name, bar="rod", weight=0.0, start=0.5, independent=True)
+        m.drive(A, -m.parameter("k", 3.0, "N.m") * th)
         return m
 
     data = alfmu.simulate(weighed("data"), 0.02, 0.01)
@@ -767,10 +761,7 @@ def test_every_way_to_use_a_mechanism_tells_of_open_gravity_once(caplog, tmp_pat
 
 
 def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog):
-    m = Mechanism("forgotten")
-    rod = m.bar("rod", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5))
-    m.gravity(0, -9.81)
+    m, *_ = hinged("forgotten", start=0.5)
     for stop in (0.02, 0.04):
         alfmu.simulate(m, stop)
     (said,) = caplog.messages
@@ -785,9 +776,7 @@ def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog
 
 
 def test_gravity_out_of_the_plane_is_told(caplog):
-    m = Mechanism("flat")
-    rod = m.bar("rod", mass=1.0, length=1.0)
-    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m, *_ = hinged("flat", weight=0.0, independent=True)
     m.gravity(0, 0, -9.81)
     alfmu.simulate(m, 0.02)
     assert caplog.messages == [
