@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import hinged, initialized
+from scenes import hinged, initialized, started
 
 import alfmu
 from alfmu import Mechanism
@@ -21,6 +21,7 @@ from alfmu.model.checks import number
 from alfmu.model.declaration import BOOKKEEPING
 from alfmu.model.errors import AlfmuWarning, DeclarationError
 from alfmu.model.words import nearest, there_is
+from alfmu.simulation import with_defaults
 from alfmu.view.live import live
 
 HEAD = """
@@ -497,7 +498,7 @@ def test_an_assembly_on_the_other_side_of_the_guess_is_warned_of_where_it_is_the
 def told_at_the_start(m: alfmu.Mechanism) -> list[str]:
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        alfmu.Instance(m).initialize()
+        alfmu.Instance(with_defaults(alfmu.derive(m), {"solver.method": "rk4"})).initialize()
     return [str(each.message) for each in told]
 
 
@@ -571,7 +572,7 @@ def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, ca
 @pytest.mark.parametrize("name", ["slider_crank", "four_bar", "five_bar", "n_four_bar", "particle_on_circle"])
 def test_mechanisms_with_starts_for_all_they_do_are_told_nothing(name):
     """At singular starts as well; their guesses are where they begin."""
-    i = initialized(alfmu.Instance(name))
+    i = started(alfmu.derive(alfmu.load(name)))
     assert i.undetermined() == []
     assert max(i.moved.values()) <= 1e-9
 

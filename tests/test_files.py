@@ -452,7 +452,7 @@ def test_a_table_from_a_spreadsheet_is_read(here):
 
 # What is there is kept --------------------------------------------------------------------------------------------
 
-RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
+RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1", "--set", "solver.method=rk4"]
 
 
 @pytest.mark.slow

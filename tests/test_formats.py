@@ -21,6 +21,9 @@ STORED = HERE / "accelerations.json"
 
 MUJOCO = importlib.util.find_spec("mujoco") is not None
 
+RK4 = {"solver.method": "rk4"}
+"""Where runs are compared with each other."""
+
 MJCF = ["five_bar", "spatial", "coupled", "slider_crank", "carried", "biped"]
 
 
@@ -124,7 +127,7 @@ def test_python_text_declares_the_same_mechanism(tmp_path: Path, capsys: pytest.
     written = tmp_path / "five.py"
     assert main(["import", str(HERE / "five_bar.xml"), "-o", str(written)]) == 0
     assert "joint left elbow is called left_elbow" in capsys.readouterr().out
-    own, other = (alfmu.simulate(str(path), 0.2, 0.02) for path in (written, HERE / "five_bar.xml"))
+    own, other = (alfmu.simulate(str(path), 0.2, 0.02, parameters=RK4) for path in (written, HERE / "five_bar.xml"))
     assert own.names == other.names
     for name in ("left.angle", "tip_joint.force.z"):
         np.testing.assert_array_equal(own[name], other[name])
@@ -379,7 +382,9 @@ def test_lines_of_python_are_short(tmp_path: Path):
     (tmp_path / "long.py").write_text(text)
     again = alfmu.load(str(tmp_path / "long.py"))
     assert alfmu.derive(again).inputs[0].name == alfmu.derive(found.mechanism).inputs[0].name
-    runs = [alfmu.simulate(m, 0.2, 0.1, inputs={m.inputs[0].name: 0.5}) for m in (again, found.mechanism)]
+    runs = [
+        alfmu.simulate(m, 0.2, 0.1, inputs={m.inputs[0].name: 0.5}, parameters=RK4) for m in (again, found.mechanism)
+    ]
     assert np.ptp(runs[0]["j.angle"]) > 0
     np.testing.assert_array_equal(runs[0]["j.angle"], runs[1]["j.angle"])
 

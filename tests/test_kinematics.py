@@ -916,7 +916,7 @@ def test_command(tmp_path: Path, monkeypatch, capsys):
     assert set(found["positions"][0]["efforts"]) == {"left", "right"}
     assert main(["kinematics", path, "--at", "left=2.2,right=1.0", "--solutions"]) == 0
     assert "2 solutions found" in capsys.readouterr().out
-    cycle = "--cycle left --rows 5 --span 2.0,2.2 -o a.csv --plot a.png".split()
+    cycle = ["--cycle", "left", "--rows", "5", "--span", "2.0,2.2", "-o", "a.csv", "--plot", "a.png"]
     assert main(["kinematics", path, *cycle]) == 0
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     capsys.readouterr()
