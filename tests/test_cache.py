@@ -90,14 +90,7 @@ def test_a_scene_from_the_cache_has_the_same_bytes_programs_and_functions(folder
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "given",
-    [
-        {},
-        {"outputs": ["particle.*"], "freeze": ["m"], "reference": False},
-        {"kind": "python", "reference": False, **RK4},
-    ],
-)
+@pytest.mark.parametrize("given", [{}, {"outputs": ["particle.*"], "freeze": ["m"]}, {"kind": "python", **RK4}])
 def test_fmus_from_the_cache_have_the_same_bytes(folder, traces, tmp_path, monkeypatch, given):
     def exported(name: str) -> bytes:
         pipeline._KEPT.clear()
