@@ -118,9 +118,9 @@ def test_a_compiled_kernel_from_the_cache_is_not_traced(folder, traces):
 @pytest.mark.slow
 def test_processes_share_the_cache(folder):
     code = "import alfmu; r = alfmu.simulate('slider_crank', 0.2, 0.02); print(r.values.tobytes().hex())"
-    running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(2)]
     said = {process.communicate(timeout=120)[0] for process in running}
-    assert [process.returncode for process in running] == [0] * 3
+    assert [process.returncode for process in running] == [0] * 2
     assert {path.name.partition("_")[0] for path, _ in cache.entries()} >= {"scene", "start"}
     assert {alfmu.simulate(fresh("slider_crank"), 0.2, 0.02).values.tobytes().hex() + "\n"} == said
 
