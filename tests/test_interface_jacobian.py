@@ -403,7 +403,8 @@ def test_of_forces_that_may_jump_it_says_so(caplog):
 def test_recipes_commands_and_runs_have_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("arm.py").write_text(
-        'import alfmu\nrecipe = alfmu.Recipe("slider_crank", measure=["A"], outputs=["A.angle/A.torque"])\n'
+        'import alfmu\nrecipe = alfmu.Recipe("slider_crank", measure=["A"], outputs=["A.angle/A.torque"], '
+        'parameters={"solver.method": "rk4"})\n'
     )
     assert main(["export", "arm.py"]) == 0
     assert main(["simulate", "arm.py", "--stop-time", "0.2"]) == 0

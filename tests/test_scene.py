@@ -537,7 +537,7 @@ def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quickly_compiled")
-@pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 12})])
+@pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 5})])
 def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, options):
     e = prepared(derived(name, **options), "vm")
     scene, own = tables.packed(complete(e)), complete(e)

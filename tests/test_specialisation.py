@@ -70,7 +70,7 @@ def test_what_nobody_watches_is_not_a_number_in_the_counters():
 def test_wrapped_angles_go_on_counting_where_they_are_kept():
     """A crank in natural coordinates over several turns."""
     start = {"start.angular_velocity": 9.0}
-    e = derived("slider_crank", coordinates="natural")
+    e = by_rk4("slider_crank", coordinates="natural")
     some = alfmu.simulate(e, 3.0, 0.02, parameters=start, outputs=["rod.angle", "crank.angle"])
     every = alfmu.simulate(e, 3.0, 0.02, parameters=start)
     assert np.array_equal(some["crank.angle"], every["crank.angle"])
