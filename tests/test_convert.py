@@ -25,8 +25,6 @@ MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="
 PINOCCHIO = pytest.mark.skipif(importlib.util.find_spec("pinocchio") is None, reason="Pinocchio is not installed")
 FORMS = (".xml", ".urdf", ".sdf")
 EXACT = {"solver.method": "explicit", "solver.relative_tolerance": 1e-12}
-SHORT = {"solver.method": "rk4", "solver.step_size": 5e-4}
-"""Steps that err by less than 1e-10, in scenes that take less time to make than those with error control."""
 
 PLANE = {
     f"{name}, {coordinates}": lambda name=name, coordinates=coordinates: alfmu.load(name, coordinates=coordinates)
@@ -85,7 +83,7 @@ def motions(
     mechanism: Mechanism, seconds: float, given: dict[str, float] | None = None, inputs: dict[str, float] | None = None
 ) -> dict[str, np.ndarray]:
     """Displacements of joints by output."""
-    asked, given = named(mechanism, r"\w+\.(angle|position)\d?"), SHORT | (given or {})
+    asked, given = named(mechanism, r"\w+\.(angle|position)\d?"), EXACT | (given or {})
     run = alfmu.simulate(mechanism, seconds, seconds / 10, parameters=given, inputs=inputs, outputs=asked)
     return {x: run[x] for x in asked}
 
