@@ -121,14 +121,8 @@ static void put(unsigned char *at, uint64_t value, int bytes)
 /* The check sum that a file of this content has, so that what is behind it has to notice damage. */
 static void signed_again(unsigned char *bytes, size_t size)
 {
-    uint32_t sum = 0xffffffffu;
-    for (size_t k = 24; k < size; k++) {
-        sum ^= bytes[k];
-        for (int bit = 0; bit < 8; bit++)
-            sum = sum >> 1 ^ (sum & 1 ? 0xedb88320u : 0);
-    }
     put(bytes + 12, size, 4);
-    put(bytes + 16, ~sum, 8);
+    put(bytes + 16, (uint32_t)~scene_check_sum(CHECK_BEGIN, bytes + 24, size - 24), 8);
 }
 
 static long refused, taken_anyway;

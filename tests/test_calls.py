@@ -20,11 +20,8 @@ from alfmu.parts import blocks
 def workshop() -> SimpleNamespace:
     """A mechanism with a part of each kind, and what is not joined yet."""
     m = Mechanism("shop")
-    arm, cart, wheel = (
-        m.bar("arm", mass=1.0, length=1.0),
-        m.body("cart", mass=1.0),
-        m.body("wheel", mass=1.0, inertia=0.1),
-    )
+    arm, cart = m.bar("arm", mass=1.0, length=1.0), m.body("cart", mass=1.0)
+    wheel = m.body("wheel", mass=1.0, inertia=0.1)
     th, s = m.coordinate("th"), m.coordinate("s", "m")
     A = m.revolute("A", m.ground.at(), arm.start, coordinate=th)
     G = m.prismatic("G", m.ground.at(), cart.at(), coordinate=s)
@@ -143,33 +140,31 @@ NONSENSE: dict[str, Any] = {
 }
 
 
-def calls(name: str) -> Iterator[tuple[str, partial]]:
-    """What is tried of a call: its description, and the call, each on a mechanism of its own."""
+def called(name: str, x: SimpleNamespace) -> tuple[Callable[..., Any], dict[str, Any]]:
+    """A call with good arguments."""
+    if name in GOOD:
+        return getattr(x.m if name != "draw" else alfmu.load("slider_crank"), name), GOOD[name](x)
+    if name in OTHERS:
+        return OTHERS[name][0], OTHERS[name][1](x)
+    return OF_PARTS[name][0](x), OF_PARTS[name][1]
 
-    def made(change: Callable[[dict[str, Any]], Any], *more: Any) -> partial:
-        x = workshop()
-        if name in GOOD:
-            call, given = getattr(x.m if name != "draw" else alfmu.load("slider_crank"), name), GOOD[name](x)
-        elif name in OTHERS:
-            call, given = OTHERS[name][0], OTHERS[name][1](x)
-        else:
-            call, given = OF_PARTS[name][0](x), dict(OF_PARTS[name][1])
-        change(given)
-        return partial(call, *more, **given)
 
-    takes = inspect.signature(made(lambda given: given.clear()).func).parameters
+def changes(name: str) -> Iterator[tuple[str, Callable[[dict[str, Any]], Any], tuple[Any, ...]]]:
+    """What is tried of a call: its description, a change of the good arguments, and arguments by place."""
+    takes = inspect.signature(called(name, workshop())[0]).parameters
     for argument, p in takes.items():
         if argument == "m":
             continue
         for what, value in NONSENSE.items():
             if p.kind is p.VAR_POSITIONAL:
-                yield f"{what} for {argument}", made(lambda given: given.clear(), "n", value)
+                yield f"{what} for {argument}", lambda given: given.clear(), ("n", value)
             else:
-                yield f"{argument} is {what}", made(lambda given, a=argument, v=value: given.update({a: v}))
+                yield f"{argument} is {what}", lambda given, a=argument, v=value: given.update({a: v}), ()
         if p.default is p.empty and p.kind is not p.VAR_POSITIONAL:
-            yield f"{argument} is missing", made(lambda given, a=argument: given.pop(a))
-    yield "misspelt", made(lambda given: given.update(nonsens=1))
-    yield "too many", made(lambda given: [given.pop(x) for x in [*given] if x != "m"], *range(30 * ("m" not in takes)))
+            yield f"{argument} is missing", lambda given, a=argument: given.pop(a), ()
+    yield "misspelt", lambda given: given.update(nonsens=1), ()
+    numbers = tuple(range(30 * ("m" not in takes)))
+    yield "too many", lambda given: [given.pop(x) for x in [*given] if x != "m"], numbers
 
 
 @pytest.mark.slow
@@ -177,13 +172,19 @@ def calls(name: str) -> Iterator[tuple[str, partial]]:
 @pytest.mark.parametrize("name", [*GOOD, *OTHERS, *OF_PARTS])
 def test_nonsense_is_answered_in_words(name):
     """Nothing of Python's own comes out, and what is said is a sentence of the mechanism."""
-    said, before = {}, None
-    for what, call in calls(name):
-        mechanism = call.keywords.get("m", getattr(call.func, "__self__", None))
-        if before is None and isinstance(mechanism, Mechanism):
-            before = content(mechanism)  # which is that of all calls, as each has a mechanism made alike
+    said, x, before = {}, None, None
+    for what, change, more in changes(name):
+        if x is None:
+            x = workshop()
+            call, good = called(name, x)
+            mechanism = good.get("m", getattr(call, "__self__", None))
+            if before is None and isinstance(mechanism, Mechanism):
+                before = content(mechanism)  # which is that of all, as they are made alike
+        given = dict(good)
+        change(given)
         try:
-            call()
+            call(*more, **given)
+            x = None  # what has declared something is not called again
         except alfmu.AlfmuError as error:
             said[what] = str(error)
             assert before is None or content(mechanism) == before, f"{name}: {what} is refused and leaves something"

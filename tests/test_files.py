@@ -28,12 +28,13 @@ from alfmu.simulation.blajer import least_squares
 from alfmu.view.drawing import as_data, from_data
 from alfmu.view.shapes import geometry
 
+RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1", "--set", "solver.method=rk4"]
 NAMELESS = [pytest.param(True, id="nameless"), pytest.param(False, id="named")]
 
 
-@pytest.fixture(scope="module")
-def native(tmp_path_factory) -> Path:
-    return alfmu.export("slider_crank", tmp_path_factory.mktemp("native") / "native.fmu", kind="native")
+@pytest.fixture(scope="session")
+def native(built, tmp_path_factory) -> Path:
+    return Path(shutil.copy(built("slider_crank"), tmp_path_factory.mktemp("native") / "native.fmu"))
 
 
 def there(folder: Path) -> set[str]:
@@ -187,8 +188,8 @@ def full_disk(size: int) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
-        (["simulate", "particle_on_circle", "--stop-time", "1", "-o", "r.csv"], "r.csv"),
-        (["simulate", "particle_on_circle", "--stop-time", "0.1", "-o", "r.csv", "--plot", "r.svg"], "r.svg"),
+        ([*RUN, "--stop-time", "1", "-o", "r.csv"], "r.csv"),
+        ([*RUN, "-o", "r.csv", "--plot", "r.svg"], "r.svg"),
         (["export", "particle_on_circle", "--kind", "native", "-o", "p.fmu"], "p.fmu"),
         (["animate", "done.csv", "-o", "film.gif"], "film.gif"),
         (["animate", "done.csv", "-o", "film.html"], "film.html"),
@@ -196,7 +197,7 @@ def full_disk(size: int) -> Iterator[None]:
     ids=["table", "picture", "FMU", "film", "page"],
 )
 def test_a_full_disk_leaves_no_half_of_anything(arguments, file, here, capsys):
-    assert main(["simulate", "particle_on_circle", "--stop-time", "0.1", "-o", "done.csv"]) == 0
+    assert main([*RUN, "-o", "done.csv"]) == 0
     before = there(here)
     capsys.readouterr()
     with full_disk(5000):
@@ -451,8 +452,6 @@ def test_a_table_from_a_spreadsheet_is_read(here):
 
 
 # What is there is kept --------------------------------------------------------------------------------------------
-
-RUN = ["simulate", "particle_on_circle", "--stop-time", "0.1"]
 
 
 @pytest.mark.slow

@@ -8,16 +8,7 @@ from oracles.parallelogram import Parallelogram
 from scenes import derived
 
 from alfmu.method import implicit, stepping
-from alfmu.method.stepping import (
-    EXPLICIT5,
-    EXPLICIT8,
-    EXPLICIT8_BESIDE,
-    RADAU9,
-    combined,
-    continued,
-    explicit,
-    landing,
-)
+from alfmu.method.stepping import EXPLICIT5, EXPLICIT8, EXPLICIT8_BESIDE, RADAU9, combined, continued, explicit, landing
 from alfmu.simulation import oracle
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8, "8(7) beside": EXPLICIT8_BESIDE}

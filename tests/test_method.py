@@ -1,7 +1,7 @@
 """The method: accelerations and multipliers against 50 digits, penalties, projections, and the alternatives."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -53,42 +53,26 @@ RATIOS = [1e2, 1e4, 1e6, 1e8, 1e10, 1e12, 1e14]
 
 @pytest.mark.parametrize("sizes", SIZES, ids=["equal", "different", "m2=0"])
 @pytest.mark.parametrize("ratio", RATIOS, ids=lambda x: f"{x:.0e}")
-class TestResidualForm:
-    """It does not depend on the penalty: 1e-13 of the largest entry from 1e2 to 1e14 times the mass.
+def test_the_residual_form_does_not_depend_on_the_penalty(ratio: float, sizes: dict) -> None:
+    """1e-13 of the largest entry from 1e2 to 1e14 times the mass: accelerations, the multipliers that it leaves, and
+    those that are read, of the least sum of squares of all that joints carry.
 
     An iteration leaves mass / alpha of the error, and the round-off of H over the mass: H sums n + l = 16 products of
     the size of alpha, so that is at most 16 alpha / mass roundings, a third at 1e14. Ten iterations are enough up to
-    1e13 times the mass, and thirty at 1e14.
+    1e13 times the mass, and thirty at 1e14. With one penalty for all rows the multipliers that it leaves have the least
+    norm; round-off along null vectors of C' is not in them.
     """
-
-    def iterations(self, ratio: float) -> int:
-        """Iterations that are enough whatever the round-off, at least the default."""
-        return max(Settings.max_iterations, math.ceil(math.log(1e-13) / math.log(16 * EPS * ratio)))
-
-    def instances(self, ratio: float, sizes: dict) -> Iterator[tuple[alfmu.Instance, *tuple[np.ndarray, ...]]]:
-        """At each state, the exact accelerations beside it, and the multipliers that joints share and of rows alone."""
-        five_bar = Parallelogram(**sizes)
-        alpha = ratio * max(five_bar.m1, five_bar.m2, five_bar.m3, five_bar.m4)
-        for th, w in STATES:
-            given = {"solver.penalty": alpha, "solver.max_iterations": self.iterations(ratio)}
-            i = started(derived("five_bar"), start(th, w, **sizes, **given))
-            rows = floats(five_bar.of_rows(th, w)[0])
-            yield i, five_bar.accelerations(th, w), five_bar.multipliers(th, w), rows
-            assert i.counters.unconverged == 0
-
-    def test_accelerations(self, ratio: float, sizes: dict) -> None:
-        for i, exact, _, _ in self.instances(ratio, sizes):
-            assert relative(accelerations(i)[0], exact) <= 1e-13
-
-    def test_multipliers_that_it_leaves(self, ratio: float, sizes: dict) -> None:
-        """With one penalty for all rows they have the least norm; round-off along null vectors of C' is not in them."""
-        for i, _, _, exact in self.instances(ratio, sizes):
-            assert relative(accelerations(i)[1], exact) <= 1e-13
-
-    def test_multipliers_that_are_read(self, ratio: float, sizes: dict) -> None:
-        """Those of the least sum of squares of all that joints carry."""
-        for i, _, exact, _ in self.instances(ratio, sizes):
-            assert relative(multipliers(readings(i)), exact) <= 1e-13
+    five_bar = Parallelogram(**sizes)
+    alpha = ratio * max(five_bar.m1, five_bar.m2, five_bar.m3, five_bar.m4)
+    enough = max(Settings.max_iterations, math.ceil(math.log(1e-13) / math.log(16 * EPS * ratio)))
+    for th, w in STATES:
+        given = {"solver.penalty": alpha, "solver.max_iterations": enough}
+        i = started(derived("five_bar"), start(th, w, **sizes, **given))
+        a, lam = accelerations(i)
+        assert relative(a, five_bar.accelerations(th, w)) <= 1e-13
+        assert relative(lam, floats(five_bar.of_rows(th, w)[0])) <= 1e-13
+        assert relative(multipliers(readings(i)), five_bar.multipliers(th, w)) <= 1e-13
+        assert i.counters.unconverged == 0
 
 
 PUBLISHED = {1e2: 9e-14, 1e4: 1e-11, 1e6: 1.5e-9, 1e8: 1.5e-7, 1e10: 5e-6, 1e12: 2e-3, 1e14: 5e-2}

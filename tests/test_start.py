@@ -39,10 +39,12 @@ FOUR_LENGTHS = (0.4, 1.0, 0.8, 1.1)
 """Crank, coupler, rocker, base of `linkage`."""
 
 
-def linkage(rocker: float, coupler: float = 0.0, *, both: bool = False, rate: float = 0.0) -> alfmu.Equations:
+def linkage(
+    rocker: float, coupler: float = 0.0, *, both: bool = False, rate: float = 0.0, stop: tuple[float, ...] = ()
+) -> alfmu.Equations:
     """A four-bar in relative coordinates, crank at 0.8 rad and 1 rad/s, rocker and coupler (from the crank) guessed.
 
-    With `both`, the rocker's angle and rate are given as well, which is one too many.
+    With `both`, the rocker's angle and rate are given as well, which is one too many; a stop limits the coupler's.
     """
     l1, l2, l3, l0 = FOUR_LENGTHS
     m = alfmu.Mechanism("linkage")
@@ -51,9 +53,11 @@ def linkage(rocker: float, coupler: float = 0.0, *, both: bool = False, rate: fl
     t3 = m.coordinate("t3", "rad", start=rocker, **({"independent": True, "rate": rate} if both else {}))
     crank, link, swing = (m.bar(k, mass=1.0, length=x) for k, x in (("crank", l1), ("coupler", l2), ("rocker", l3)))
     m.revolute("A", m.ground.at(), crank.start, coordinate=t1)
-    m.revolute("B", crank.end, link.start, coordinate=t2)
+    hinge = m.revolute("B", crank.end, link.start, coordinate=t2)
     m.revolute("D", m.ground.at(l0, 0.0), swing.start, coordinate=t3)
     m.revolute("C", link.end, swing.end)
+    if stop:
+        m.end_stop("stop", hinge, lower=stop[0], upper=stop[1], stiffness=10.0)
     m.gravity(0.0, -9.81)
     return alfmu.derive(m)
 
@@ -119,23 +123,12 @@ def test_a_guess_far_from_the_assembly_is_told_by_name() -> None:
 @pytest.mark.parametrize("inside", [True, False])
 def test_an_assembly_within_the_limits_of_stops_is_taken_where_there_is_one(inside: bool) -> None:
     """The guess leads to the assembly with the rocker below; a stop leaves the one above alone, or none."""
-    l1, l2, l3, l0 = FOUR_LENGTHS
     guess, (rocker, coupler) = closed(-1), closed(1)
-    m = alfmu.Mechanism("limited")
-    t1 = m.coordinate("t1", "rad", start=0.8, independent=True)
-    t2 = m.coordinate("t2", "rad", start=coupler - 0.2 if inside else (coupler + guess[1]) / 2)
-    t3 = m.coordinate("t3", "rad", start=guess[0] + 0.2)
-    crank, link, swing = (m.bar(k, mass=1.0, length=x) for k, x in (("crank", l1), ("coupler", l2), ("rocker", l3)))
-    m.revolute("A", m.ground.at(), crank.start, coordinate=t1)
-    hinge = m.revolute("B", crank.end, link.start, coordinate=t2)
-    m.revolute("D", m.ground.at(l0, 0.0), swing.start, coordinate=t3)
-    m.revolute("C", link.end, swing.end)
-    low, high = (coupler - 0.3, coupler + 0.3) if inside else (guess[1] + 0.4, coupler - 0.4)
-    m.end_stop("stop", hinge, lower=low, upper=high, stiffness=10.0)
-    m.gravity(0.0, -9.81)
+    stop = (coupler - 0.3, coupler + 0.3) if inside else (guess[1] + 0.4, coupler - 0.4)
+    e = linkage(guess[0] + 0.2, coupler - 0.2 if inside else (coupler + guess[1]) / 2, stop=stop)
     words = "exceeds stop by .*; the nearest found within limits is taken" if inside else "no assembly within limits"
     with pytest.warns(alfmu.AlfmuWarning, match=words):
-        r = readings(started(alfmu.derive(m)))
+        r = readings(started(e))
     if inside:
         assert np.remainder(r["rocker.angle"] - rocker + pi, 2 * pi) - pi == pytest.approx(0.0, abs=1e-12)
         assert r["stop.penetration"] == 0.0
