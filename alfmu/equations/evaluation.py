@@ -141,6 +141,17 @@ def telling(equations: Equations) -> list[int]:
 
 
 @once
+def loops(equations: Equations) -> int:
+    """Return the number of loops, at least 1: closed joints, less the bodies with Euler parameters that they hold."""
+    C = equations.functions["C"].sparsity_out(0).T
+    touched = [set(C.row()[begin:end]) for begin, end in pairwise(C.colind())]
+    closed = sorted({*range(equations.l)} - {*equations.lengths})
+    columns = set[int]().union(*(touched[r] for r in closed))
+    held = [r for r in equations.lengths if touched[r] & columns]
+    return max(1, len({equations.rows[r].name for r in closed}) - len(held))
+
+
+@once
 def elimination_order(equations: Equations) -> list[int]:
     """Return the order of the coordinates with least fill in the factorised augmented mass H."""
     M, C = (ca.SX(equations.functions[name].sparsity_out(0), 1) for name in ("M", "C"))

@@ -17,7 +17,7 @@ import numpy as np
 from casadi import SX
 
 from ..equations import Configuration
-from ..equations.evaluation import DENSE, elimination_order, symbols, telling
+from ..equations.evaluation import DENSE, elimination_order, loops, symbols, telling
 from ..equations.interface import MONITORS
 from ..method import formulations as method
 from ..method import implicit
@@ -553,9 +553,12 @@ class Scene:
             return near, SX(1)
         among = ca.fmin(ca.fmax(ratios, 1 - small), 1)
         logarithm = ca.log(_product(among)) if few else ca.sum1(ca.log(among))  # the product of many could overflow
-        # What large pivots leave of the diagonal entry of a coordinate is large where it shares a small pivot.
-        left = ratios + scales * (L.T**2 @ (small * D))
-        more = ca.fmax(ca.sum1(left < branch.SMALL_PIVOT) - freedom, 1)
+        if self.e.turns:
+            more = ca.fmin(ca.sum1(small) - freedom, loops(self.e))
+        else:
+            # What large pivots leave of the diagonal entry of a coordinate is large where it shares a small pivot.
+            left = ratios + scales * (L.T**2 @ (small * D))
+            more = ca.fmax(ca.sum1(left < branch.SMALL_PIVOT) - freedom, 1)
         return near, ca.fmin(ca.if_else(beyond, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
 
     def irregular(self, q: SX) -> SX:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import runtime
 from ..equations import Equations
 from ..equations.arrays import ArrayFunction, ArrayFunctions
-from ..equations.evaluation import elimination_order, telling
+from ..equations.evaluation import elimination_order, loops, telling
 from ..equations.interface import Counters
 from ..kernel.memory import GROSS, SETTINGS, TURN
 from ..kernel.thresholds import PATIENT, REGULAR, TORN
@@ -312,8 +312,11 @@ class Method(runtime.Instance):
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios < branch.SMALL_PIVOT
         if small.sum() <= self.freedom:
             return near, 1.0
-        left = factor[small][:, small].sum(axis=1)  # of the diagonal of H, by large pivots
-        more = max((left < branch.SMALL_PIVOT).sum() - self.freedom, 1)
+        if self.equations.turns:
+            more = min(small.sum() - self.freedom, loops(self.equations))
+        else:
+            left = factor[small][:, small].sum(axis=1)  # of the diagonal of H, by large pivots
+            more = max((left < branch.SMALL_PIVOT).sum() - self.freedom, 1)
         return near, math.exp(min((np.log(ratios[small]).sum() - self.masses) / more, 0.0))
 
     def approach(self, q: NDArray, v: NDArray, shortest: float) -> tuple[float, float, NDArray]:
