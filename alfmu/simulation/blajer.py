@@ -299,10 +299,6 @@ class Method(runtime.Instance):
         except np.linalg.LinAlgError:
             return np.zeros_like(H)
 
-    def pivots(self, q: NDArray) -> NDArray:
-        """Return the pivots (n,) of this matrix."""
-        return np.maximum(self.factor(q).diagonal() ** 2, 1e-300)
-
     def margin(self, q: NDArray) -> tuple[bool, float]:
         """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
         factor = self.factor(q) ** 2
