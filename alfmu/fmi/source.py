@@ -157,8 +157,8 @@ def facts(path: Path) -> list[str]:
 
 
 def paced(e: Traced, fixed: bool) -> Traced:
-    """Return equations with the longest internal step, of their own one and, unless it is `fixed`, of its halves, with
-    which sources run the default experiment without a warning, or else with one.
+    """Return equations with the internal step of sources, tried in the default experiment: their own one or, unless it
+    is `fixed`, its half, quarter, ...; the first without a warning or, if there is none, the first that does not fail.
 
     Raise ExportError if there is none, with the reason of the complete scene if this fails, too. Log why the step is
     not their own one, and the warning that is left.
@@ -190,7 +190,7 @@ def paced(e: Traced, fixed: bool) -> Traced:
 
 
 _HALVINGS = 9
-"""Number of internal steps that are tried."""
+"""Number of internal steps that are tried, with the declared one."""
 
 
 def _ran(scene: bytes, e: Traced) -> tuple[int, str]:

@@ -308,7 +308,7 @@ class Method(runtime.Instance):
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios < branch.SMALL_PIVOT
         if small.sum() <= self.freedom:
             return near, 1.0
-        left = factor[small][:, small].sum(axis=1)  # of the diagonal of H, by large pivots
+        left = factor[small][:, small].sum(axis=1)  # what large pivots leave of the diagonal of H
         more = max((left < branch.SMALL_PIVOT).sum() - self.freedom, 1)
         return near, math.exp(min((np.log(ratios[small]).sum() - self.masses) / more, 0.0))
 
