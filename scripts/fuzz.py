@@ -120,7 +120,7 @@ def compiled(folder: Path, watched: str) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     files = [str(path) for path in build.sources() if path.suffix == ".c"]
     command = [*compiling(watched), *build.including(), "-fPIC", "-ffp-contract=off", "-c", *files]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    subprocess.run(command, cwd=folder, check=True)
     return folder
 
 

@@ -57,12 +57,17 @@ static fmi2Component made(void)
     return fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False);
 }
 
+static fmi2Status begun(fmi2Component c)
+{
+    fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
+    fmi2EnterInitializationMode(c);
+    return fmi2ExitInitializationMode(c);
+}
+
 static fmi2Component running(const fmi2CallbackFunctions *functions)
 {
     fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, functions, fmi2False, fmi2False);
-    fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
-    fmi2EnterInitializationMode(c);
-    if (fmi2ExitInitializationMode(c) != fmi2OK)
+    if (begun(c) != fmi2OK)
         failures++;
     return c;
 }
@@ -200,6 +205,7 @@ static void bad_values(void)
     const int second = 2, on = 2, none = 99;
     int whole;
     double value = 1.0, before;
+    fmi2FMUstate state = NULL;
     fmi2Component c = made();
     fmi2EnterInitializationMode(c);
     before = got(c, HOST_PARAMETER);
@@ -247,8 +253,17 @@ static void bad_values(void)
     CHECK(strstr(said, "internal steps, more than " TEXT(MOST_STEPS)));
     CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &value) == fmi2OK && value == 0.0);
     CHECK(got(c, HOST_REAL_OUTPUT) == before);
-    CHECK(set(c, HOST_REAL_INPUT, 1e300) == fmi2OK); /* finite, but no motion bears it */
-    CHECK(fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2Discard);
+    CHECK(fmi2GetFMUstate(c, &state) == fmi2OK);
+    for (int k = 0; k < 4; k++) { /* A repeated step ends a run, but not after a state was set or a reset. */
+        CHECK(set(c, HOST_REAL_INPUT, 1e300) == fmi2OK); /* finite, but no motion bears it */
+        CHECK(fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2Discard);
+        CHECK(fmi2GetBooleanStatus(c, fmi2Terminated, &whole) == fmi2OK && whole == (k == 1));
+        if (k == 1)
+            CHECK(fmi2SetFMUstate(c, state) == fmi2OK);
+        if (k == 2)
+            CHECK(fmi2Reset(c) == fmi2OK && begun(c) == fmi2OK);
+    }
+    CHECK(fmi2FreeFMUstate(c, &state) == fmi2OK);
     CHECK(set(c, HOST_REAL_INPUT, 0.0) == fmi2OK);
     CHECK(got(c, HOST_REAL_OUTPUT) == before);
     CHECK(fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2OK);

@@ -5,7 +5,13 @@ from collections.abc import Sequence
 from itertools import combinations, product
 from typing import Any
 
-ALL = int(os.environ.get("DRAWS", "1")) > 1
+
+def draws(least: int) -> int:
+    """The number DRAWS of the environment, but no less than this: of random cases, which more than one make all."""
+    return max(least, int(os.environ.get("DRAWS", "1")))
+
+
+ALL = draws(1) > 1
 """Whether all combinations are tested: `DRAWS=2 pytest tests/test_rows.py`."""
 
 

@@ -367,7 +367,7 @@ def test_the_polynomial_goes_through_past_inputs():
 
 
 @pytest.mark.slow
-@methods("rk4", "explicit", "stiff", "trapezoidal", compiled="explicit")
+@methods("rk4", "explicit", "stiff", "trapezoidal", "generalized_alpha", compiled="explicit")
 def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method):
     """A torque sampled at communication points of different lengths; a saved state goes on to the last bit."""
     given = {"start__angle": 0.4, "solver__step_size": 0.01, "solver__relative_tolerance": 1e-9}

@@ -1,13 +1,13 @@
 """Random parameters, starts and inputs: no run is wrong in silence, and with error control none is wrong."""
 
-import os
 from contextlib import nullcontext
 
 import pytest
+from pairs import draws
 from studies import script
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compiler")]
-DRAWS = int(os.environ.get("DRAWS", "8"))
+DRAWS = draws(8)
 """`DRAWS=20 pytest tests/test_draw_study.py` draws more."""
 
 

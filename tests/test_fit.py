@@ -1,11 +1,11 @@
 """Parameters and start values fitted to measurements: from noisy data, in the library and on the command line."""
 
 import logging
-import os
 
 import casadi as ca
 import numpy as np
 import pytest
+from pairs import draws
 from scenes import hinged
 
 import alfmu
@@ -16,7 +16,7 @@ TRUE = {"m2": 0.7, "l": 1.1, "start.angle": 0.35}
 NOISE = {"link1.angle": 0.01, "link2.x": 0.02}
 NAMES = (*NOISE, "A.torque")
 
-DRAWS = int(os.environ.get("DRAWS", "10"))
+DRAWS = draws(10)
 """Sets of noise; `DRAWS=200 pytest tests/test_fit.py` draws more."""
 
 

@@ -150,7 +150,7 @@ def test_no_regular_position_is_taken_for_a_singular_one():
     judge, small = by_the_oracle(scene(), {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0}), 0
     for k in range(50):
         i.step(1e-3, 1e-3 * k)
-        small += int((judge.pivots(i.q) < BRANCH_MARGIN).sum()) > judge.freedom
+        small += int((judge.factor(i.q).diagonal() ** 2 < BRANCH_MARGIN).sum()) > judge.freedom
         assert i.get("monitor.singular") == 0
         assert 0.5 <= i.get("monitor.distance") <= 1.0
     assert small > 0
@@ -170,7 +170,7 @@ def test_none_is_in_a_mechanism_of_many_coordinates():
     judge, small = by_the_oracle(of, {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0}), 0
     for k in range(50):
         i.step(1e-3, 1e-3 * k)
-        small += int((judge.pivots(i.q) < BRANCH_MARGIN).sum()) > judge.freedom
+        small += int((judge.factor(i.q).diagonal() ** 2 < BRANCH_MARGIN).sum()) > judge.freedom
         assert i.get("monitor.distance") >= 0.5
         assert judge.margin(i.q)[1] >= 0.25
     assert small > 0

@@ -303,6 +303,13 @@ def test_instances_mechanisms_and_versions_in_one_process_do_not_disturb_each_ot
     assert "undisturbed" in done.stdout, done.stderr
 
 
+def test_many_instances_of_one_fmu_one_after_another(exported):
+    for _ in range(20):
+        with Fmu(exported("particle_on_circle")) as fmu:
+            fmu.initialize()
+            fmu.step(0.02, 0.0)
+
+
 ENDING = """
 import atexit, ctypes, sys
 from alfmu.fmi.drive import Fmu

@@ -368,7 +368,10 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
 @pytest.mark.slow
 def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     for pattern, says in (
-        ("link9.angle/A.torque", "no output 'link9.angle' for the derivative 'link9.angle/A.torque' over a step; did"),
+        (
+            "link9.angle/A.torque",
+            "no output 'link9.angle' for the derivative 'link9.angle/A.torque' over a step; did you",
+        ),
         ("link1.angle/B.torque", "no input 'B.torque' for the derivative"),
         ("monitor.energy/A.torque", "no output 'monitor.energy' for the derivative"),
         ("link1.angle/", "no input '' for the derivative"),

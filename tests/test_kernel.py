@@ -3,10 +3,9 @@
 `DRAWS=100 pytest tests/test_kernel.py` draws so many random states of each mechanism; by default four.
 """
 
-import os
-
 import numpy as np
 import pytest
+from pairs import draws
 from scenes import by_rk4 as derived
 from scenes import hinged, initialized, made, refused
 
@@ -55,7 +54,7 @@ def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, optio
     random = np.random.default_rng(3)
     equations = derived(name, **options)
     prepared_once = prepared(equations, kernel)
-    for _ in range(int(os.environ.get("DRAWS", "4"))):
+    for _ in range(draws(4)):
         start = {"start.angle": random.uniform(0.3, 1.2), "start.angular_velocity": random.uniform(-3.0, 3.0)}
         fast, oracle = made(prepared_once, kernel), made(equations, "oracle")
         for i in (fast, oracle):

@@ -12,6 +12,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 
 import alfmu
 from alfmu import Recipe
@@ -217,6 +218,7 @@ def test_pythonfmu_builds_an_fmu_from_a_recipe(here):
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", "../heavy.py", "--handle-state", "--serialize-state"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
+    assert validate_fmu("heavy.fmu") == []
     is_the_heavy_pendulum(Path("heavy.fmu"), here)
     (here / "mechanisms" / "pendulum.py").unlink()
     (here / "heavy.py").unlink()

@@ -5,7 +5,6 @@ files are refused.
 """
 
 import ctypes
-import os
 import re
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pairs import draws
 from scenes import derived
 from sines import by_instructions
 
@@ -40,7 +40,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", *build.FLAGS,
 
 N = 60
 
-DRAWS = range(int(os.environ.get("DRAWS", "3")))
+DRAWS = range(draws(3))
 
 pytestmark = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
@@ -537,7 +537,7 @@ def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quickly_compiled")
-@pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 5})])
+@pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 8})])
 def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, options):
     e = prepared(derived(name, **options), "vm")
     scene, own = tables.packed(complete(e)), complete(e)

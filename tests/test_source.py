@@ -13,18 +13,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import once
-from scenes import initialized, sliding
+from scenes import by_rk4, initialized, sliding
 from test_left_out import WARNINGS, block, by_a_compiler, led
 
 import alfmu
 from alfmu.cli import main
+from alfmu.equations.interface import default_settings
+from alfmu.fmi import source as module
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.form import Call, Choice
 from alfmu.kernel.memory import TALLY
 from alfmu.kernel.scene import AGAIN, CALLS
 from alfmu.kernel.shorten import shortened
 from alfmu.runtime import build
-from alfmu.simulation import run
+from alfmu.runtime.library import DONE
+from alfmu.simulation import prepared, run
 
 RK4 = {"solver.method": "rk4"}
 SMALL = {"outputs": ["link1.angle", "A.force.x"], "freeze": ["all"], "parameters": {"solver.branch": "paper"}}
@@ -191,6 +194,15 @@ def test_internal_steps_are_chosen_for_the_default_experiment(tmp_path, caplog):
     assert plain("start", 0.0) == 0
     assert [plain("step", 0.02) for _ in range(25)] == [0] * 25
     assert plain.get("block.x") == pytest.approx(0.1 * np.cos(50.0), abs=0.1 * 50 * ((100 * step) ** 4 / 120 + 1e-3))
+
+
+def test_a_warning_that_shorter_internal_steps_leave_is_given(monkeypatch, caplog):
+    outcomes = iter([(1, "it fails"), (DONE, "it errs"), *[(DONE, "it errs, too")] * 7])
+    monkeypatch.setattr(module, "_ran", lambda *_: next(outcomes))
+    e = prepared(by_rk4("particle_on_circle"))
+    with caplog.at_level("WARNING", "alfmu"):
+        assert default_settings(module.paced(e, fixed=False)).step_size == 0.01
+    assert [("it fails" in x, "it errs (" in x) for x in caplog.messages] == [(True, False), (False, True)]
 
 
 @pytest.mark.slow

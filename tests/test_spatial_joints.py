@@ -166,24 +166,27 @@ def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
         angle = "angle" in name and "angular" not in name
         difference = r[name] - s[name]
         assert (abs(np.sin(difference)) if angle else abs(difference)) <= 1e-9 * largest, name
-    b = SpatialBalance(r, BODIES, GRAVITY)
     pushed = {which: 3.0 - 5.0 * (x - 0.1) - 0.7 * rate for which, x, rate in freedoms(kind, q, v)}
-    force, moment = efforts(kind, b, pushed)
-    b.joint("J", "base", "arm", ON, force, moment)
-    hinge = b.turns["arm"] @ [0, 1, 0]
-    b.joint("K", "arm", "tool", (0, -0.1, 0), turn=(u[0] - 0.2 * v[-1] + r["knock.torque"]) * hinge)
-    line = b.point("tool", (0, 0, 0)) - b.point("base", (0, 0, 0))
-    b.push("base", "tool", b.point("tool", (0, 0, 0)), r["reach.force"] * line / np.linalg.norm(line))
-    assert min(abs(r["knock.torque"]), abs(r["reach.force"])) > 0.1
-    b.spring(("ground", (0, 0, 1)), ("tool", (0.2, 0, 0)), 40.0, 2.0, 0.3)
-    b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
-    b.push("ground", "arm", b.point("arm", (0.3, 0.1, 0.0)), np.array([1.0, u[1], 3.0]), (0.5, -1.0, 2.0))
-    b.push("ground", "base", b.point("base", (0.0, 0.2, 0.1)), b.turns["base"] @ [4.0, -2.0, 1.0])
-    assert b.lack() <= 1e-12
-    # Reactions do no work along the freedoms.
-    force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
-    for w, along in directions(kind, b).values():
-        assert abs(w @ moment + along @ force) <= 1e-12 * b.largest
+    for found in (s, r):
+        b = SpatialBalance(found, BODIES, GRAVITY)
+        force, moment = efforts(kind, b, pushed)
+        b.joint("J", "base", "arm", ON, force, moment)
+        hinge = b.turns["arm"] @ [0, 1, 0]
+        b.joint("K", "arm", "tool", (0, -0.1, 0), turn=(u[0] - 0.2 * v[-1] + found["knock.torque"]) * hinge)
+        line = b.point("tool", (0, 0, 0)) - b.point("base", (0, 0, 0))
+        b.push("base", "tool", b.point("tool", (0, 0, 0)), found["reach.force"] * line / np.linalg.norm(line))
+        assert min(abs(found["knock.torque"]), abs(found["reach.force"])) > 0.1
+        b.spring(("ground", (0, 0, 1)), ("tool", (0.2, 0, 0)), 40.0, 2.0, 0.3)
+        b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
+        b.push("ground", "arm", b.point("arm", (0.3, 0.1, 0.0)), np.array([1.0, u[1], 3.0]), (0.5, -1.0, 2.0))
+        b.push("ground", "base", b.point("base", (0.0, 0.2, 0.1)), b.turns["base"] @ [4.0, -2.0, 1.0])
+        assert b.lack() <= 1e-12
+        # Reactions do no work along the freedoms.
+        force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
+        for w, along in directions(kind, b).values():
+            assert abs(w @ moment + along @ force) <= 1e-12 * b.largest
+        if kind in ("revolute", "spherical", "universal"):  # the ends stay together
+            assert np.abs(b.acceleration("arm", ON) - b.acceleration("base", AT)).max() <= 1e-11 * b.largest
     # What the joint reads is its freedom.
     if kind == "prismatic":
         assert [r["arm.position"], r["arm.velocity"]] == pytest.approx([q[7], v[7]], rel=1e-12)

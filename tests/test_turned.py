@@ -4,19 +4,19 @@
 """
 
 import logging
-import os
 
 import numpy as np
 import pytest
 from oracles import ode
 from oracles.newton_euler import NewtonEuler
+from pairs import draws
 from scipy.spatial.transform import Rotation
 from turned import KINDS, G, Link, Linkage, gripper, sarrus, scissors, six_bar, slider_crank
 
 import alfmu
 from alfmu.runtime.probe import Probe
 
-DRAWS = int(os.environ.get("DRAWS", "1"))
+DRAWS = draws(1)
 STOP, STEP = 0.3, 0.02
 TIGHT = {"solver.relative_tolerance": 1e-9}
 CASES = [(kind, seed) for kind in KINDS for seed in range(DRAWS)]

@@ -37,7 +37,6 @@ class Hinge:
     point: NDArray
     axis: tuple[float, ...] = Z
     other: tuple[float, ...] = ()
-    closes: bool = False
 
 
 @dataclass
@@ -129,7 +128,7 @@ def four_bar(random: np.random.Generator) -> Linkage:
     made.join("a", "revolute", None, a, O)
     made.join("b", second, a, b, A, Z, (1.0, 0.0, 0.0))
     made.join("d", "revolute", None, c, D)
-    made.join("c", last, b, c, C, closes=True)
+    made.join("c", last, b, c, C)
     return made
 
 
@@ -145,7 +144,7 @@ def six_bar(random: np.random.Generator) -> Linkage:
     e, f = made.link(random, "link3", E, F), made.link(random, "link4", F, H)
     made.join("e", "revolute", on, e, E)
     made.join("h", "revolute", None, f, H)
-    made.join("f", "revolute", e, f, F, closes=True)
+    made.join("f", "revolute", e, f, F)
     return made
 
 
@@ -159,10 +158,10 @@ def slider_crank(random: np.random.Generator) -> Linkage:
     made.join("b", "revolute", a, b, A)
     if random.random() < 0.5:
         made.join("s", "prismatic", None, s, B, (1.0, 0.0, 0.0))
-        made.join("c", "revolute", b, s, B, closes=True)
+        made.join("c", "revolute", b, s, B)
     else:
         made.join("c", "revolute", b, s, B)
-        made.join("s", "prismatic", None, s, B, (1.0, 0.0, 0.0), closes=True)
+        made.join("s", "prismatic", None, s, B, (1.0, 0.0, 0.0))
     return made
 
 
@@ -187,7 +186,7 @@ def sarrus(random: np.random.Generator) -> Linkage:
     made.join("a2", "revolute", two, top, a2, ax)
     made.join("b0", "revolute", None, three, b0, bx)
     made.join("b1", "revolute", three, four, b1, bx)
-    made.join("b2", "revolute", four, top, b2, bx, closes=True)
+    made.join("b2", "revolute", four, top, b2, bx)
     return made
 
 
@@ -206,9 +205,9 @@ def scissors(random: np.random.Generator) -> Linkage:
         made.join(f"m{i}", "revolute", up, down, middle)
         if i == 0:
             made.join("s", "prismatic", None, slide, at[0, 1], (1.0, 0.0, 0.0))
-            made.join("g", "revolute", slide, down, at[0, 1], closes=True)
+            made.join("g", "revolute", slide, down, at[0, 1])
         else:
-            made.join(f"d{i}", "revolute", previous[1], down, at[i, 1], closes=True)
+            made.join(f"d{i}", "revolute", previous[1], down, at[i, 1])
         previous = {0: down, 1: up}
     return made
 
@@ -225,7 +224,7 @@ def gripper(random: np.random.Generator) -> Linkage:
     made.join("b0", "revolute", arms[0], finger, roots[0] + arm)
     for i in (1, 2):
         made.join(f"a{i}", "revolute", None, arms[i], roots[i])
-        made.join(f"b{i}", "revolute", arms[i], finger, roots[i] + arm, closes=True)
+        made.join(f"b{i}", "revolute", arms[i], finger, roots[i] + arm)
     return made
 
 
@@ -241,7 +240,7 @@ def universal_table(random: np.random.Generator) -> Linkage:
     made.join("b0", "revolute", legs[0], top, roots[0] + leg, x)
     for i in (1, 2):
         made.join(f"a{i}", "universal", None, legs[i], roots[i], x, y)
-        made.join(f"b{i}", "spherical", legs[i], top, roots[i] + leg, closes=True)
+        made.join(f"b{i}", "spherical", legs[i], top, roots[i] + leg)
     return made
 
 

@@ -157,20 +157,20 @@ def facts(path: Path) -> list[str]:
 
 
 def paced(e: Traced, fixed: bool) -> Traced:
-    """Return equations with the longest internal step, of their own one and, unless it is `fixed`, of its halves, with
-    which sources run the default experiment without a warning, or else with one.
+    """Return equations with the internal step of sources, tried in the default experiment: their own one or, unless it
+    is `fixed`, its half, quarter, ...; the first without a warning or, if there is none, the first that does not fail.
 
-    Raise ExportError if there is none, with the reason of the complete scene if this fails, too. Log the first reason
-    or warning.
+    Raise ExportError if there is none, with the reason of the complete scene if this fails, too. Log why the step is
+    not their own one, and the warning that is left.
     """
-    whole, first, found = default_settings(e).step_size, "", None
+    whole, first, found, left = default_settings(e).step_size, "", None, ""
     longest = min(whole, e.interval)
     for k in range(1 if fixed else _HALVINGS):
         tried = replace(e, solver={**e.solver, "step_size": longest / 2**k}) if k else e
         made, said = _ran(packed(smallest(tried), shares=True), e)
         first = first or said
         if made == DONE and not (said and found):
-            found = tried
+            found, left = tried, said
         if not said:
             break
     if found is None:
@@ -184,13 +184,13 @@ def paced(e: Traced, fixed: bool) -> Traced:
     if found is not e:
         text = "%s: internal steps are %g s, chosen for the default experiment; with %g s, %s"
         _LOGGER.warning(text, e.name, default_settings(found).step_size, longest, first)
-    elif first:
-        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", first)
+    if left:
+        _LOGGER.warning("%s (the default experiment; plain C does not tell when it runs)", left)
     return found
 
 
 _HALVINGS = 9
-"""Number of internal steps that are tried."""
+"""Number of internal steps that are tried, with the declared one."""
 
 
 def _ran(scene: bytes, e: Traced) -> tuple[int, str]:

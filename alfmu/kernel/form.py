@@ -110,7 +110,7 @@ class Plan:
     branch: bool = False
     """Whether each stage is brought to the branch of the motion, and a limit is taken near a singular position."""
     margins: bool = False
-    """Whether the margin itself is computed, not only whether it may be small; for weighted plans."""
+    """Whether the margin itself, not where it may be small, tells that a step is near a singular position."""
 
     gaining: bool = False
     """Whether evaluations continue after these iterations while each gains."""

@@ -184,7 +184,7 @@ _SAMPLE = 3
 """Number of instructions compared with CasADi's calls, to detect a change of the listing."""
 
 _FORMS = OrderedDict({0: ca.OP_CONST})
-"""Operations by the form of their lines in CasADi's listing, for `alfmu_listing`, as they are met: no constant."""
+"""Operations by the form of their lines in CasADi's listing, for `alfmu_listing`; it grows (`stored._is_constant`)."""
 
 
 def _listed(f: ca.Function) -> NDArray | None:

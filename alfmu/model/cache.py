@@ -35,7 +35,7 @@ _WRITERS = 10
 
 _COUNTED = OrderedDict[Path, int]()
 """Largest possible size of each folder [bytes]: its size when counted, and what `_WRITERS` processes have written since
-if each wrote as much as this one. It is no constant."""
+if each wrote as much as this one. It grows (`stored._is_constant`)."""
 
 _OFF = ("off", "0")
 

@@ -299,10 +299,6 @@ class Method(runtime.Instance):
         except np.linalg.LinAlgError:
             return np.zeros_like(H)
 
-    def pivots(self, q: NDArray) -> NDArray:
-        """Return the pivots (n,) of this matrix."""
-        return np.maximum(self.factor(q).diagonal() ** 2, 1e-300)
-
     def margin(self, q: NDArray) -> tuple[bool, float]:
         """Return whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
         factor = self.factor(q) ** 2
@@ -315,7 +311,7 @@ class Method(runtime.Instance):
         if self.equations.turns:
             more = min(small.sum() - self.freedom, loops(self.equations))
         else:
-            left = factor[small][:, small].sum(axis=1)  # of the diagonal of H, by large pivots
+            left = factor[small][:, small].sum(axis=1)  # what large pivots leave of the diagonal of H
             more = max((left < branch.SMALL_PIVOT).sum() - self.freedom, 1)
         return near, math.exp(min((np.log(ratios[small]).sum() - self.masses) / more, 0.0))
 

@@ -229,6 +229,7 @@ Status component_reset(Component *c, const char *call)
     if (!component_in(c, ANY, call))
         return STATUS_ERROR;
     instance_reset(c->instance);
+    c->refusals = 0;
     return STATUS_OK;
 }
 
@@ -381,6 +382,7 @@ Status component_restore(Component *c, void *state, const char *call)
     const State *s = state;
     if (!state_known(c, s, call))
         return STATUS_ERROR;
+    c->refusals = 0;
     return state_restore(c->instance, s->bytes, s->size) == DONE ? STATUS_OK : component_refused(c, STATUS_ERROR);
 }
 
