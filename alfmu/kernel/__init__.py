@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 33
+VERSION = 34
 """Version of scene files, increased whenever their content changes meaning."""
