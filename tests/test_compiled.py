@@ -258,6 +258,7 @@ def test_a_scene_refuses_the_functions_of_another(own_cache):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_library_is_built_once_and_kept(own_cache, monkeypatch):
     prepared(derived("particle_on_circle"), "compiled")
     (path,) = libraries(own_cache)
@@ -287,6 +288,7 @@ DAMAGES = ("a bit", "an end", "nothing", "more")
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_damaged_library_is_built_again_and_never_loaded(own_cache):
     expected = alfmu.simulate(replace(by_rk4("particle_on_circle")), 0.1, 0.02, kernel="compiled").values
     for how in DAMAGES:
@@ -299,6 +301,7 @@ def test_a_damaged_library_is_built_again_and_never_loaded(own_cache):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 @pytest.mark.parametrize(
     ("kind", "how"), [("python", "a bit"), ("python", "nothing"), ("native", "an end"), ("native", "more")]
 )
@@ -327,6 +330,7 @@ def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, tmp_path, monkeypatch):
     left = [*DAMAGES]
 
@@ -343,6 +347,7 @@ def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, t
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_several_processes_may_build_at_once(own_cache):
     """Each gets a library that works, and one whole file is left."""
     code = (
@@ -369,6 +374,7 @@ def test_without_a_compiler(monkeypatch, own_cache):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quickly_compiled")
 def test_auto_takes_the_compiler_that_is_there():
     assert (prepared(derived("particle_on_circle"), "auto").library is not None) == (build.compiler() is not None)
 

@@ -210,7 +210,7 @@ def test_a_step_from_another_time_is_discarded(exported):
             fmu.step(0.1, 5.0)
 
 
-@pytest.mark.parametrize(("kind", "bad"), [("python", np.nan), ("native", 1e12)])
+@pytest.mark.parametrize(("kind", "bad"), [("python", np.nan), ("native", 1e30)])
 def test_discarded_steps_are_seen_by_fmpy(fmu_of, kind, bad):
     """`simulate_fmu` ends early without an exception: the last time reached tells. It repeated steps for ever."""
     torque = np.array([(0.0, 0.0), (0.5, 0.0), (0.52, bad), (1.0, 0.0)], dtype=[("time", float), ("A.torque", float)])
