@@ -74,7 +74,7 @@ EPSILON = 2.0**-52
 """Relative round-off of a number."""
 
 _E = SX(math.e)
-"""The C libraries of Linux and WebAssembly give the same bits for its powers, but not for exp."""
+"""C libraries give the same bits for its powers, but not for exp, on which no margin may depend."""
 
 ROUND_OFF = 8 * EPSILON
 """Round-off of a constraint, over its coordinates."""

@@ -24,5 +24,5 @@ ALFMU_OLD(log) ALFMU_OLD(log1p) ALFMU_OLD(pow) ALFMU_OLD(remainder) ALFMU_OLD(si
 ALFMU_OLD(tanh)
 #endif
 
-/* exp(x): the C libraries of Linux and WebAssembly give the same bits for pow, but not for exp. */
+/* exp(x): C libraries give the same bits for pow, but not for exp. */
 #define EXPONENTIAL(x) pow(2.718281828459045, x)
