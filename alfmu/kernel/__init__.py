@@ -16,5 +16,5 @@ KERNELS = {
 
 DEFAULT = "vm"
 
-VERSION = 34
+VERSION = 33
 """Version of scene files, increased whenever their content changes meaning."""

@@ -73,9 +73,6 @@ evaluations at communication steps of 0.05 s, whose work is right to 2e-7 as it 
 EPSILON = 2.0**-52
 """Relative round-off of a number."""
 
-_E = SX(math.e)
-"""C libraries give the same bits for its powers, but not for exp, on which no margin may depend."""
-
 ROUND_OFF = 8 * EPSILON
 """Round-off of a constraint, over its coordinates."""
 
@@ -318,7 +315,7 @@ class Scene:
     def softened(self) -> SX:
         """Return k with penalties reduced so far that the contribution of masses to H keeps its digits."""
         settings = self.settings
-        typical = _E ** (settings.masses / ca.fmax(settings.freedom, 1))
+        typical = ca.exp(settings.masses / ca.fmax(settings.freedom, 1))
         factor = ca.if_else(settings.freedom > 0, ca.fmin(ca.fmax(SOFT / typical, 1), _SOFTEST), 1)
         changed = {
             "alpha": settings.alpha / factor,
@@ -562,7 +559,7 @@ class Scene:
             # What large pivots leave of the diagonal entry of a coordinate is large where it shares a small pivot.
             left = ratios + scales * (L.T**2 @ (small * D))
             more = ca.fmax(ca.sum1(left < branch.SMALL_PIVOT) - freedom, 1)
-        return near, ca.fmin(ca.if_else(beyond, _E ** ((logarithm - self.settings.masses) / more), 1), 1)
+        return near, ca.fmin(ca.if_else(beyond, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
 
     def irregular(self, q: SX) -> SX:
         """Return whether more constraints may be dependent at q than at regular positions, for any masses.

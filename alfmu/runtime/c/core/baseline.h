@@ -23,6 +23,3 @@ ALFMU_OLD(cos) ALFMU_OLD(cosh) ALFMU_OLD(erf) ALFMU_OLD(exp) ALFMU_OLD(expm1) AL
 ALFMU_OLD(log) ALFMU_OLD(log1p) ALFMU_OLD(pow) ALFMU_OLD(remainder) ALFMU_OLD(sin) ALFMU_OLD(sinh) ALFMU_OLD(tan)
 ALFMU_OLD(tanh)
 #endif
-
-/* exp(x): C libraries give the same bits for pow, but not for exp. */
-#define EXPONENTIAL(x) pow(2.718281828459045, x)

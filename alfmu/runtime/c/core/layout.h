@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 34
+#define SCENE_VERSION 33
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20

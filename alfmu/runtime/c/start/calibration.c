@@ -109,7 +109,7 @@ static void calibrate_margin(Instance *i, const Pivots *places, int count)
         *i->least_margin = raised;
     } else {
         *i->masses = round_coarsely(typical);
-        *i->least_margin = freedom > 0.0 ? EXPONENTIAL(*i->masses / freedom) : 0.0;
+        *i->least_margin = freedom > 0.0 ? exp(*i->masses / freedom) : 0.0;
     }
 }
 

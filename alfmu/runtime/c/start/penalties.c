@@ -93,7 +93,7 @@ void penalties_default(Instance *i, const double *q, double *penalties)
             units[r] = all.most;
         mean += log(units[r]) / s->l;
     }
-    mean = EXPONENTIAL(mean);
+    mean = exp(mean);
     for (int r = 0; !known && all.most <= ALIKE * all.least && r < s->l; r++)
         units[r] = 1 / ALIKE < mean && mean < ALIKE ? 1.0 : mean;
     for (int c = 0; c < s->n; c++) {
